@@ -16,10 +16,11 @@ import tempfile
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, TextIO
+from typing import IO, Any, TextIO
 
 import pyarrow as pa
 
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.logs.rows import OPTIONAL
@@ -33,9 +34,6 @@ from stereophd.pipeline.build import report_times
 from stereophd.pipeline.live.frames import FrameChecks
 from stereophd.pipeline.live.run import LiveRecord, LiveRun, warm_up_messages, without_collections
 from stereophd.pipeline.tracking.run import build_tracking, estimated_cameras
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 LOG_FILE = "detections.parquet"
 # Optional columns of a log, as the filters read them.

@@ -20,6 +20,7 @@ from stereophd.config.model import Config
 from stereophd.config.overrides import apply_override, key_path, parse_override
 from stereophd.config.report import CameraTimes
 from stereophd.config.yaml import Place, Tree, read_yaml
+from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.cameras.models import CameraConfig, CamerasFile
 from stereophd.io.outputs.json_text import infinity_as_text
@@ -27,7 +28,6 @@ from stereophd.io.outputs.provenance import ConfigRecord, sha256_of
 from stereophd.io.tables.trajectories import pack_poses, read_trajectory
 
 if TYPE_CHECKING:
-    from stereophd.core.geometry.camera import Camera
     from stereophd.io.interchange.base import ImportOptions
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
