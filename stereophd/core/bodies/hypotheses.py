@@ -84,10 +84,12 @@ def reduce_hypotheses(
     exclusive = exclusive_existence(
         bodies[tracks], hypotheses.means[first], hypotheses.covariances[first], reported[tracks], up
     )
-    scale = np.ones(n_tracks)
-    least = LEAST_BODY * (existence[tracks] - bodies[tracks])
-    scale[tracks] = np.maximum(exclusive, least) / np.maximum(bodies[tracks], 1e-300)
-    weights = weights * np.where(hypotheses.views < 0, scale[hypotheses.owners], 1.0)
+    scales = np.ones((2, n_tracks))
+    false = np.maximum(existence - bodies, 0.0)[tracks]
+    least = np.where(bodies[tracks] > 0.0, LEAST_BODY * false, 0.0)
+    scales[0, tracks] = np.maximum(exclusive, least) / np.maximum(bodies[tracks], 1e-300)
+    scales[1, tracks] = 1.0 - np.maximum(least - exclusive, 0.0) / np.maximum(false, 1e-300)
+    weights = weights * scales[(hypotheses.views >= 0).astype(np.int64), hypotheses.owners]
     existence = np.bincount(hypotheses.owners, weights, n_tracks).astype(np.float64)
     tracks = tracks[existence[tracks] >= settings.recycle_below]
     if settings.max_components is not None and len(tracks) > settings.max_components:
