@@ -54,20 +54,24 @@ def small_runs(folder: Path) -> dict[str, SmallRun]:
     csv.write_csv(table, folder / "points.csv")
     log, tracks, cameras = scene / "detections.parquet", tracked / "tracks.parquet", scene / "cameras.yaml"
     track = ("track", QUICKSTART, log)
+    rig = ("--cameras", unknown / "guess.yaml", *film[2:], "--no-plots")
+    calibrate = ("calibrate", CALIBRATION, unknown / log.name, *rig)
+    experiment = ("experiment", EXPERIMENT, "--set", "experiment.runs=4")
     runs: dict[str, tuple[tuple[object, ...], str, bool]] = {
         "simulate": (("simulate", QUICKSTART, *small), "out", False),
         "simulate --runs 3": (("simulate", QUICKSTART, *small, "--runs", 3), "out", False),
+        "simulate --runs 3 --jobs 2": (("simulate", QUICKSTART, *small, "--runs", 3, "--jobs", 2), "out", False),
         "track": (track, "out", True),
         "track --smooth --associations": ((*track, "--smooth", "--associations"), "out", True),
         "track --pieces": ((*track, "--pieces", 1, "--overlap", 0.3), "out", True),
+        "track --pieces --jobs 2": ((*track, "--pieces", 1, "--overlap", 0.3, "--jobs", 2), "out", True),
         "track of two logs": (("track", QUICKSTART, log, folder / "again" / log.name), "out", True),
-        "calibrate": (
-            ("calibrate", CALIBRATION, unknown / log.name, "--cameras", unknown / "guess.yaml", *film[2:],
-             "--jobs", 1, "--no-plots"), "out", True,
-        ),
+        "calibrate": ((*calibrate, "--jobs", 1), "out", True),
+        "calibrate --jobs 2": ((*calibrate, "--jobs", 2), "out", True),
         "evaluate": (("evaluate", tracks, scene / "truth.parquet", "--cutoff", 1, "--no-plots"), "out", False),
         "evaluate-cameras": (("evaluate-cameras", cameras, scene / "guess.yaml"), "out", False),
-        "experiment": (("experiment", EXPERIMENT, "--set", "experiment.runs=4"), "out", True),
+        "experiment": (experiment, "out", True),
+        "experiment --jobs 2": ((*experiment, "--jobs", 2), "out", True),
         "import": (("import", "csv", folder / "points.csv", "--cameras", cameras, "--fps", 20), "out", False),
         "export csv": (("export", "csv", tracks), "tracks.csv", False),
         "export colmap": (("export", "colmap", cameras), "model", False),

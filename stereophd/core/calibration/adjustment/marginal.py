@@ -64,7 +64,7 @@ NOISE_STD = 0.5
 DIFFERENCE, SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS, REMEMBERED = 0.05, 0.05, 20.0, 1.0, 100, 6
 # A search has settled as well where as many steps as are remembered lower the objective by less than this together: no
 # detection tells their points apart. It follows curved valleys of scenes that hold little, step by small step.
-STALLED = 0.2
+STALLED = 0.5
 # A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says.
 DECREASE, LEAST_SHARE = 1e-4, 1.0 / 64.0
 # Squared distance from which a detection is left out by the loss.
