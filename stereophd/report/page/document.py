@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+from base64 import b64encode
 from collections.abc import Iterator, Sequence
+from hashlib import sha256
 from html import escape
 from importlib.resources import files
 from importlib.util import find_spec
@@ -39,10 +41,16 @@ def page(runs: Sequence[Run], title: str = "stereophd report") -> str:
         "DATA": json.dumps(plain(data), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c"),
         "SCRIPT": _resource("page.js"),
     }
+    parts["HASHES"] = " ".join(script_hash(f"\n{parts[name]}\n") for name in ("PLOTLY", "SCRIPT"))
     out = []
     for k, piece in enumerate(_resource("page.html").split("%%")):
         out.append(parts[piece] if k % 2 else piece)
     return "".join(out)
+
+
+def script_hash(text: str) -> str:
+    """Return the source expression of a content security policy that allows a script with exactly this text."""
+    return f"'sha256-{b64encode(sha256(text.encode()).digest()).decode()}'"
 
 
 def _resource(name: str) -> str:
