@@ -17,6 +17,7 @@ from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.streams.messages import Message
+from stereophd.io.streams.rows import JsonLines
 from stereophd.io.streams.sources import from_stream
 
 HALL = Path(__file__).resolve().parents[3] / "sample_data"
@@ -45,7 +46,7 @@ def shuffled(frames: Sequence[Message], delay_s: float) -> list[Message]:
 def run(loaded: LoadedConfig, frames: Sequence[Message], out: Path | None = None) -> tuple[dict[str, Any], list[Any]]:
     lines = io.StringIO()
     content = "".join(frame.to_line() + "\n" for frame in frames).encode()
-    report = track_live(loaded, from_stream(io.BytesIO(content)), "frames", LiveOutputs(lines, out))
+    report = track_live(loaded, from_stream(io.BytesIO(content)), "frames", LiveOutputs([JsonLines(lines)], out))
     return report, [json.loads(line) for line in lines.getvalue().splitlines()]
 
 
