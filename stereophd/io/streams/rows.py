@@ -117,6 +117,8 @@ class Publisher:
 
     def __init__(self, address: str) -> None:
         self._socket = bind("PUB", address)
+        #: Where it is bound: a port that the system chose in place of ``*``.
+        self.address: str = self._socket.last_endpoint.decode()
         # Whoever comes later is told where the cameras are.
         self._ready: dict[str, Any] | None = None
         self._told_s = -math.inf

@@ -34,9 +34,9 @@ def from_stream(stream: BinaryIO, name: str = "standard input") -> Arrivals:
     Raises InputError when the stream is neither.
     """
     buffered = cast(io.BufferedReader, stream if hasattr(stream, "peek") else io.BufferedReader(cast(Any, stream)))
-    if buffered.peek(4)[:4] == _ARROW_HEAD:
-        return _arrow(buffered, name)
-    return _lines(_chunks(buffered), name)
+    # looked at when the first frame is wanted: until something comes, the reader makes itself ready
+    is_arrow = buffered.peek(4)[:4] == _ARROW_HEAD
+    yield from _arrow(buffered, name) if is_arrow else _lines(_chunks(buffered), name)
 
 
 def _chunks(stream: io.BufferedReader) -> Iterator[bytes]:
