@@ -80,6 +80,13 @@ class LiveOptions:
         default=None,
         metavar="ADDRESS",
     )
+    publish: str | None = option(
+        "Publish the tracks of a running recording at a ZeroMQ address too, such as tcp://127.0.0.1:5556 (needs the "
+        "extra 'live').",
+        default=None,
+        metavar="ADDRESS",
+    )
+    arrow: bool = option("Write an Arrow IPC stream in place of lines of JSON.", default=False)
     record: Path | None = option(
         "Keep the frames of a running recording as JSON lines while they arrive.", default=None, metavar="FILE"
     )
