@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,6 +24,7 @@ from stereophd.core.calibration.unknowns.parameters import taken
 from stereophd.core.calibration.unknowns.quantities.base import TIMES
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import log_scale, predicted
+from stereophd.core.geometry.camera import Camera
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,19 @@ class NormalEquations:
     distances: Array
     energy: float
     pull: Array
+
+
+@dataclass(frozen=True)
+class Sights:
+    """Where the points of n detections are, by values and knots."""
+
+    cameras: Sequence[Camera]
+    times: Array  # (n,): s
+    path: Interpolation
+    rates: Interpolation
+    # `world`, `velocities`: arrays (n, 3)
+    world: Array
+    velocities: Array
 
 
 @dataclass(frozen=True)
@@ -116,23 +131,28 @@ class Linearisation:
             matrix[held, held] = parameters.prior_std[held] ** -2
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances, energy, pull)
 
-    def of_knots(self, values: Array, states: Array, log_noise: float = 0.0) -> tuple[Array, Array]:
-        """Matrix (12, size) and vector (size,) of the knots alone, as `at` has them, at a part of its time."""
+    def log_scale_of_noise(self, values: Array, log_noise: float) -> float:
+        """Logarithm of the factor on the noise of the motion, at values (m,) and a noise times e^log_noise."""
+        return log_scale(self.problem.parameters, self.problem.reference, values)[0] + log_noise
+
+    def of_knots(self, values: Array, states: Array, log_noise: float = 0.0) -> tuple[float, Array, Array]:
+        """Cost of detections and motion, matrix (12, size) and vector (size,) of the knots, as `at` has them, sooner."""
         observations, problem, size = self.problem.observations, self.problem, self.problem.knots.size
         bands, vector, count = np.zeros((12, size)), np.zeros(size), len(observations)
         path, errors, visible, by_point, by_value = self.residuals(values, states, by_values=False)
         counted = np.ones(count) if observations.weights is None else observations.weights
-        normal_equations.accumulate(
+        cost = normal_equations.accumulate(
             observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
             path.weights, self.columns[:, :0], problem.loss.kind, problem.loss.scale,
             bands, np.zeros((size, 0)), np.zeros((0, 0)), vector, np.zeros(0), np.empty(count),
         )  # fmt: skip
-        logarithm, _ = log_scale(problem.parameters, problem.reference, values)
-        density = np.exp(-2.0 * (logarithm + log_noise))
+        density = np.exp(-2.0 * self.log_scale_of_noise(values, log_noise))
         bands += density * self.motion.bands
-        product = density * banded_product(self.motion.bands, states.ravel())
+        x = states.ravel()
+        product = density * banded_product(self.motion.bands, x)
         vector -= product - density * self.motion.pull
-        return bands, vector
+        cost += float(x @ product) + density * (self.motion.energy - 2.0 * float(x @ self.motion.pull))
+        return cost, bands, vector
 
     def residuals(
         self, values: Array, states: Array, by_values: bool = True
@@ -141,6 +161,11 @@ class Linearisation:
 
         Without `by_values` the latter are empty, (n, 2, 0).
         """
+        sights = self.sights(values, states, by_values)
+        return sights.path, *self.seen(sights, values, sights.world, by_values)
+
+    def sights(self, values: Array, states: Array, by_values: bool = True) -> Sights:
+        """Return where the points of the detections are by values and knots; without `by_values` they stand still."""
         observations, parameters = self.problem.observations, self.problem.parameters
         cameras = parameters.build(values)
         times, path, rates = observations.times, self.path, self.rates
@@ -151,12 +176,19 @@ class Linearisation:
                 rates = slopes(self.problem.knots, observations.trajectories, times)
         world = positions(states, *path)
         velocities = positions(states, *rates) if by_values else np.zeros_like(world)
+        return Sights(cameras, times, path, rates, world, velocities)
+
+    def seen(
+        self, sights: Sights, values: Array, world: Array, by_values: bool = True
+    ) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+        """Residuals, visibility, and derivatives by points and values, of points (n, 3) that may lie elsewhere."""
+        observations, parameters = self.problem.observations, self.problem.parameters
         count = len(observations)
         errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
         by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
-        for camera, here in zip(cameras, self.members, strict=True):
+        for camera, here in zip(sights.cameras, self.members, strict=True):
             view = look(
-                camera, world[here], velocities[here], times[here], observations.log_times[here],
+                camera, world[here], sights.velocities[here], sights.times[here], observations.log_times[here],
                 observations.rows[here],
             )  # fmt: skip
             errors[here], visible[here] = observations.points[here] - view.pixels, view.visible
@@ -167,4 +199,36 @@ class Linearisation:
             for quantity, index in parameters.unknown(camera.name):
                 by_value[here, :, column : column + len(index)] = quantity.derivative(view, taken(values, index))
                 column += len(index)
-        return path, errors, visible, by_point, by_value
+        return errors, visible, by_point, by_value
+
+    def of_values(self, by_value: Array) -> Array:
+        """Sums (m,) of what detections say of the values of their cameras (n, q)."""
+        out = np.zeros(self.problem.parameters.size)
+        for columns, here in zip(self.columns, self.members, strict=True):
+            used = columns >= 0
+            out[columns[used]] += by_value[here][:, used].sum(axis=0)
+        return out
+
+    def of_states(self, values: Array, by_point: Array) -> Array:
+        """Sums (6 k,) of what detections say of their points (n, 3), over the knots."""
+        path, size = self.sights(values, np.zeros((len(self.problem.knots.times), 2, 3)), False).path, self.problem.knots.size
+        out = np.zeros(size + 6)  # the last knot of all has none after it
+        for b in range(4):
+            for axis in range(3):
+                np.add.at(out, 6 * path.knot + 3 * b + axis, path.weights[:, b] * by_point[:, axis])
+        return out[:size]
+
+    def time_slopes(self, values: Array) -> Array:
+        """Derivatives (n, q) of the times of the detections by the values of their cameras, which are affine in them."""
+        parameters, observations = self.problem.parameters, self.problem.observations
+        out, now = np.zeros((len(observations), self.columns.shape[1])), true_times(parameters.build(values), observations)
+        for camera, here in zip(parameters.cameras, self.members, strict=True):
+            column = 0
+            for quantity, index in parameters.unknown(camera.name):
+                for place in index if quantity.affects == TIMES else ():
+                    later = values.copy()
+                    later[place] += parameters.prior_std[place]
+                    moved = true_times(parameters.build(later), observations)[here] - now[here]
+                    out[here, column + int(np.flatnonzero(index == place)[0])] = moved / parameters.prior_std[place]
+                column += len(index)
+        return out
