@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,17 +45,13 @@ class NormalEquations:
     pull: Array
 
 
-@dataclass(frozen=True)
-class Sights:
-    """Where the points of n detections are, by values and knots."""
+class Placement(NamedTuple):
+    """What values determine whatever the knots are: cameras, times, and the interpolation of what is seen at them."""
 
-    cameras: Sequence[Camera]
-    times: Array  # (n,): s
-    path: Interpolation
-    rates: Interpolation
-    # `world`, `velocities`: arrays (n, 3)
-    world: Array
-    velocities: Array
+    cameras: tuple[Camera, ...]
+    times: Array
+    path: Interpolation  # Positions
+    rates: Interpolation  # Velocities
 
 
 @dataclass(frozen=True)
@@ -135,11 +131,17 @@ class Linearisation:
         """Logarithm of the factor on the noise of the motion, at values (m,) and a noise times e^log_noise."""
         return log_scale(self.problem.parameters, self.problem.reference, values)[0] + log_noise
 
-    def of_knots(self, values: Array, states: Array, log_noise: float = 0.0) -> tuple[float, Array, Array]:
-        """Cost of detections and motion, matrix (12, size) and vector (size,) of the knots, as `at` has them, sooner."""
+    def of_knots(
+        self, values: Array, states: Array, log_noise: float = 0.0, placement: Placement | None = None
+    ) -> tuple[float, Array, Array]:
+        """Cost of detections and motion, matrix (12, size) and vector (size,) of the knots, as `at` has them, sooner.
+
+        A placement of the values without velocities (`placed`) saves what several knots at the same values share.
+        """
         observations, problem, size = self.problem.observations, self.problem, self.problem.knots.size
         bands, vector, count = np.zeros((12, size)), np.zeros(size), len(observations)
-        path, errors, visible, by_point, by_value = self.residuals(values, states, by_values=False)
+        placement = placement or self.placed(values, by_values=False)
+        path, errors, visible, by_point, by_value = self.residuals(values, states, placement, by_values=False)
         counted = np.ones(count) if observations.weights is None else observations.weights
         cost = normal_equations.accumulate(
             observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
@@ -154,18 +156,8 @@ class Linearisation:
         cost += float(x @ product) + density * (self.motion.energy - 2.0 * float(x @ self.motion.pull))
         return cost, bands, vector
 
-    def residuals(
-        self, values: Array, states: Array, by_values: bool = True
-    ) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
-        """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values.
-
-        Without `by_values` the latter are empty, (n, 2, 0).
-        """
-        sights = self.sights(values, states, by_values)
-        return sights.path, *self.seen(sights, values, sights.world, by_values)
-
-    def sights(self, values: Array, states: Array, by_values: bool = True) -> Sights:
-        """Return where the points of the detections are by values and knots; without `by_values` they stand still."""
+    def placed(self, values: Array, by_values: bool = True) -> Placement:
+        """Return what the values determine; without `by_values` the velocities are those of the prior mean."""
         observations, parameters = self.problem.observations, self.problem.parameters
         cameras = parameters.build(values)
         times, path, rates = observations.times, self.path, self.rates
@@ -174,21 +166,31 @@ class Linearisation:
             path = interpolation(self.problem.knots, observations.trajectories, times)
             if by_values:
                 rates = slopes(self.problem.knots, observations.trajectories, times)
-        world = positions(states, *path)
-        velocities = positions(states, *rates) if by_values else np.zeros_like(world)
-        return Sights(cameras, times, path, rates, world, velocities)
+        return Placement(cameras, times, path, rates)
+
+    def residuals(
+        self, values: Array, states: Array, placement: Placement | None = None, by_values: bool = True
+    ) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
+        """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values.
+
+        Without `by_values` the latter are empty, (n, 2, 0).
+        """
+        placement = placement or self.placed(values)
+        world = positions(states, *placement.path)
+        velocities = positions(states, *placement.rates) if by_values else np.zeros_like(world)
+        return placement.path, *self.seen(placement, values, world, velocities, by_values)
 
     def seen(
-        self, sights: Sights, values: Array, world: Array, by_values: bool = True
+        self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True
     ) -> tuple[Array, NDArray[np.bool_], Array, Array]:
-        """Residuals, visibility, and derivatives by points and values, of points (n, 3) that may lie elsewhere."""
+        """Residuals, visibility, and derivatives by points and values, of points and velocities (n, 3)."""
         observations, parameters = self.problem.observations, self.problem.parameters
         count = len(observations)
         errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
         by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
-        for camera, here in zip(sights.cameras, self.members, strict=True):
+        for camera, here in zip(placement.cameras, self.members, strict=True):
             view = look(
-                camera, world[here], sights.velocities[here], sights.times[here], observations.log_times[here],
+                camera, world[here], velocities[here], placement.times[here], observations.log_times[here],
                 observations.rows[here],
             )  # fmt: skip
             errors[here], visible[here] = observations.points[here] - view.pixels, view.visible
@@ -209,9 +211,9 @@ class Linearisation:
             out[columns[used]] += by_value[here][:, used].sum(axis=0)
         return out
 
-    def of_states(self, values: Array, by_point: Array) -> Array:
+    def of_states(self, path: Interpolation, by_point: Array) -> Array:
         """Sums (6 k,) of what detections say of their points (n, 3), over the knots."""
-        path, size = self.sights(values, np.zeros((len(self.problem.knots.times), 2, 3)), False).path, self.problem.knots.size
+        size = self.problem.knots.size
         out = np.zeros(size + 6)  # the last knot of all has none after it
         for b in range(4):
             for axis in range(3):
@@ -219,9 +221,10 @@ class Linearisation:
         return out[:size]
 
     def time_slopes(self, values: Array) -> Array:
-        """Derivatives (n, q) of the times of the detections by the values of their cameras, which are affine in them."""
+        """Derivatives (n, q) of the times of the detections by the values of their cameras."""
         parameters, observations = self.problem.parameters, self.problem.observations
-        out, now = np.zeros((len(observations), self.columns.shape[1])), true_times(parameters.build(values), observations)
+        out = np.zeros((len(observations), self.columns.shape[1]))
+        now = true_times(parameters.build(values), observations)
         for camera, here in zip(parameters.cameras, self.members, strict=True):
             column = 0
             for quantity, index in parameters.unknown(camera.name):

@@ -192,7 +192,8 @@ class MarginalPosterior:
         Raises LinAlgError when the normal equations are not positive definite, or the cost is not finite.
         """
         values, log_noise = self._parted(unknowns)
-        cost, bands, vector = self.linearisation.of_knots(values, states, log_noise)
+        placement = self.linearisation.placed(values, by_values=False)
+        cost, bands, vector = self.linearisation.of_knots(values, states, log_noise, placement)
         for _ in range(KNOT_STEPS):
             if not np.isfinite(cost):
                 raise LinAlgError("the cost is not finite")
@@ -202,7 +203,7 @@ class MarginalPosterior:
             share = 1.0
             while share >= LEAST_SHARE:
                 moved = states + share * step.reshape(states.shape)
-                tried = self.linearisation.of_knots(values, moved, log_noise)
+                tried = self.linearisation.of_knots(values, moved, log_noise, placement)
                 if tried[0] <= cost:
                     break
                 share *= 0.5
@@ -210,7 +211,9 @@ class MarginalPosterior:
                 break
             states, (cost, bands, vector) = moved, tried
         equations = self.equations(unknowns, states)
-        return Point(unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, _factor(equations.bands)))
+        return Point(
+            unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, _factor(equations.bands))
+        )
 
     def _parted(self, unknowns: Array) -> tuple[Array, float]:
         """Values (m,), and the logarithm of the noise of the motion over what is stated."""
@@ -227,13 +230,15 @@ class MarginalPosterior:
         by_noise = float(slopes.by_noise.sum())
         direct = linearisation.of_values(slopes.by_value) + (6.0 * len(problem.knots.times) + by_noise) * by_scale
         direct = np.append(direct, np.full(self.size - len(values), by_noise + 6.0 * self.links))
-        across = self._knots_against(at, factor, linearisation.of_states(values, slopes.by_point))
+        across = self._knots_against(at, factor, linearisation.of_states(slopes.path, slopes.by_point))
         step = _short(equations.bands, across)
         moved = step * across.reshape(at.states.shape)
         ahead, behind = (self.equations(at.unknowns, at.states + sign * moved).value_vector for sign in (1.0, -1.0))
         # the knots are at the minimum but for a trace, whose effect is removed to first order
         left = cho_solve_banded((factor, True), equations.state_vector, check_finite=False)
-        gradient: Array = direct + (ahead - behind) / (2.0 * step) + equations.coupling.T @ left - equations.value_vector
+        gradient: Array = (
+            direct + (ahead - behind) / (2.0 * step) + equations.coupling.T @ left - equations.value_vector
+        )
         if (held := problem.held) is not None:
             gradient[: len(held)][held] = 0.0
         return gradient, np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
@@ -244,12 +249,14 @@ class MarginalPosterior:
         Conjugate gradients with the matrix A of the normal equations as preconditioner, which lacks those.
         """
         values, log_noise = self._parted(at.unknowns)
+        placement = self.linearisation.placed(values, by_values=False)
 
         def product(direction: Array) -> Array:
             step = _short(at.equations.bands, direction)
             moved = step * direction.reshape(at.states.shape)
             ahead, behind = (
-                self.linearisation.of_knots(values, at.states + sign * moved, log_noise)[2] for sign in (1.0, -1.0)
+                self.linearisation.of_knots(values, at.states + sign * moved, log_noise, placement)[2]
+                for sign in (1.0, -1.0)
             )
             return np.asarray((behind - ahead) / (2.0 * step))
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.trajectories import motion_links
+from stereophd.core.calibration.adjustment.trajectories import Interpolation, motion_links, positions
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Step of the differences, in pixels.
@@ -58,6 +58,7 @@ def covariances_of_points(inverse: Array, knots: Integers, left: Array, right: A
 class VolumeSlopes:
     """Derivatives of half of log det A, its parts summing up to the whole."""
 
+    path: Interpolation
     by_value: Array  # (n, q): by the values of the camera of each detection
     by_point: Array  # (n, 3): by the point of each detection
     by_noise: Array  # (l,): of each link, by the logarithm of the noise of the motion
@@ -69,14 +70,16 @@ class VolumeSlopes:
         observations, knots = problem.observations, problem.knots
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
-        sights = linearisation.sights(values, states)
-        _, visible, by_point, _ = linearisation.seen(sights, values, sights.world)
+        placement = linearisation.placed(values)
+        path, rates = placement.path, placement.rates
+        world, velocities = positions(states, *path), positions(states, *rates)
+        _, visible, by_point, _ = linearisation.seen(placement, values, world, velocities)
         by_point = np.where(visible[:, None, None], by_point, 0.0)
         precisions = observations.precisions
         if observations.weights is not None:
             precisions = observations.weights[:, None, None] * precisions
         count = len(observations)
-        path, rates, spread = sights.path, sights.rates, np.zeros((2, count, 3, 3))
+        spread = np.zeros((2, count, 3, 3))
         covariances_of_points(inverse, path.knot, path.weights, path.weights, spread[0])
         covariances_of_points(inverse, path.knot, path.weights, rates.weights, spread[1])
         rows = precisions @ by_point @ spread[0]
@@ -86,7 +89,7 @@ class VolumeSlopes:
             steps = STEP_PX / np.maximum(np.linalg.norm(by_point, axis=(1, 2)), 1e-300)
             moved = rows[:, r] * (steps / np.maximum(size, 1e-300))[:, None]
             (_, seen_after, point_after, value_after), (_, seen_before, point_before, value_before) = (
-                linearisation.seen(sights, values, sights.world + sign * moved) for sign in (1.0, -1.0)
+                linearisation.seen(placement, values, world + sign * moved, velocities) for sign in (1.0, -1.0)
             )
             told = visible & seen_after & seen_before
             scale = (size / (2.0 * steps))[told, None]
@@ -103,4 +106,4 @@ class VolumeSlopes:
                     row, column = 6 * links.knot + 3 * b + axis, 6 * links.knot + 3 * c + axis
                     covariance = inverse[np.abs(row - column), np.minimum(row, column)]
                     moved_by_noise -= density / knots.noise_std[axis] ** 2 * links.precisions[:, b, c] * covariance
-        return VolumeSlopes(of_value, of_point, moved_by_noise)
+        return VolumeSlopes(path, of_value, of_point, moved_by_noise)
