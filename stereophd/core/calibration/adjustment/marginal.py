@@ -223,9 +223,8 @@ class MarginalPosterior:
     def gradient(self, at: Point) -> tuple[Array, Array]:
         """Gradient (size,) of the objective, and a root D (size, size) of the covariance D D^T of the unknowns."""
         linearisation, equations = self.linearisation, at.equations
-        problem, (values, log_noise) = linearisation.problem, self._parted(at.unknowns)
-        factor = _factor(equations.bands)
-        slopes = VolumeSlopes.of(linearisation, values, at.states, log_noise, factor)
+        problem, (values, _) = linearisation.problem, self._parted(at.unknowns)
+        factor, slopes = _factor(equations.bands), self.slopes(at)
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
         by_noise = float(slopes.by_noise.sum())
         direct = linearisation.of_values(slopes.by_value) + (6.0 * len(problem.knots.times) + by_noise) * by_scale
@@ -242,6 +241,11 @@ class MarginalPosterior:
         if (held := problem.held) is not None:
             gradient[: len(held)][held] = 0.0
         return gradient, np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
+
+    def slopes(self, at: Point) -> VolumeSlopes:
+        """Return how the volume changes with values and points, detection by detection."""
+        values, log_noise = self._parted(at.unknowns)
+        return VolumeSlopes.of(self.linearisation, values, at.states, log_noise, _factor(at.equations.bands))
 
     def _knots_against(self, at: Point, factor: Array, right: Array) -> Array:
         """Solve H x = right (6 k,) with the second derivatives H of the cost by the knots, second ones of pixels too.
