@@ -52,9 +52,9 @@ def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, log_nois
         scores[:, :size][:, problem.held] = 0.0
     determined = max(float((1.0 - np.diag(covariance) / prior_std**2).sum()), 1.0)
     root = np.linalg.cholesky(covariance)
-    widened = root @ widening((scores - scores.mean(axis=0)) @ root, determined)
-    largest = float(np.linalg.norm(np.linalg.solve(root, widened), 2))
-    return np.asarray((widened @ widened.T - covariance)[:size, :size], dtype=np.float64), largest
+    widened = widening((scores - scores.mean(axis=0)) @ root, determined)
+    more = root @ (widened @ widened.T - np.eye(len(root))) @ root.T
+    return np.asarray((more + more.T)[:size, :size] / 2.0, dtype=np.float64), float(np.linalg.norm(widened, 2))
 
 
 def widening(scores: Array, determined: float) -> Array:
@@ -68,8 +68,8 @@ def widening(scores: Array, determined: float) -> Array:
         eigenvalues, vectors = np.linalg.eigh(sums.T @ sums * count / (count - 1.0))
         chance = (1.0 + np.sqrt(determined / count)) ** 2
         stds = np.sqrt(np.where(eigenvalues > BEYOND_CHANCE * chance, eigenvalues, 1.0))
-        root = root @ (vectors * stds) @ vectors.T
-        scores = scores @ (vectors / stds) @ vectors.T
+        root = root + root @ (vectors * (stds - 1.0)) @ vectors.T
+        scores = scores + scores @ (vectors * (1.0 / stds - 1.0)) @ vectors.T
     return root
 
 
@@ -83,7 +83,8 @@ def _scores(
 ) -> Array:
     """Scores (b, u) of the stretches of a log, each of as many detections, by all unknowns."""
     problem, observations = linearisation.problem, linearisation.problem.observations
-    count, unknowns = len(observations), equations.coupling.shape[1]
+    unknowns = equations.coupling.shape[1]
+    assert observations.weights is not None
     eliminated, _ = eliminate(equations, 0.0)
     following = -eliminated[:, :-1].reshape(len(states), 2, 3, unknowns)
     path, errors, visible, by_point, by_value = linearisation.residuals(values, states)
@@ -121,4 +122,3 @@ def _scores(
         pulled = np.concatenate([following[links.knot[rows]], following[links.knot[rows] + 1]], axis=1)
         scores[stretch] += np.einsum("lja,ljau->u", forces[rows], pulled) + energies[rows].sum() * by_energy
     return scores
-

@@ -15,8 +15,8 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.noise import noise_factors
-from stereophd.core.calibration.adjustment.selection import Comparison, compare
 from stereophd.core.calibration.adjustment.problem import Problem
+from stereophd.core.calibration.adjustment.selection import Comparison, compare
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
