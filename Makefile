@@ -17,7 +17,7 @@ help:
 	@echo "make fuzz   random configurations and damaged files, for hours (EXAMPLES=100000)"
 	@echo "make bench  speed benchmarks (minutes)"
 	@echo "make schema write configs/schema.json anew"
-	@echo "make reference write docs/reference/configuration/ and the index of decisions anew"
+	@echo "make reference write docs/reference/configuration/ the index of decisions and the notebooks anew"
 	@echo "make clean  remove $(VENV) and out"
 
 demo: $(VENV)/.installed-plot
@@ -62,6 +62,7 @@ bench: $(VENV)/.installed-all
 reference: $(VENV)/.installed-plot
 	$(BIN)/python docs/make_configuration.py
 	$(BIN)/python docs/make_decisions.py
+	$(BIN)/python docs/make_notebooks.py
 
 schema: $(VENV)/.installed-plot
 	schema=$$($(BIN)/stereophd config schema) && printf '%s\n' "$$schema" > configs/schema.json

@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.commands.options import CalibrateOptions
-from stereophd.config.loading import takes_config
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
 from stereophd.io.cameras.writing import write_cameras
@@ -71,7 +70,6 @@ WITH_CAMERAS = ("geometry.", "settings.")
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(CalibrateOptions)
 def calibrate(
     loaded: LoadedConfig,

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.calibrate import FILES, calibrate
 from stereophd.commands.options import CalibrateOptions
-from stereophd.config.loading import takes_config
 from stereophd.io.outputs.atomic import tidy
 from stereophd.io.outputs.provenance import provenance
 from stereophd.io.tables.schemas import FLOAT, INTEGER, STRING
@@ -32,7 +31,6 @@ COLUMNS = {
 }
 
 
-@takes_config
 @takes(CalibrateOptions)
 def calibrate_logs(
     loaded: LoadedConfig,

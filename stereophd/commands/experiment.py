@@ -12,7 +12,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from stereophd.commands.options import ExperimentOptions
-from stereophd.config.loading import takes_config
 from stereophd.errors import InputError
 from stereophd.experiments.engine.execution import execute
 from stereophd.experiments.engine.parts import PartStore
@@ -45,7 +44,6 @@ FILES = (RUNS_FILE, SUMMARY_FILE, TIMING_FILE, *FIGURE_FILES)
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(ExperimentOptions)
 def experiment(
     loaded: LoadedConfig, out_dir: Path | str, *, options: ExperimentOptions, progress: Progress | None = None

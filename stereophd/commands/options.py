@@ -94,10 +94,8 @@ class CalibrateOptions(Replacing):
     """Options of `calibrate`, for one log and for several."""
 
     jobs: int = option(
-        "Processes (threads, of particles); the results do not depend on it. -1: all cores, the default of the command "
-        "line, because a calibration may take minutes.",
-        default=1,
-        shell_default=-1,
+        "Processes (threads, of particles); the results do not depend on it. -1: all cores.",
+        default=-1,
         metavar="N",
         use="without a cluster",
     )

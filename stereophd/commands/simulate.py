@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereophd.commands.options import SimulateOptions
-from stereophd.config.loading import takes_config
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
@@ -48,7 +47,6 @@ FILES = (DETECTIONS_FILE, TRUTH_FILE, CAMERAS_FILE, GUESS_FILE)
 PROGRESS_EVERY = 500
 
 
-@takes_config
 @takes(SimulateOptions)
 def simulate(
     loaded: LoadedConfig, out_dir: Path | str, *, options: SimulateOptions, progress: Progress | None = None

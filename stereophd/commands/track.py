@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.options import TrackOptions
-from stereophd.config.loading import takes_config
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.compilation.kernel_cache import is_kept
 from stereophd.io.cameras.writing import write_cameras
@@ -63,7 +62,6 @@ REPORT_VERSION = 1
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(TrackOptions)
 def track(
     loaded: LoadedConfig,

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.options import TrackOptions
 from stereophd.commands.track import FILES, track
-from stereophd.config.loading import takes_config
 from stereophd.io.outputs.provenance import provenance
 from stereophd.io.tables.schemas import FLOAT, INTEGER
 from stereophd.options import takes
@@ -30,7 +29,6 @@ COLUMNS = {
 }
 
 
-@takes_config
 @takes(TrackOptions)
 def track_logs(
     loaded: LoadedConfig,
