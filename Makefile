@@ -6,7 +6,7 @@ DEMO := out/quickstart
 PYTHON ?= $(shell for p in python3 python python3.11 python3.12 python3.13; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo "$$p"; break; }; done)
 
-.PHONY: help demo test lint site release fuzz format bench schema reference venv clean
+.PHONY: help demo test lint site release fuzz format bench results schema reference venv clean
 
 help:
 	@echo "make demo   simulate, track and evaluate a small scene, with pictures, in $(DEMO)"
@@ -16,6 +16,7 @@ help:
 	@echo "make release  wheel and sdist in out/dist, checked, installed and used in an empty environment"
 	@echo "make fuzz   random configurations and damaged files, for hours (EXAMPLES=100000)"
 	@echo "make bench  speed benchmarks (minutes)"
+	@echo "make results  measure the tables of docs/results anew (20 minutes)"
 	@echo "make schema write configs/schema.json anew"
 	@echo "make reference write docs/reference/configuration/ the index of decisions and the notebooks anew"
 	@echo "make clean  remove $(VENV) and out"
@@ -58,6 +59,9 @@ bench: $(VENV)/.installed-all
 		"long_log.py --detections 200000" "calibrate_speed.py --particles 100 --events 60"; do \
 		echo "benchmarks/$$run"; $(BIN)/python benchmarks/$$run || failed=1; echo; \
 	done; exit $$failed
+
+results: $(VENV)/.installed-all
+	$(BIN)/python docs/make_results.py
 
 reference: $(VENV)/.installed-plot
 	$(BIN)/python docs/make_configuration.py
