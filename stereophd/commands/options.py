@@ -48,16 +48,16 @@ class TrackOptions(Replacing):
         use="filters of several objects",
     )
     pieces_s: float | None = option(
-        "Cut the log into pieces of S seconds, track them independently, and join their tracks. The last piece is "
+        "Cut the log into pieces of this length, track them independently, and join their tracks. The last piece is "
         "shorter, or longer by up to the overlap.",
         default=None,
-        metavar="S",
+        metavar="SECONDS",
         flag="pieces",
     )
     overlap_s: float | None = option(
         "Seconds before its own span that each piece also tracks [60].",
         default=None,
-        metavar="S",
+        metavar="SECONDS",
         flag="overlap",
         use="pieces of a log",
     )
@@ -105,7 +105,7 @@ class CalibrateOptions(Replacing):
     resume: bool = option("Continue an interrupted run from what it has kept (DIR/partial-HASH).", default=False)
     plots: bool | None = option("Make plots (needs the extra 'plot'); default: if it is installed.", default=None)
     require: Literal["determined", "partly"] | None = option(
-        "Exit with 1 if the data determine the cameras less than this.", default=None
+        "Exit with 1 if the data determine the cameras less than this.", default=None, flag="require-status"
     )
 
 
@@ -172,7 +172,7 @@ class EvaluateCamerasOptions(Gated):
 class SimulateOptions(Replacing):
     """Options of `simulate`."""
 
-    force_size: bool = option("Run even if that fills much of the disk.", default=False)
+    force_size: bool = option("Run even if that fills much of the disk.", default=False, flag="ignore-size-limit")
     runs: int | None = option("Make N runs, in folders run-0000, ...", default=None, metavar="N", least=1)
     jobs: int = option("Processes for several runs.", default=1, metavar="N", least=1, use="several runs")
 

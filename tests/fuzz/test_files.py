@@ -40,7 +40,7 @@ READING = {
     "check": ["check", "config.yaml", "out/detections.parquet", "--cameras", "out/cameras.yaml"],
     "evaluate": [
         "evaluate", "tracked/tracks.parquet", "out/truth.parquet", "--cutoff", "1", "--cameras", "out/cameras.yaml",
-        "--log", "out/detections.parquet", "--seen-by", "1", "--within", "1", "--out", "scores", "--no-plots",
+        "--log", "out/detections.parquet", "--seen-by", "1", "--seen-within", "1", "--out", "scores", "--no-plots",
     ],
     "evaluate cameras": ["evaluate-cameras", "out/cameras.yaml", "out/cameras.yaml"],
     "export tracks": ["export", "csv", "tracked/tracks.parquet", "--out", "tracks.csv"],
