@@ -1,6 +1,7 @@
 """The public names of stereophd, listed once: type checkers read this file, and so does ``__init__.py``."""
 
 from stereophd.api import Outputs as Outputs
+from stereophd.api import align as align
 from stereophd.api import calibrate as calibrate
 from stereophd.api import check as check
 from stereophd.api import evaluate as evaluate

@@ -20,6 +20,7 @@ import numpy as np
 
 from stereophd.commands.init import init as write_config
 from stereophd.commands.options import (
+    AlignOptions,
     CalibrateOptions,
     EvaluateCamerasOptions,
     EvaluateOptions,
@@ -315,8 +316,8 @@ def track(
     InputError
         What is given cannot be used; the message says where.
     """
+    from stereophd.commands.batches import track_logs
     from stereophd.commands.track import track as run
-    from stereophd.commands.track_logs import track_logs
 
     work, chosen = _Work(out), _options(TrackOptions, options)
     log = None if isinstance(detections, list | tuple) else work.log(detections)
@@ -338,8 +339,8 @@ def calibrate(
     Parameters as of `track`; the options are those of `stereophd.commands.options.CalibrateOptions`. The ``status`` of
     the report says whether the data determine the cameras; a `GateError` where they determine less than ``require``.
     """
+    from stereophd.commands.batches import calibrate_logs
     from stereophd.commands.calibrate import calibrate as run
-    from stereophd.commands.calibrate_logs import calibrate_logs
 
     work, chosen = _Work(out), _options(CalibrateOptions, {"plots": None if out else False, **options})
     if isinstance(detections, list | tuple):
@@ -347,6 +348,18 @@ def calibrate(
         return work.outputs(calibrate_logs(loaded, [work.log(one) for one in detections], work.out, options=chosen))
     log = work.log(detections)
     return work.outputs(run(work.config(config, cameras, None, seed, overrides), log, work.out, options=chosen), log)
+
+
+def align(cameras: Any, to: Path | str, *, out: Path | str | None = None, **options: Any) -> Outputs:
+    """Bring cameras (a path, or `Outputs` with their tracks) into a world frame; the report has the similarity.
+
+    `to` is a control track, ``floor``, ``gravity`` or the name of a camera; the options are those of
+    `stereophd.commands.options.AlignOptions`.
+    """
+    from stereophd.commands.align import align as run
+
+    work, chosen = _Work(out), _options(AlignOptions, options)
+    return work.outputs(run([_path(cameras)], to, work.out, options=chosen))
 
 
 def evaluate(tracks: Any, truth: Any, *, out: Path | str | None = None, **options: Any) -> Outputs:
@@ -370,8 +383,8 @@ def evaluate(tracks: Any, truth: Any, *, out: Path | str | None = None, **option
     GateError
         A figure is beyond ``fail_above`` or ``fail_below``.
     """
+    from stereophd.commands.batches import evaluate_runs
     from stereophd.commands.evaluate import evaluate as run
-    from stereophd.commands.evaluate_runs import evaluate_runs
 
     work, chosen = _Work(out), _options(EvaluateOptions, {"plots": None if out else False, **options})
     scored = _path(tracks)

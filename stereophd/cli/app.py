@@ -18,6 +18,7 @@ import typer
 
 import stereophd
 from stereophd.cli import (
+    align,
     calibrate,
     check,
     compile,
@@ -95,6 +96,7 @@ for _name, _command, _purpose, *_examples in (
         "calibrate", calibrate.calibrate_command, "Estimate cameras from the log of moving objects.",
         "calibrate config.yaml log.parquet --cameras guess.yaml --out found",
     ),
+    ("align", align.align_command, "Bring cameras and tracks into a world frame.", "align found --to floor --out up"),
     (
         "evaluate", evaluate.evaluate_command, "Score tracks against the truth.",
         "evaluate tracks/tracks.parquet truth.parquet --cutoff 1 --out scores",
@@ -147,12 +149,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
         _check_environment()
-        result = app(
-            args=words,
-            prog_name="stereophd",
-            standalone_mode=False,
-            obj=session,
-        )
+        result = app(args=words, prog_name="stereophd", standalone_mode=False, obj=session)
         code = result if isinstance(result, int) else 0
         if code == EXIT_INTERRUPTED:
             return _interrupted(session)
