@@ -46,7 +46,6 @@ SCORE_COLUMNS = {
 }
 
 
-@takes_config
 @takes(TrackOptions)
 def track_logs(
     loaded: LoadedConfig,
@@ -89,7 +88,6 @@ def track_logs(
     return run_batch(batch, out_dir, options.jobs, options.dask, options.force, options.resume, progress)
 
 
-@takes_config
 @takes(CalibrateOptions)
 def calibrate_logs(
     loaded: LoadedConfig,

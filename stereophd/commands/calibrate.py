@@ -69,7 +69,6 @@ WITH_CAMERAS = ("geometry.", "settings.")
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(CalibrateOptions)
 def calibrate(
     loaded: LoadedConfig,

@@ -41,7 +41,6 @@ FILES = (RUNS_FILE, SUMMARY_FILE, TIMING_FILE, *FIGURE_FILES)
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(ExperimentOptions)
 def experiment(
     loaded: LoadedConfig, out_dir: Path | str, *, options: ExperimentOptions, progress: Progress | None = None

@@ -45,7 +45,6 @@ FILES = (DETECTIONS_FILE, TRUTH_FILE, CAMERAS_FILE, GUESS_FILE)
 PROGRESS_EVERY = 500
 
 
-@takes_config
 @takes(SimulateOptions)
 def simulate(
     loaded: LoadedConfig, out_dir: Path | str, *, options: SimulateOptions, progress: Progress | None = None

@@ -59,7 +59,6 @@ REPORT_VERSION = 1
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(TrackOptions)
 def track(
     loaded: LoadedConfig,
