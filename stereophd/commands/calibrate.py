@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.commands.options import CalibrateOptions
-from stereophd.config.loading import LoadedConfig, takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import GateError, InputError

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.commands.options import SimulateOptions
-from stereophd.config.loading import LoadedConfig, takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.config.simulate import SimulateConfig
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OBJECTS

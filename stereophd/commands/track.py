@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.commands.options import TrackOptions
-from stereophd.config.loading import LoadedConfig, takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.compilation.kernel_cache import is_kept
 from stereophd.io.cameras.writing import write_cameras
