@@ -25,7 +25,7 @@ from stereophd.options import takes
 from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.found_cameras import with_found_cameras
-from stereophd.pipeline.calibration.inputs import read_problem
+from stereophd.pipeline.calibration.inputs import control_path, in_world, read_problem
 from stereophd.pipeline.calibration.methods import annealed_outcome
 from stereophd.pipeline.calibration.outcome import Outcome
 from stereophd.pipeline.calibration.report import build_report
@@ -117,7 +117,9 @@ def calibrate(
     loaded, unknown = with_found_cameras(loaded, log_path)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
-    record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
+    control = control_path(loaded)
+    inputs = {"detections": log_path, **({} if control is None else {"control": control})}
+    record = provenance("calibrate", loaded.record, inputs=inputs)
     if options.resume and (done := finished_report(out_dir, record, options.force)) is not None:
         return _accepted(done, options.require, log_path)
     recording = problem.recording
@@ -140,6 +142,9 @@ def calibrate(
         _write_posterior(out, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
             cameras = outcome.parameters.build(outcome.values)
+            if outcome.world is not None and problem.control is not None:
+                unit = problem.control.length_unit
+                loaded, cameras, report["control"] = in_world(loaded, cameras, outcome.world, unit)
             write_cameras(
                 out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record
             )

@@ -30,9 +30,10 @@ from stereophd.errors import InputError
 from stereophd.pipeline.calibration.filters import pmb_filter
 from stereophd.pipeline.calibration.inputs import CalibrationProblem, tracked_frames
 from stereophd.pipeline.calibration.outcome import Outcome
-from stereophd.pipeline.calibration.unit_of_length import with_baseline_unit
+from stereophd.pipeline.calibration.unit_of_length import with_unit
 from stereophd.pipeline.calibration.unknowns import calibration_section
 from stereophd.pipeline.stream import covered, open_stream
+from stereophd.validated import NO_LENGTH
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -172,7 +173,7 @@ def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[Load
     multi_filter = pmb_filter(placed, rig.cameras)
     space = multi_filter.rig.packed[reference]
     expected = disparity_scale(space) / multi_filter.settings.birth.disparity_moments(space)[0]
-    return with_baseline_unit(placed, rig.depth(reference) / expected), found
+    return with_unit(placed, NO_LENGTH, rig.depth(reference) / expected), found
 
 
 def _check(loaded: LoadedConfig, section: CalibrationConfig, names: tuple[str, ...]) -> None:

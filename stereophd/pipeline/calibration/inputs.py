@@ -5,21 +5,27 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig
+from stereophd.core.alignment.cameras import moved_camera
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
+from stereophd.core.calibration.annealing.control import ControlTrack, World
 from stereophd.core.calibration.annealing.task import Task
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages, stages_named
+from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
+from stereophd.pipeline.alignment.control import alignment_report, read_control
 from stereophd.pipeline.calibration.filters import pmb_filter
+from stereophd.pipeline.calibration.unit_of_length import with_unit
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
 from stereophd.pipeline.stream import covered, open_stream
+from stereophd.validated import NO_LENGTH
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -34,6 +40,7 @@ class CalibrationProblem:
     recording: Recording  # The log
     scale: ScaleMeasurement | None  # A known baseline
     counts: dict[str, int]  # Counts of the log, as in ``report.json``
+    control: ControlTrack | None = None
 
     def frames(self, most: int | None = None) -> NDArray[np.int64]:
         """Return the frames of the recording, at most about `most`."""
@@ -77,7 +84,40 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProbl
     _check_overlap(parameters, recording, log_path)
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
     _check_method(loaded, parameters)
-    return CalibrationProblem(parameters, reference, recording, scale, counts)
+    return CalibrationProblem(parameters, reference, recording, scale, counts, build_control(loaded))
+
+
+def control_path(loaded: LoadedConfig) -> Path | None:
+    """Return the file of the control track: relative to the configuration, else to the working folder."""
+    section = loaded.config.calibration
+    if section is None or section.control is None:
+        return None
+    path = loaded.path.parent / section.control.track
+    return path if path.exists() else Path(section.control.track)
+
+
+def build_control(loaded: LoadedConfig) -> ControlTrack | None:
+    """Return the control track; InputError where it is not usable, or in another unit of length."""
+    path, unit = control_path(loaded), loaded.config.units.length
+    if path is None:
+        return None
+    control = read_control(path)
+    if unit not in (NO_LENGTH, control.length_unit or unit):
+        raise InputError(f"{path}: expected lengths in {unit} as in {loaded.path}, found {control.length_unit}")
+    std = None if control.std is None else float(np.median(control.std))
+    known = unit if unit != NO_LENGTH else "m"
+    return ControlTrack(control.track, std, unit == NO_LENGTH, control.length_unit or known)
+
+
+def in_world(
+    loaded: LoadedConfig, cameras: tuple[Camera, ...], world: World, unit: str
+) -> tuple[LoadedConfig, tuple[Camera, ...], dict[str, Any]]:
+    """Return configuration and cameras in the unit and the world of a control track, and what is reported of it."""
+    found = world.alignment
+    if unit != loaded.config.units.length:
+        loaded = with_unit(loaded, unit, found.registration.scale)
+    report = {**alignment_report(found, unit), "std": world.std}
+    return loaded, tuple(moved_camera(camera, found.registration) for camera in cameras), report
 
 
 def _check_method(loaded: LoadedConfig, parameters: ParameterSet) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves
+from stereophd.core.calibration.annealing.control import World
 from stereophd.core.calibration.annealing.method import HistoryRow, Remark
 from stereophd.core.calibration.annealing.task import Fit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -30,4 +31,5 @@ class Outcome:
     fit: Fit | None = None  # Trajectories and residuals, of method annealed
     remarks: tuple[Remark, ...] = ()  # What has to be said of the answer
     moves: TrackMoves | None = None  # How tracks move with the values, of method annealed
+    world: World | None = None  # That of the control track
     details: dict[str, Any] = field(default_factory=dict)  # For the report

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 from pydantic import BaseModel
 
 from stereophd.config.loading import variant
-from stereophd.validated import NO_LENGTH
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -24,9 +23,9 @@ if TYPE_CHECKING:
 SECTIONS = ("disparity", "motion", "object", "region", "filter", "report", "evaluation")
 
 
-def with_baseline_unit(loaded: LoadedConfig, factor: float) -> LoadedConfig:
-    """Return a configuration in the unit `baseline`, in which its lengths have this many times their values."""
-    changes: dict[str, Any] = {"units.length": NO_LENGTH}
+def with_unit(loaded: LoadedConfig, unit: str, factor: float) -> LoadedConfig:
+    """Return a configuration in another unit, in which its lengths have this many times their values."""
+    changes: dict[str, Any] = {"units.length": unit}
     for section in SECTIONS:
         changes.update(_scaled(getattr(loaded.config, section), section, factor))
     return variant(loaded, [("unit of length", changes)])
