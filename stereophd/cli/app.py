@@ -99,12 +99,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
         _check_environment()
-        result = app(
-            args=words,
-            prog_name="stereophd",
-            standalone_mode=False,
-            obj=session,
-        )
+        result = app(args=words, prog_name="stereophd", standalone_mode=False, obj=session)
         code = result if isinstance(result, int) else 0
         if code == EXIT_INTERRUPTED:
             return _interrupted(session)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -29,7 +30,12 @@ def run_live(
 
     refuse(session, WHOLE_LOGS, "for a recording that has ended, found one that is still running")
     arrivals, source = _source(log, live)
-    outputs = LiveOutputs(sys.stdout, out, live.record, force)
+
+    def tell(event: dict[str, Any]) -> None:
+        if not session.quiet:
+            typer.echo(json.dumps(event), err=True)
+
+    outputs = LiveOutputs(sys.stdout, out, live.record, force, tell)
     try:
         done = track_live(loaded, arrivals, source, outputs)
     except BrokenPipeError:

@@ -10,9 +10,10 @@ from __future__ import annotations
 import contextlib
 import functools
 import heapq
+import io
 import math
 import tempfile
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any, TextIO
@@ -24,13 +25,13 @@ from stereophd.errors import InputError
 from stereophd.io.logs.rows import OPTIONAL
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.streams.messages import Message, parse_line
-from stereophd.io.streams.rows import line_of
+from stereophd.io.streams.rows import document_of, line_of
 from stereophd.io.streams.sources import Arrivals
 from stereophd.io.tables.schemas import DETECTIONS
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import report_times
 from stereophd.pipeline.live.frames import FrameChecks
-from stereophd.pipeline.live.run import LiveRecord, LiveRun, warm_up
+from stereophd.pipeline.live.run import LiveRecord, LiveRun, warm_up_messages, without_collections
 from stereophd.pipeline.tracking.run import build_tracking, estimated_cameras
 
 if TYPE_CHECKING:
@@ -50,6 +51,8 @@ class LiveOutputs:
     folder: Path | None = None  # The files of a batch run, at the end
     recording: Path | None = None  # The frames as lines of JSON, while they arrive
     force: bool = False  # Whether the folder may hold an earlier run
+    # Called with what else happens, such as ``{"event": "ready"}`` before the first frame is taken
+    tell: Callable[[dict[str, Any]], object] = lambda event: None
 
 
 def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: LiveOutputs) -> dict[str, Any]:
@@ -64,16 +67,22 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
     if outputs.recording is not None and outputs.recording.exists():
         raise InputError(f"{outputs.recording}: the file exists; choose another name for the recording")
     tracking = build_tracking(loaded)
-    warm_up(tracking.estimator, tracking.cameras)
     config = loaded.config
-    checks = FrameChecks(tracking.cameras, config.input.on_bad_row, config.input.image_margin_px)
-    with _recording(outputs) as (path, stream):
+
+    def run(arrivals: Arrivals, source: str, lines: TextIO | None, stream: IO[str] | None) -> tuple[LiveRun, Any]:
+        checks = FrameChecks(tracking.cameras, config.input.on_bad_row, config.input.image_margin_px)
         times = report_times(config.report)
         run = LiveRun(tracking.estimator, times, checks, config.live, lambda message: _record(message, stream))
-        with contextlib.suppress(KeyboardInterrupt):
-            _write_lines(run, arrivals, source, outputs, config.report.max_position_std)
-        report = {"frames": checks.counts, **_summary(run)}
-        if outputs.folder is not None and checks.counts["frames"]:
+        _write_lines(run, arrivals, source, lines, config.report.max_position_std)
+        return run, checks.counts
+
+    with _recording(outputs) as (path, stream):
+        with without_collections(config.filter.kind if config.filter is not None else ""):
+            run(warm_up_messages(tracking.cameras), "warm-up", io.StringIO(), None)
+            outputs.tell({"event": "ready"})
+            done, counts = run(arrivals, source, outputs.lines, stream)
+        report = {"frames": counts, **_summary(done)}
+        if outputs.folder is not None and counts["frames"]:
             _write_files(loaded, path, outputs)
     return report
 
@@ -114,20 +123,21 @@ def _record(message: Message, stream: IO[str] | None) -> None:
 
 
 def _write_lines(
-    run: LiveRun, arrivals: Arrivals, source: str, outputs: LiveOutputs, max_position_std: float | None
+    run: LiveRun, arrivals: Arrivals, source: str, lines: TextIO | None, max_position_std: float | None
 ) -> None:
-    for live in run.records(arrivals, source):
-        if outputs.lines is not None and live.record.reported:
-            outputs.lines.write(_line(live, max_position_std) + "\n")
-            outputs.lines.flush()
-        if not live.is_revised:
-            run.counts.add_latency(live.arrived_s)
+    with contextlib.suppress(KeyboardInterrupt):
+        for live in run.records(arrivals, source):
+            if lines is not None and live.record.reported:
+                lines.write(line_of(_document(live, max_position_std)))
+                lines.flush()
+            if not live.is_revised:
+                run.counts.add_latency(live.arrived_s)
 
 
-def _line(live: LiveRecord, max_position_std: float | None) -> str:
+def _document(live: LiveRecord, max_position_std: float | None) -> dict[str, Any]:
     record = live.record
     estimates = record.estimates if max_position_std is None else record.estimates.certain(max_position_std)
-    return line_of(record.time_s, record.camera, record.frame, estimates, live.is_revised)
+    return document_of(record.time_s, record.camera, record.frame, estimates, live.is_revised)
 
 
 def _summary(run: LiveRun) -> dict[str, Any]:

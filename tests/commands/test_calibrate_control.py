@@ -11,8 +11,7 @@ import pytest
 
 from stereophd import Camera, Detector, InputError, Lens, Pose, calibrate, make_config, read_cameras, write_log
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
-from stereophd.io.cameras.from_camera import camera_config
-from stereophd.io.cameras.writing import plain_cameras
+from stereophd.io.cameras.writing import camera_config, plain_cameras
 
 TURN, MOVE, SHIFT, RATE = rotation_from_vector([0.3, -1.2, 2.0]), np.array([100.0, -50.0, 20.0]), 47.3, 1.0005
 SPAN, NOISE_PX, NOISE = 30.0, 0.5, 0.02

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
 
 from stereophd.core.arrays import Array
@@ -69,7 +70,7 @@ class Message:
         names = list(self.columns)
         rows = np.column_stack([self.pixels, *(self.columns[name] for name in names)])
         document = {"camera": self.camera, "frame": self.frame, "time_s": self.time_s, "detections": rows.tolist()}
-        return json.dumps(document | ({"columns": names} if names else {}))
+        return msgspec.json.encode(document | ({"columns": names} if names else {})).decode()
 
 
 def parse_line(line: bytes | str, where: str, arrived_s: float | None = None) -> Message:

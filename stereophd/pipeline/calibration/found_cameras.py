@@ -9,15 +9,19 @@ the search itself doubts, never by posterior over prior.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import BaseModel
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig, NoScale
 from stereophd.config.loading import variant
+from stereophd.core.alignment.cameras import moved_camera
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
+from stereophd.core.calibration.annealing.control import World
 from stereophd.core.calibration.discovery.rig import RigHypothesis, View, discover
 from stereophd.core.calibration.pairing.track_pairs import image_tracks, one_camera_tracks, raw_tracks
 from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
@@ -27,16 +31,15 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
 from stereophd.core.numerics.random_streams import CAMERA_DISCOVERY
 from stereophd.errors import InputError
-from stereophd.pipeline.calibration.filters import pmb_filter
-from stereophd.pipeline.calibration.inputs import CalibrationProblem, tracked_frames
-from stereophd.pipeline.calibration.outcome import Outcome
-from stereophd.pipeline.calibration.unit_of_length import with_unit
+from stereophd.pipeline.alignment.control import alignment_report
+from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, pmb_filter, tracked_frames
 from stereophd.pipeline.calibration.unknowns import calibration_section
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
+
 
 # Prior deviations about what was found: so many stated ones, and at least these: rad, share of the distance, frames.
 STATED, LEAST_ROTATION, LEAST_SHARE, LEAST_FRAMES = 5.0, np.deg2rad(3.0), 0.05, 1.0
@@ -289,3 +292,42 @@ def _placed(
         placeholder = {c.name: {"rotation_std_deg": 1.0} for c in cameras if c.name != section.reference}
         changes["calibration.priors"] = priors if priors is not None else placeholder
     return variant(loaded, [("cameras that were found", changes)])
+
+
+# Sections whose lengths are settings. Those of cameras and of calibrations are made anew where cameras are found.
+SECTIONS = ("disparity", "motion", "object", "region", "filter", "report", "evaluation")
+
+
+def with_unit(loaded: LoadedConfig, unit: str, factor: float) -> LoadedConfig:
+    """Return a configuration in another unit, in which its lengths have this many times their values."""
+    changes: dict[str, Any] = {"units.length": unit}
+    for section in SECTIONS:
+        changes.update(_scaled(getattr(loaded.config, section), section, factor))
+    return variant(loaded, [("unit of length", changes)])
+
+
+def _scaled(value: Any, key: str, factor: float) -> Iterator[tuple[str, Any]]:
+    """Key paths of the lengths in settings, and their scaled values."""
+    if isinstance(value, BaseModel):
+        units = {name: field.json_schema_extra for name, field in type(value).model_fields.items()}
+    elif is_dataclass(value):
+        units = {field.name: field.metadata.get("json_schema_extra") for field in fields(value)}
+    else:
+        return
+    for name, extra in units.items():
+        inner, unit = getattr(value, name), extra.get("unit", "") if isinstance(extra, dict) else ""
+        if isinstance(inner, BaseModel) or is_dataclass(inner):
+            yield from _scaled(inner, f"{key}.{name}", factor)
+        elif str(unit).startswith("length") and inner is not None and not isinstance(inner, str):
+            yield f"{key}.{name}", [factor * part for part in inner] if isinstance(inner, tuple) else factor * inner
+
+
+def in_world(
+    loaded: LoadedConfig, cameras: tuple[Camera, ...], world: World, unit: str
+) -> tuple[LoadedConfig, tuple[Camera, ...], dict[str, Any]]:
+    """Return configuration and cameras in the unit and the world of a control track, and what is reported of it."""
+    found = world.alignment
+    if unit != loaded.config.units.length:
+        loaded = with_unit(loaded, unit, found.registration.scale)
+    report = {**alignment_report(found, unit), "std": world.std}
+    return loaded, tuple(moved_camera(camera, found.registration) for camera in cameras), report

@@ -58,7 +58,7 @@ class FrameChecks:
             sizes,
         )
         nothing = np.zeros(count, dtype=bool)
-        piece = Decoded(rows, nothing, nothing, pa.array([message.camera] * count))
+        piece = Decoded(rows, nothing, nothing, pa.repeat(message.camera, count))
         good = np.ones(count, dtype=bool)
         faults = list(point_faults(piece, list(self._index), self._sizes, self._margin))
         for fault in (*faults, duplicate_fault(rows)):

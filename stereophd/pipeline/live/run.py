@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
 import heapq
 import math
@@ -12,10 +13,12 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.config.live import LiveConfig
+from stereophd.config.tracking import LiveConfig
 from stereophd.core.arrays import Integers
-from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.disparity.events import make_event
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.compiling import prepare
+from stereophd.core.multi.filter_settings import filters
 from stereophd.core.numerics.random_streams import WARM_UP_SEED
 from stereophd.io.logs.reading import Frame
 from stereophd.io.streams.messages import Message
@@ -24,8 +27,8 @@ from stereophd.pipeline.live.frames import FrameChecks
 from stereophd.pipeline.live.rewinding import RewindingRun
 from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes
 
-# Events and detections of an event that make the kernels ready before the first frame.
-WARM_UP_EVENTS, WARM_UP_DETECTIONS = 40, 4
+# Frames of each camera, their interval, and detections of a frame, that make all ready before the first frame.
+WARM_UP_FRAMES, WARM_UP_INTERVAL_S, WARM_UP_DETECTIONS = 20, 0.02, 4
 # Width and height of their boxes, which filters of points do not read.
 WARM_UP_BOX_PX = 50.0
 # Classes of latencies: to 10 s.
@@ -132,19 +135,29 @@ class LiveRun:
                 yield LiveRecord(record, place > 0, arrived_s)
 
 
-def warm_up(estimator: Estimator[Any], cameras: Sequence[Camera]) -> None:
-    """Work events of random detections, so that every kernel is loaded before the first frame; nothing of them stays.
-
-    Objects that were there before the program began are collected once and no more: a collection of all of them takes
-    longer than an event.
-    """
+def warm_up_messages(cameras: Sequence[Camera]) -> Iterator[Message]:
+    """Yield frames of detections that stand still at random places, in which a run uses all that it needs later."""
     rng = np.random.default_rng(WARM_UP_SEED)
-    state = estimator.init()
     pixels = [rng.uniform(0.2, 0.8, (WARM_UP_DETECTIONS, 2)) * (c.width, c.height) for c in cameras]
-    for number in range(WARM_UP_EVENTS):
-        index = number % len(cameras)
-        boxes = np.full((WARM_UP_DETECTIONS, 2), WARM_UP_BOX_PX)
-        event: Event = make_event(cameras[index], index, 0.02 * number, pixels[index], frame=number, sizes=boxes)
-        state, _, _ = estimator.step(state, event)
+    boxes = dict.fromkeys(("width_px", "height_px"), np.full(WARM_UP_DETECTIONS, WARM_UP_BOX_PX))
+    for number in range(WARM_UP_FRAMES):
+        time_s = WARM_UP_INTERVAL_S * number
+        for camera, places in zip(cameras, pixels, strict=True):
+            yield Message(camera.name, number, camera.clock.to_log(time_s), places, boxes)
+
+
+@contextlib.contextmanager
+def without_collections(kind: str) -> Iterator[None]:
+    """Load the kernels of a kind of filter, and collect no garbage during the block.
+
+    A run makes no objects that refer to each other in a circle, which alone need a collection: the others are freed at
+    once. A collection looks at all states that are kept, which takes up to a quarter of a second with fifty objects.
+    """
+    if kind in filters():
+        prepare(kind)
     gc.collect()
-    gc.freeze()
+    gc.disable()
+    try:
+        yield
+    finally:
+        gc.enable()

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import math
-from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
@@ -22,6 +21,7 @@ from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.numerics.times import TIME_DECIMALS, same_time
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking.associations import Associated, Associations
+from stereophd.pipeline.tracking.knocked import Knock, KnockTest, look
 
 # Number of events after which the data of ended tracks are removed.
 FORGET_EVERY = 50
@@ -90,6 +90,8 @@ class Record:
     associations : tuple of Associated
         Detections that reported tracks claim: those of the event, and earlier ones of tracks that are reported for
         the first time.
+    knock : Knock, optional
+        A camera that the event shows to have been knocked.
     """
 
     time_s: float
@@ -104,6 +106,7 @@ class Record:
     is_event: bool = True
     event: Event | None = None
     associations: tuple[Associated, ...] = ()
+    knock: Knock | None = None
 
 
 class EstimatorState(Protocol):
@@ -145,16 +148,13 @@ class Attribution:
     # Label -> camera -> detections, of the labels that are not reported yet.
     pending: dict[int, dict[str, int]] = field(default_factory=dict)
 
-    def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, Counter[str]]:
+    def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, dict[str, int]]:
         """Count the labels that an event of a camera detected; return what falls to the reported tracks."""
         for label in detected.tolist():
             counts = self.pending.setdefault(label, {})
             counts[camera] = counts.get(camera, 0) + 1
-        found: dict[int, Counter[str]] = {}
-        for track_id, label in zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True):
-            if label in self.pending:
-                found[track_id] = Counter(self.pending.pop(label))
-        return found
+        tracks = zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True)
+        return {track_id: self.pending.pop(label) for track_id, label in tracks if label in self.pending}
 
     def keep(self, labels: NDArray[np.int64]) -> None:
         """Forget all labels but these: memory does not grow with the log."""
@@ -172,6 +172,7 @@ class RunState(Generic[State]):
     forecast_from_s: float = -math.inf  # Times of the grid from here on are still to be predicted
     attribution: Attribution = field(default_factory=Attribution)
     associations: Associations = field(default_factory=Associations)
+    knocks: KnockTest = field(default_factory=KnockTest)
 
 
 def run_estimator(
@@ -203,6 +204,9 @@ def work_event(
     if times.grid_s is not None:
         yield from _forecasts(estimator, run, times, event.time_s - same_time(event.time_s))
     name = cameras[event.camera].name
+    knock = None
+    if run.last is not None:
+        run.knocks, knock = look(run.knocks, cameras, event, run.last.time_s, run.last.estimates)
     first_label = run.estimator.next_label
     run.estimator, info, estimates = estimator.step(run.estimator, event)
     attributed = run.attribution.update(name, info.detected, estimates)
@@ -212,7 +216,7 @@ def work_event(
         associations += tuple(run.associations.report(times.certain(estimates)))
     run.last = record = Record(
         event.time_s, name, event.frame, len(event.points), first_label, info, estimates, attributed,
-        times.after(name), event=event if keep_events else None, associations=associations,
+        times.after(name), event=event if keep_events else None, associations=associations, knock=knock,
     )  # fmt: skip
     run.forecast_from_s = event.time_s - same_time(event.time_s)
     if run.events % FORGET_EVERY == 0:

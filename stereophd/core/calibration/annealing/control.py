@@ -25,8 +25,7 @@ from stereophd.core.calibration.adjustment.solver import eliminate
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, problem_of
 from stereophd.core.calibration.annealing.task import Fit, Task
-from stereophd.core.calibration.unknowns.gauge import can_be_enlarged, enlarged
-from stereophd.core.calibration.unknowns.scale import scale_is_free
+from stereophd.core.calibration.unknowns.scale import can_be_enlarged, enlarged, scale_is_free
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.core.metrics.truth.registration import MOST_ESTIMATES, Freedom
 

@@ -4,16 +4,51 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
+from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run_figures.explained import CameraSums, Explained
-from stereophd.pipeline.tracking.run_figures.losses import Losses
+
+
+@dataclass
+class Losses:
+    """Events after which a bound left something out, and the most that it left out at once."""
+
+    cut: int = 0
+    most_left_out: int = 0
+    bursts: int = 0
+    burst_detections: int = 0
+    crowded: int = 0
+    most_hypotheses: int = 0
+
+    def add(self, record: Record) -> None:
+        """Take in a record."""
+        if not record.is_event:
+            return
+        info = record.info
+        self.cut += info.left_out > 0
+        self.most_left_out = max(self.most_left_out, info.left_out)
+        self.bursts += info.burst > 0
+        self.burst_detections += info.burst
+        self.crowded += info.hypotheses_left_out > 0
+        self.most_hypotheses = max(self.most_hypotheses, info.hypotheses_left_out)
+
+    def report(self) -> dict[str, Any]:
+        """Return the figures for ``report.json``."""
+        return {
+            "events": self.cut,
+            "most": self.most_left_out,
+            "burst_frames": self.bursts,
+            "burst_detections": self.burst_detections,
+            "hypothesis_events": self.crowded,
+            "most_hypotheses": self.most_hypotheses,
+        }
 
 
 @dataclass
@@ -41,6 +76,7 @@ class FigureSums:
     cameras: dict[str, CameraSums] = field(default_factory=dict)
     identities: dict[int, IdentitySums] = field(default_factory=dict)
     detections: dict[int, dict[str, int]] = field(default_factory=dict)  # Track -> camera -> number
+    knocks: list[Knock] = field(default_factory=list)
 
 
 class RunFigures:
@@ -58,6 +94,8 @@ class RunFigures:
         """Count a record, reported or not."""
         sums = self._sums
         sums.losses.add(record)
+        if record.knock is not None:
+            sums.knocks.append(record.knock)
         if record.is_event:
             sums.events += 1
             sums.first_s, sums.last_s = (record.time_s if sums.events == 1 else sums.first_s), record.time_s
@@ -95,6 +133,7 @@ class RunFigures:
             "log_likelihood": self._sums.log_likelihood,
             "left_out": self._sums.losses.report(),
             "cameras": self._explained.report(),
+            "knocks": [asdict(knock) for knock in self._sums.knocks],
             "tracks": [self._track(track_id, identity) for track_id, identity in sorted(self._sums.identities.items())],
         }
 

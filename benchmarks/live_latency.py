@@ -1,0 +1,185 @@
+"""Latency of `stereophd track CONFIG -`: from the moment a frame is sent to the moment its row can be read.
+
+    python benchmarks/live_latency.py
+    python benchmarks/live_latency.py --scene fifty --minutes 10 --plot latency.png
+    python benchmarks/live_latency.py --speed 20 --minutes 60
+
+Two scenes in a room of 8 x 8 x 2.5 m, whose objects come and go: six objects before two cameras of 50 Hz, and fifty
+before eight of 100 Hz; the cameras are not synchronised, 5 false detections a frame. A process of its own sends each
+frame at its time, by its own clock, whether or not the tracker is ready; this process stamps each row as it reads it.
+Both clocks are the monotonic one of the machine. Beside the latencies it states the processor time of the tracker for
+each frame, which other programs on the machine hardly change, and its resident memory along the way (Linux).
+"""
+
+from __future__ import annotations
+
+import argparse
+import array
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from many_objects import room
+
+from stereophd.commands.simulate import check_simulation
+from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.core.arrays import Array
+from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
+from stereophd.core.simulation.detections import simulate_frames
+from stereophd.io.streams.messages import Message
+from stereophd.pipeline.simulation import build_scene
+
+SCENES = {"six": (6, 2, 50.0), "fifty": (50, 8, 100.0)}  # objects, cameras, Hz
+LIFETIME_S, CLUTTER = 20.0, 5.0
+PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
+TARGETS_MS = {50.0: 2.0, 99.9: 10.0}
+MEMORY_ROWS = 20
+
+
+def scene(objects: int, cameras: int, rate_hz: float, duration_s: float) -> dict[str, Any]:
+    """Return the configuration of a scene."""
+    config = room(objects, 1, cameras)
+    for number, camera in enumerate(config["cameras"].values()):
+        camera["detector"]["clutter_per_frame"] = CLUTTER
+        camera |= {"frame_rate_hz": rate_hz * (1.0 + 1e-4 * number), "phase_s": number / (cameras * rate_hz)}
+    config["simulate"] |= {"duration_s": duration_s, "frame_rate_hz": rate_hz}
+    config["simulate"]["objects"] |= {"births_per_s": objects / LIFETIME_S, "mean_lifetime_s": LIFETIME_S}
+    return config
+
+
+def write_frames(loaded: LoadedConfig, path: Path) -> int:
+    """Write the frames of a scene: the time and the message, a line each; return their number."""
+    check_simulation(loaded)
+    drawn = build_scene(loaded.config, loaded.build_cameras(), RUN_OBJECTS.seed(loaded.config.seed, 0))
+    count = 0
+    with open(path, "w", encoding="utf-8") as stream:
+        for frame in simulate_frames(drawn, RUN_FRAMES.seed(loaded.config.seed, 0)):
+            camera = drawn.cameras[frame.camera].name
+            message = Message(camera, frame.frame, round(frame.log_time_s, 9), np.round(frame.pixels, 3))
+            stream.write(f"{frame.log_time_s!r}\t{message.to_line()}\n")
+            count += 1
+    return count
+
+
+def send(frames: Path, stamps: Path, speed: float) -> None:
+    """Send every frame to standard output at its time, and keep when."""
+    sent = array.array("d")
+    with open(frames, "rb") as stream:
+        began_s = time.monotonic()
+        for line in stream:
+            time_s, _, message = line.partition(b"\t")
+            wait_s = began_s + float(time_s) / speed - time.monotonic()
+            if wait_s > 0.0:
+                time.sleep(wait_s)
+            sent.append(time.monotonic())
+            sys.stdout.buffer.write(message)
+            sys.stdout.buffer.flush()
+    with open(stamps, "wb") as target:
+        sent.tofile(target)
+
+
+def measure(name: str, minutes: float, speed: float, options: Sequence[str]) -> dict[str, Any]:
+    """Track a scene as it is sent; return the latencies (ms) and what the tracker used."""
+    with tempfile.TemporaryDirectory() as folder:
+        config, frames, stamps = (Path(folder) / each for each in ("scene.yaml", "frames.txt", "stamps"))
+        config.write_text(json.dumps(scene(*SCENES[name], 60.0 * minutes)), encoding="utf-8")
+        count = write_frames(load_config(config), frames)
+        words = [sys.executable, __file__, "--send", str(frames), str(stamps), "--speed", str(speed)]
+        tracking = [sys.executable, "-m", "stereophd", "track", str(config), "-", *options]
+        # a tracker that is ready before the first frame
+        tracker = subprocess.Popen(tracking, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+        assert tracker.stdin is not None
+        assert tracker.stdout is not None
+        assert tracker.stderr is not None
+        while b'"ready"' not in (line := tracker.stderr.readline()):
+            if not line:
+                raise SystemExit(f"{name}: the tracker ended before it was ready")
+        source = subprocess.Popen(words, stdout=tracker.stdin)
+        tracker.stdin.close()
+        begun_s = _cpu_s(tracker.pid)
+        arrived, memory, cpu_s = array.array("d"), [], begun_s
+        for _ in tracker.stdout:
+            arrived.append(time.monotonic())
+            if len(arrived) % max(count // MEMORY_ROWS, 1) == 0:
+                memory.append(_resident_mb(tracker.pid))
+                cpu_s = _cpu_s(tracker.pid)
+        source.wait()
+        tracker.wait()
+        sent = np.fromfile(stamps)
+    if not len(sent) == len(arrived) == count:
+        raise SystemExit(f"{name}: expected a row for each of {count} frames, found {len(arrived)}")
+    return {
+        "frames": count,
+        "latency_ms": 1e3 * (np.asarray(arrived) - sent),
+        "cpu_ms_per_frame": 1e3 * (cpu_s - begun_s) / count,
+        "resident_mb": memory,
+    }
+
+
+def _cpu_s(pid: int) -> float:
+    """Processor time of a process, user and system, s."""
+    fields = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / 100.0
+
+
+def _resident_mb(pid: int) -> float:
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * 4096 / 1e6
+
+
+def plot(latencies: dict[str, Array], path: Path) -> None:
+    """Draw the histograms."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    from matplotlib import pyplot
+
+    figure, panel = pyplot.subplots(figsize=(6.0, 3.4), layout="constrained")
+    edges = np.geomspace(0.1, max(100.0, *(values.max() for values in latencies.values())), 120)
+    for name, values in latencies.items():
+        panel.hist(values, bins=edges, histtype="step", label=f"{name}: {len(values)} frames")
+    panel.set(xscale="log", yscale="log", xlabel="from a frame to its row, ms", ylabel="frames")
+    panel.axvline(TARGETS_MS[99.9], color="tab:red", linewidth=0.8)
+    panel.legend(frameon=False)
+    figure.savefig(path, dpi=150)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Measure and print; return 0 if the targets are met, else 1."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", nargs="+", choices=SCENES, default=list(SCENES))
+    parser.add_argument("--minutes", type=float, default=1.0, help="of the scene (default 1)")
+    parser.add_argument("--speed", type=float, default=1.0, help="times as fast as the cameras (default 1)")
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="write the histograms (needs matplotlib)")
+    parser.add_argument("--send", type=Path, nargs=2, help=argparse.SUPPRESS)
+    parser.add_argument("--track", nargs=argparse.REMAINDER, default=[], help="further options of `track`")
+    options = parser.parse_args(arguments)
+    if options.send:
+        send(*options.send, options.speed)
+        return 0
+    met, latencies = True, {}
+    print("| scene | frames | " + " | ".join(f"p{p:g}, ms" for p in PERCENTILES) + " | CPU ms a frame | resident, MB |")
+    print("|---|---|" + "---|" * (len(PERCENTILES) + 2))
+    for name in options.scene:
+        found = measure(name, options.minutes, options.speed, options.track)
+        latencies[name] = values = found["latency_ms"]
+        percentiles = dict(zip(PERCENTILES, np.percentile(values, PERCENTILES).tolist(), strict=True))
+        met = met and all(percentiles[p] <= most for p, most in TARGETS_MS.items())
+        memory = found["resident_mb"]
+        print(
+            f"| {name} | {found['frames']} | " + " | ".join(f"{value:.2f}" for value in percentiles.values())
+            + f" | {found['cpu_ms_per_frame']:.2f} | {memory[0]:.0f} to {memory[-1]:.0f} (most {max(memory):.0f}) |",
+            flush=True,
+        )  # fmt: skip
+    if options.plot is not None:
+        plot(latencies, options.plot)
+    return 0 if met else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,33 @@
+"""The likelihood ratios of turns against their definition in NumPy."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.stats import multivariate_normal
+
+from stereophd.core.two_views.turns import all_turns, turn_ratios
+
+
+def test_ratios_are_those_of_the_mixture_of_detections() -> None:
+    rng = np.random.default_rng(4)
+    points, detections = rng.uniform(100.0, 500.0, (3, 2)), rng.uniform(100.0, 500.0, (6, 2))
+    detections[:3] = points + rng.normal(0.0, 3.0, (3, 2))
+    roots = rng.normal(0.0, 2.0, (3, 2, 2))
+    covariances = roots @ np.swapaxes(roots, 1, 2) + np.eye(2)
+    fx, fy, cx, cy = 650.0, 640.0, 320.0, 240.0
+    turns, missed, weight = all_turns(), 0.1, 4e4
+    found = turn_ratios(
+        points, covariances, detections, (fx, fy, cx, cy), (turns.shifts, turns.linear, turns.spread), missed, weight
+    )
+
+    def likelihood(point: np.ndarray, covariance: np.ndarray) -> float:
+        return missed + weight * sum(multivariate_normal.pdf(each, point, covariance) for each in detections)
+
+    for h in (0, 17, 100, len(turns.spread) - 70, len(turns.spread) - 1):
+        for i in range(3):
+            away = (points[i] - (cx, cy)) / (fx, fy)
+            moved = points[i] + (turns.shifts[h] + away @ turns.linear[h]) * (fx, fy)
+            widened = covariances[i] + (turns.spread[h] * fx) ** 2 * np.eye(2)
+            expected = np.log(likelihood(moved, widened) / likelihood(points[i], covariances[i]))
+            # what is beyond seven standard deviations is left out
+            np.testing.assert_allclose(found[i, h], expected, atol=1e-6)

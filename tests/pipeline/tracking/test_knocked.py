@@ -1,0 +1,88 @@
+"""A camera that is turned in the middle of a recording is named, with its time; without one there is no alarm."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
+from stereophd.core.simulation.detections import Scene, simulate_frames
+from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.checks.run_figures.tracking import check_knocks
+from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.tracking.knocked import Knock
+from stereophd.pipeline.tracking.loop import run_estimator
+from stereophd.pipeline.tracking.run_figures.figures import RunFigures
+
+CONFIG = Path(__file__).resolve().parents[3] / "configs" / "quickstart.yaml"
+KNOCK_S = 5.0
+
+
+@pytest.fixture(scope="module")
+def loaded() -> LoadedConfig:
+    alone = ["simulate.objects.count=6", "simulate.objects.births_per_s=0", "simulate.objects.mean_lifetime_s=null"]
+    return load_config(CONFIG, ["simulate.duration_s=8", *alone])
+
+
+def turned(camera: Camera, turn_deg: tuple[float, float, float], shift: tuple[float, float, float]) -> Camera:
+    pose = camera.pose
+    return replace(
+        camera, pose=Pose(rotation_from_vector(np.deg2rad(turn_deg)) @ pose.rotation, pose.center + np.array(shift))
+    )
+
+
+def events(loaded: LoadedConfig, name: str, turn_deg: tuple[float, ...], shift: tuple[float, ...]) -> list[Event]:
+    """Return the events of the scene; the named camera is turned and shifted from `KNOCK_S` on, unknown to anybody."""
+    cameras = loaded.build_cameras()
+    seed = loaded.config.seed
+    scene = build_scene(loaded.config, cameras, RUN_OBJECTS.seed(seed, 0))
+    knocked: Scene = replace(
+        scene, cameras=tuple(turned(c, turn_deg, shift) if c.name == name else c for c in cameras)  # type: ignore[arg-type]
+    )  # fmt: skip
+    frames = [f for f in simulate_frames(scene, RUN_FRAMES.seed(seed, 0)) if f.log_time_s < KNOCK_S]
+    frames += [f for f in simulate_frames(knocked, RUN_FRAMES.seed(seed, 0)) if f.log_time_s >= KNOCK_S]
+    return [make_event(cameras[f.camera], f.camera, f.log_time_s, f.pixels, frame=f.frame) for f in frames]
+
+
+def knocks(loaded: LoadedConfig, of_scene: list[Event]) -> tuple[list[Knock], RunFigures]:
+    cameras = loaded.build_cameras()
+    figures = RunFigures(cameras)
+    found = []
+    for record in run_estimator(build_filter(loaded.config, cameras, loaded.path, 1), of_scene):
+        figures.add(record)
+        found += [record.knock] if record.knock is not None else []
+    return found, figures
+
+
+@pytest.mark.parametrize(
+    ("name", "turn_deg", "shift"),
+    [
+        ("left", (0.5, 0.0, 0.0), (0.0, 0.0, 0.0)),
+        ("right", (0.0, 2.0, 0.0), (0.0, 0.0, 0.0)),
+        ("middle", (0.0, 0.0, 0.0), (0.09, 0.0, 0.0)),
+    ],
+)
+def test_a_knocked_camera_is_named(
+    name: str, turn_deg: tuple[float, ...], shift: tuple[float, ...], loaded: LoadedConfig
+) -> None:
+    (knock,), figures = knocks(loaded, events(loaded, name, turn_deg, shift))
+    assert knock.camera == name
+    assert KNOCK_S <= knock.time_s < KNOCK_S + 1.0
+    assert knock.since_s == pytest.approx(KNOCK_S, abs=0.3)
+    assert np.sum(turn_deg) == 0.0 or knock.turn_deg == pytest.approx(np.sum(turn_deg), rel=0.3)
+    (finding,) = check_knocks(figures.report(0, 0))
+    assert finding.status == "warning"
+    assert finding.camera == name
+
+
+def test_cameras_that_stay_raise_no_alarm(loaded: LoadedConfig) -> None:
+    found, figures = knocks(loaded, events(loaded, "left", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
+    assert found == []
+    assert not list(check_knocks(figures.report(0, 0)))
