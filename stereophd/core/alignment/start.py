@@ -19,6 +19,8 @@ from stereophd.core.metrics.truth.registration import Freedom, Registration
 
 # Cells of time: no finer than this part of both spans together, and no fewer common ones.
 MOST_CELLS, LEAST_CELLS = 16_384, 12
+# Least part of the shorter of the two that is common: short pieces fit by chance.
+LEAST_COMMON = 0.5
 # Least part of the variance that is left: rounding of the transforms.
 LEAST_UNEXPLAINED = 1e-10
 # Another offset or curve fits nearly as well with more than this part of the gain, and less than this many times the
@@ -133,7 +135,8 @@ def _fit(
     cross = sums[:, 1:4, 1:4] - sums[:, 1:4, 0, None] * sums[:, 0, None, 1:4] / safe[:, None, None]
     spread_a = sums[:, 4, 0] - (sums[:, 1:4, 0] ** 2).sum(axis=1) / safe
     spread_b = sums[:, 0, 4] - (sums[:, 0, 1:4] ** 2).sum(axis=1) / safe
-    used = used & (count >= LEAST_CELLS) & (np.minimum(spread_a, spread_b) > 0.0)
+    shorter = min(int(a[1].sum()), int(b[1].sum()))
+    used = used & (count >= max(LEAST_CELLS, LEAST_COMMON * shorter)) & (np.minimum(spread_a, spread_b) > 0.0)
     if not used.any():
         return None
     left, sizes, right = np.linalg.svd(np.swapaxes(cross[used], 1, 2))

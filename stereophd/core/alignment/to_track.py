@@ -15,8 +15,8 @@ from stereophd.core.metrics.truth.registration import Freedom, Registration, Res
 # A track belongs to the control if its median distance is below this many times that of the best track, or this part
 # of the control's spread; rounds in which the members are found.
 SAME_OBJECT, LEAST_APART, ROUNDS = 4.0, 0.02, 4
-# Times in between two of the control track.
-FINER = 4
+# Times in between two of the control track, and rows of a stretch without gaps that a spline needs.
+FINER, LEAST_OF_SPLINE = 4, 5
 # Tracks follow each other if their spans add up to at most this many times that of all.
 MOST_OVERLAP = 1.1
 # Largest part of the control's spread that may be left over.
@@ -82,22 +82,24 @@ def align_to_track(time_s: Array, position: Array, track_ids: Integers, control:
 
 
 def _finer(control: Truth, max_gap_s: float) -> Truth:
-    """Return a control track with times in between, by splines: straight lines cut corners, and shrink the motion."""
-    from scipy.interpolate import make_interp_spline  # costly to import
+    """Return a control track with times in between, and with velocities.
+
+    The places are those of splines: straight lines cut corners, and shrink the motion. The velocities are those of
+    smoothing splines: differences of noisy places look like motion, from which the clock seems well known.
+    """
+    from scipy.interpolate import make_interp_spline, make_smoothing_spline  # costly to import
 
     ends = np.flatnonzero(np.diff(control.time_s) > max_gap_s) + 1
-    times, positions = [], []
+    parts = []
     for rows in np.split(np.arange(len(control.time_s)), ends):
-        at = control.time_s[rows]
-        if len(rows) > 3:
-            fine = np.interp(np.arange(FINER * (len(rows) - 1) + 1) / FINER, np.arange(len(rows)), at)
-            positions.append(make_interp_spline(at, control.position[rows], 3)(fine))
-            at = fine
-        else:
-            positions.append(control.position[rows])
-        times.append(at)
-    time_s = np.concatenate(times)
-    return Truth(time_s, np.zeros(len(time_s), dtype=np.int64), np.concatenate(positions))
+        at, places = control.time_s[rows], control.position[rows]
+        if len(rows) < LEAST_OF_SPLINE:
+            continue
+        fine = np.interp(np.arange(FINER * (len(rows) - 1) + 1) / FINER, np.arange(len(rows)), at)
+        smooth = [make_smoothing_spline(at, axis).derivative()(fine) for axis in places.T]
+        parts.append(np.column_stack([fine, make_interp_spline(at, places, 3)(fine), *smooth]))
+    table = np.concatenate([np.zeros((0, 7)), *parts])
+    return Truth(table[:, 0], np.zeros(len(table), dtype=np.int64), table[:, 1:4], table[:, 4:])
 
 
 def _curves(time_s: Array, position: Array, track_ids: Integers) -> tuple[list[Curve], list[Integers]]:
