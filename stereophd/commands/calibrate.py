@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from stereophd.commands.options import CalibrateOptions
 from stereophd.config.loading import takes_config
+from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
 from stereophd.io.cameras.writing import write_cameras
@@ -36,6 +37,8 @@ from stereophd.pipeline.calibration.problem import (
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.sampled import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import calibration_section, with_quantities
+from stereophd.pipeline.cameras_covariance import in_world as uncertainty_in_world
+from stereophd.pipeline.cameras_covariance import rows_of
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.checks.run_figures.losses import check_losses
@@ -54,7 +57,6 @@ from stereophd.report.installed import whether_to_draw
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
-    from stereophd.core.geometry.camera import Camera
     from stereophd.pipeline.runs.progress import Progress
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
@@ -144,13 +146,16 @@ def calibrate(
         _write_posterior(out, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
             cameras = outcome.parameters.build(outcome.values)
-            if outcome.world is not None and problem.control is not None:
-                unit = problem.control.length_unit
-                loaded, cameras, report["control"] = in_world(loaded, cameras, outcome.world, unit)
+            uncertainty = CameraUncertainty(outcome.parameters.about(cameras), outcome.covariance)
+            if (world := outcome.world) is not None and problem.control is not None:
+                unit, found = problem.control.length_unit, world.alignment
+                loaded, cameras, report["control"] = in_world(loaded, cameras, world, unit)
+                uncertainty = uncertainty_in_world(uncertainty, found.registration, found.center, world.covariance)
             write_cameras(
-                out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record
-            )
-            report["tracking"], further = _track(loaded, cameras, log_path, out, to_metadata(record))
+                out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record,
+                rows_of(uncertainty),
+            )  # fmt: skip
+            report["tracking"], further = _track(loaded, uncertainty, log_path, out, to_metadata(record))
             findings += report_findings(further)
         report["checks"] = findings + _findings_of(report, outcome)
         report["provenance"] = record
@@ -222,17 +227,18 @@ def _write_posterior(out: OutputFolder, outcome: Outcome, metadata: dict[bytes, 
 
 def _track(
     loaded: LoadedConfig,
-    cameras: tuple[Camera, ...],
+    uncertainty: CameraUncertainty,
     log_path: Path | str,
     out: OutputFolder,
     metadata: dict[bytes, bytes],
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Track with the calibrated cameras, as `stereophd.commands.track` does; return figures and findings of the run."""
-    report = loaded.config.report
+    report, cameras = loaded.config.report, uncertainty.parameters.cameras
     multi_filter = replace(pmb_filter(loaded, cameras), claims=True)
     stream = open_stream(loaded.config, cameras, log_path)
     records = reported_records(multi_filter, multi_filter.motion, stream, report, reach_back=True)
-    summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))
+    summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}),
+                           uncertainty=uncertainty)  # fmt: skip
     findings = [
         found
         for found in check_log(loaded, log_path, thorough=False, cameras=cameras)

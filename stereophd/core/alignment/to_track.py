@@ -55,6 +55,8 @@ def align_to_track(time_s: Array, position: Array, track_ids: Integers, control:
     """
     gap = DEFAULT_GAP_STEPS * control.step_s
     control = _finer(control, gap)
+    if not len(control.time_s):
+        raise ValueError("the control track is broken by gaps everywhere: expected stretches of five rows or more")
     curves, names = _curves(time_s, position, track_ids)
     fits = sorted(fits_to(curves, control, gap, freedom), key=lambda fit: -fit.gain)
     _refuse_other_motion(float(np.sqrt(fits[0].unexplained)) if fits else 1.0)

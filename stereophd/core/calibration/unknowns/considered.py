@@ -96,7 +96,8 @@ class CommonPart:
         eigenvalues, vectors = np.linalg.eigh(covariance)
         shifts = moves @ (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))
         basis = np.concatenate(
-            [np.broadcast_to(np.eye(3), (len(positions), 3, 3)), -cross_matrices(positions), positions[:, :, None]], axis=2
+            [np.broadcast_to(np.eye(3), (len(positions), 3, 3)), -cross_matrices(positions), positions[:, :, None]],
+            axis=2,
         )
         return CommonPart(
             len(positions), np.einsum("nai,naj->ij", basis, basis), np.einsum("nai,nam->im", basis, shifts),
