@@ -23,6 +23,7 @@ from stereophd.io.outputs.atomic import OutputFolder, output_lock
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.options import takes
+from stereophd.pipeline.cameras_covariance import stated_uncertainty
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
@@ -167,7 +168,10 @@ class _Outputs:
             described = with_detectors(loaded.cameras, tracking.cameras)
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
         metadata = to_metadata(self.record)
-        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, kept, tracking.boxes)
+        uncertainty = stated_uncertainty(tracking.cameras, loaded.config.cameras_covariance)
+        summary = write_tracks(
+            records, out, metadata, tracking.cameras, loaded.config.report, kept, tracking.boxes, uncertainty
+        )
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))

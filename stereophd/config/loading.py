@@ -326,6 +326,9 @@ def _inline_cameras(tree: Tree, path: Path) -> tuple[str | None, str]:
     _inline_trajectories(read.tree, path.parent)
     checked = _validate(CamerasFile, read.tree)
     apply_override(tree, ("cameras",), read.tree, ("cameras",))
+    tree.data.pop("cameras_covariance", None)
+    if checked.covariance:
+        apply_override(tree, ("cameras_covariance",), read.tree, ("covariance",))
     return checked.units.length if read.has_unit else None, read.sha256
 
 

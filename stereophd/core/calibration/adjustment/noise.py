@@ -56,7 +56,7 @@ def noise_factors(problem: Problem, adjustment: Adjustment, rng: np.random.Gener
     weights = problem.weights(adjustment.distances)
     linearisation = Linearisation.of(problem.weighted(weights))
     sigma = 1.0 / np.sqrt(observations.precisions[:, [0, 1], [0, 1]])
-    redundancy: Array = np.zeros(len(observations))
+    redundancy = np.zeros(len(observations))
     for _ in range(DRAWS):
         errors = sigma * rng.standard_normal(sigma.shape)
         remaining = remaining_errors(linearisation, adjustment.values, adjustment.states, errors)
@@ -64,5 +64,5 @@ def noise_factors(problem: Problem, adjustment: Adjustment, rng: np.random.Gener
     count = len(problem.parameters.cameras)
     squares = np.bincount(observations.cameras, weights * adjustment.distances, count)
     known = np.maximum(np.bincount(observations.cameras, redundancy, count), 0.0)
-    coordinates: Array = 2.0 * np.bincount(observations.cameras, weights, count)
+    coordinates = 2.0 * np.bincount(observations.cameras, weights, count).astype(np.float64)
     return NoiseFactors(np.sqrt((PRIOR_REDUNDANCY + squares) / (PRIOR_REDUNDANCY + known)), known, coordinates)
