@@ -6,13 +6,13 @@ import contextlib
 import logging
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.commands.options import CalibrateOptions
-from stereophd.config.loading import takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
@@ -43,6 +43,7 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.checks.run_figures.losses import check_losses
 from stereophd.pipeline.checks.run_figures.tracking import check_tracking
+from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, finished_report
 from stereophd.pipeline.stream import open_stream
@@ -54,10 +55,6 @@ from stereophd.pipeline.tracking.run import (
     write_tracks,
 )
 from stereophd.report.installed import whether_to_draw
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-    from stereophd.pipeline.runs.progress import Progress
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
@@ -75,7 +72,6 @@ WITH_CAMERAS = ("geometry.", "settings.")
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(CalibrateOptions)
 def calibrate(
     loaded: LoadedConfig,

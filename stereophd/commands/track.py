@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stereophd.commands.options import TrackOptions
-from stereophd.config.loading import takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.compilation.kernel_cache import is_kept
 from stereophd.io.cameras.writing import write_cameras
@@ -51,9 +51,6 @@ from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
 
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-
 CAMERAS_FILE = "cameras.yaml"
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
 # The last is of a live run, which tracks its recording at the end.
@@ -63,7 +60,6 @@ REPORT_VERSION = 1
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(TrackOptions)
 def track(
     loaded: LoadedConfig,

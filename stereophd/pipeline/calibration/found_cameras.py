@@ -12,13 +12,13 @@ import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig, NoScale
-from stereophd.config.loading import variant
+from stereophd.config.loading import LoadedConfig, variant
 from stereophd.core.alignment.cameras import moved_camera
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.control import World
@@ -36,10 +36,6 @@ from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, 
 from stereophd.pipeline.calibration.unknowns import calibration_section
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-
 
 # Prior deviations about what was found: so many stated ones, and at least these: rad, share of the distance, frames.
 STATED, LEAST_ROTATION, LEAST_SHARE, LEAST_FRAMES = 5.0, np.deg2rad(3.0), 0.05, 1.0

@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig
+from stereophd.config.loading import LoadedConfig
 from stereophd.config.model import Config
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
@@ -38,9 +39,6 @@ from stereophd.pipeline.runs.sizes import Size
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.events import EventKeys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import Events, Truth
 from stereophd.core.metrics.truth.visibility import Sightings
@@ -21,9 +22,6 @@ from stereophd.io.file_kinds import LOG
 from stereophd.io.outputs.provenance import from_metadata, length_unit
 from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet, read_table
 from stereophd.io.tables.schemas import CAMERAS_PART, CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING, TENTATIVE
-
-if TYPE_CHECKING:
-    from stereophd.core.geometry.camera import Camera
 
 # The table of events that `track` writes into the folder of its tracks.
 SCANS_NAME = "scans.parquet"

@@ -8,6 +8,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from stereophd.config.loading import LoadedConfig
 from stereophd.config.report import GridTimes, ReportConfig
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty
@@ -35,8 +36,6 @@ from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-    from stereophd.config.loading import LoadedConfig
 
 TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE = "tracks.parquet", "scans.parquet", "associations.parquet"
 

@@ -15,7 +15,9 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.noise import noise_factors
+from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.selection import Comparison, compare
+from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
 from stereophd.core.calibration.annealing.control import ControlTrack, World, with_control
@@ -46,8 +48,10 @@ LEAST_KEPT = 0.8
 AS_STATED, LENSES, FREE = "as_stated", "lenses", "free"
 # An answer whose expected move by what is held exceeds this many of its own standard deviations is not determined.
 LARGEST_MOVE = 1.0
-# A value so many standard deviations from its own prior is said, and noise beyond this factor from what is stated.
+# A value so many standard deviations from its own prior is said, and noise or deviations that change by this factor.
 FAR_FROM_PRIOR, SAID_FACTOR = 3.0, 1.5
+# An answer whose stated deviations are widened by more than this is not determined.
+LARGEST_WIDENING = 3.0
 
 
 @dataclass(frozen=True)
@@ -74,7 +78,7 @@ class Choices:
 class Remark:
     """Something about the answer that has to be said."""
 
-    topic: str  # `noise`, `model`, `sensitivity`, `prior`, `motion`, `scale`, `starts` or `control`
+    topic: str  # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `starts` or `control`
     text: str
     is_reservation: bool = False  # Whether the data determine the cameras partly at most.
 
@@ -133,6 +137,9 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     believed = believe(task, fit, choices)
     task, answer = believed.task, believed.answer
     remarks += (*motion_remarks(answer), *believed.remarks)
+    if not choices.is_sampled:
+        answer, remark = widened(task, answer)
+        remarks += remark
     fit, pairs = answer.fit, None
     if has_known_length(task, choices):
         assert choices.known is not None
@@ -280,14 +287,34 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
 def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
     """Test what an answer holds as stated; the statement of the greatest evidence against it first."""
     enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
-    problem = problem_of(task, answer.fit)
-    log_noise = None
-    if answer.is_marginal:
-        # the knots of the answer have the noise that was found; here it is an unknown
-        knots = replace(answer.fit.knots, noise_std=answer.fit.knots.noise_std / answer.noise_factor)
-        problem, log_noise = replace(problem, knots=knots), float(np.log(answer.noise_factor))
+    problem, log_noise = problem_of_answer(task, answer)
     quadratic = quadratic_posterior(problem, enlarged, answer.fit.adjustment, log_noise)
     return enlarged, suspect(quadratic, enlarged, free_of(task.parameters, answer.fit.held))
+
+
+def problem_of_answer(task: Task, answer: Answer) -> tuple[Problem, float | None]:
+    """Return the problem that an answer solves, and the logarithm of its noise of the motion if that is an unknown."""
+    problem = replace(problem_of(task, answer.fit), held=answer.fit.held)
+    if not answer.is_marginal:
+        return problem, None
+    # the knots of the answer have the noise that was found
+    knots = replace(answer.fit.knots, noise_std=answer.fit.knots.noise_std / answer.noise_factor)
+    return replace(problem, knots=knots), float(np.log(answer.noise_factor))
+
+
+def widened(task: Task, answer: Answer) -> tuple[Answer, tuple[Remark, ...]]:
+    """Widen the covariance of an answer by what stretches of the log disagree, and say so where it is much."""
+    problem, log_noise = problem_of_answer(task, answer)
+    more, factor = disagreement_of_stretches(problem, answer.fit.adjustment, log_noise)
+    adjustment = answer.fit.adjustment
+    fit = replace(answer.fit, adjustment=replace(adjustment, covariance=adjustment.covariance + more))
+    text = (
+        f"stretches of the log disagree on the cameras by up to {factor:.1f} times what their noise allows: the stated "
+        "deviations were widened; something of what is stated is wrong"
+    )
+    remark = Remark("stretches", text, factor > LARGEST_WIDENING)
+    joint = answer.joint if answer.is_marginal else fit
+    return replace(answer, joint=joint, fit=fit), (remark,) if factor > SAID_FACTOR else ()
 
 
 def may_be_freed(suspicion: Suspicion, choices: Choices) -> bool:
