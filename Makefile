@@ -14,7 +14,7 @@ help:
 	@echo "make lint   ruff, mypy and the import contracts"
 	@echo "make site   the documentation as a site, in out/site"
 	@echo "make release  wheel and sdist in out/dist, checked, installed and used in an empty environment"
-	@echo "make fuzz   random configurations and damaged files, for hours (EXAMPLES=100000)"
+	@echo "make fuzz   damaged files and odd options of every command, for an hour (MINUTES=600), then configurations"
 	@echo "make bench  speed benchmarks (minutes)"
 	@echo "make schema write configs/schema.json anew"
 	@echo "make reference write docs/reference/configuration/ and the index of decisions anew"
@@ -41,9 +41,11 @@ release: $(VENV)/.installed-all
 	$(BIN)/python -m twine check --strict out/dist/*
 	$(BIN)/python .ci/try_wheel.py out/dist
 
-# Random configurations, logs and damaged files, for hours: make fuzz EXAMPLES=100000
-EXAMPLES ?= 2000
+# Damaged files of every format and odd options of every command, then random configurations: make fuzz MINUTES=600
+MINUTES ?= 60
+EXAMPLES ?= 200
 fuzz: $(VENV)/.installed-all
+	$(BIN)/python -m tests.fuzz.campaign --minutes $(MINUTES)
 	STEREOPHD_FUZZ_EXAMPLES=$(EXAMPLES) $(BIN)/python -m pytest tests/fuzz -p no:randomly
 
 format: $(VENV)/.installed-all

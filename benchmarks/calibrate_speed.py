@@ -45,8 +45,7 @@ from stereophd.core.multi.camera_hypotheses.batch import CHUNK, BatchState, Filt
 from stereophd.core.multi.phd.filter import PhdFilter
 from stereophd.core.numerics.linear_algebra import cholesky
 from stereophd.core.numerics.moments import weighted_moments
-from stereophd.pipeline.calibration.filters import phd_filter
-from stereophd.pipeline.calibration.inputs import read_problem
+from stereophd.pipeline.calibration.problem import phd_filter, read_problem
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "calibration.yaml"
 TARGET_TIMES_FLOOR = 4.0

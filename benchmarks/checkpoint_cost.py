@@ -41,8 +41,8 @@ from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.runs import unfinished
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
-from stereophd.pipeline.tracking.checkpoint import Journal, RecordFile
 from stereophd.pipeline.tracking.run import TrackingRun
+from stereophd.pipeline.tracking.unfinished import RecordFile, UnfinishedTracking
 
 SCENE = ("simulate.frame_rate_hz=30", "simulate.objects.velocity_std=0.001", "simulate.objects.box.z=[80,200]")
 MOST_SHARE = 0.01
@@ -94,10 +94,10 @@ def measured(kind: str, loaded: LoadedConfig, log: Path, out: Path, pairs: int) 
     return mean
 
 
-_OPEN = TrackingRun.open_journal
+_OPEN = TrackingRun.keep_in
 
 
-def _open_journal(tracking: TrackingRun, unfinished: Any) -> Journal | None:
+def _keep_in(tracking: TrackingRun, unfinished: Any) -> UnfinishedTracking | None:
     """Keep nothing of the run without checkpoints: Arrow alone writes its tables."""
     return _OPEN(tracking, unfinished) if threading.current_thread().name == str(True) else None
 
@@ -135,7 +135,7 @@ class Pair:
         """Run both; `first` says whether the one with checkpoints begins."""
         threads = [threading.Thread(target=self._track, args=(kept,)) for kept in (True, False)]
         with ExitStack() as stack:
-            stack.enter_context(patch.object(TrackingRun, "open_journal", _open_journal))
+            stack.enter_context(patch.object(TrackingRun, "keep_in", _keep_in))
             stack.enter_context(patch.object(UnfinishedRun, "save", self._timed(UnfinishedRun.save, state=True)))
             stack.enter_context(patch.object(RecordFile, "add", self._timed(RecordFile.add)))
             stack.enter_context(patch.object(TableWriter, "_flush", self._timed(TableWriter._flush)))

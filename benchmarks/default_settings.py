@@ -16,6 +16,7 @@ import argparse
 import logging
 import math
 import tempfile
+import time
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +32,8 @@ from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 from stereophd.pipeline.checks.run import check_log
 
-# Detections of a set-up, at most and about.
-MOST_DETECTIONS = 12_000
+# Detections and frames of all cameras of a set-up, at most and about.
+MOST_DETECTIONS, MOST_FRAMES = 6000, 6000
 NOISE_FACTOR, OSPA_FACTOR = 1.5, 1.3
 FIGURES = ("cameras", "objects", "frames", "noise_px")
 
@@ -48,7 +49,7 @@ def draw(number: int) -> tuple[dict[str, Any], dict[str, Any]]:
     noise = 10.0 ** rng.uniform(-1.0, 2.0)
     objects = round(10.0 ** rng.uniform(0.0, 3.0))
     frames = round(10.0 ** rng.uniform(math.log10(3.0), math.log10(3000.0)))
-    frames = max(3, min(frames, MOST_DETECTIONS // (objects * count)))
+    frames = max(3, min(frames, MOST_DETECTIONS // (objects * count), MOST_FRAMES // count))
     rate = float(rng.choice([5.0, 10.0, 25.0, 30.0, 100.0]))
     speed, time_constant = size * rng.uniform(0.05, 0.5), float(rng.uniform(1.0, 4.0))
     start = rng.uniform(-math.pi, math.pi)
@@ -135,8 +136,10 @@ def one_run(number: int, folder: Path) -> dict[str, Any]:
         for key in ("detector", "frame_rate_hz", "phase_s"):
             camera.pop(key, None)
     (folder / "cameras.yaml").write_text(yaml.safe_dump(described))
+    since = time.process_time()
     report = init(folder / "init", folder / "scene" / "detections.parquet", folder / "cameras.yaml", force=True)
     (folder / "chosen.yaml").write_text((folder / "init" / "config.yaml").read_text())
+    row["init_s"] = round(time.process_time() - since, 1)
     chosen = load_config(folder / "chosen.yaml")
     ratios = [
         math.sqrt(math.prod(camera.detector.sigma_px)) / tree["cameras"][name]["detector"]["sigma_px"][0]

@@ -159,15 +159,15 @@ def killed_and_resumed(
 
 def cases(folder: Path) -> dict[str, Case]:
     """Return the runs, on small scenes."""
+    from stereophd.commands.batches import track_logs
     from stereophd.commands.calibrate import calibrate
     from stereophd.commands.experiment import experiment
     from stereophd.commands.simulate import simulate
     from stereophd.commands.track import track
-    from stereophd.commands.track_logs import track_logs
     from stereophd.config.loading import load_config
     from stereophd.io.tables import writing as table_writing
     from stereophd.pipeline.runs import unfinished
-    from stereophd.pipeline.tracking import checkpoint
+    from stereophd.pipeline.tracking import unfinished as checkpoint
 
     table_writing.ROW_GROUP_ROWS = ROW_GROUP_ROWS
     unfinished.KEEP_EVERY_S, unfinished.MOST_SHARE = OFTEN_S, 1e9

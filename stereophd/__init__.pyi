@@ -1,16 +1,17 @@
 """The public names of stereophd, listed once: type checkers read this file, and so does ``__init__.py``."""
 
+from stereophd.commands.align import align as align
+from stereophd.commands.batches import calibrate_logs as calibrate_logs
+from stereophd.commands.batches import evaluate_runs as evaluate_runs
+from stereophd.commands.batches import track_logs as track_logs
 from stereophd.commands.calibrate import calibrate as calibrate
-from stereophd.commands.calibrate_logs import calibrate_logs as calibrate_logs
 from stereophd.commands.check import check as check
 from stereophd.commands.evaluate import evaluate as evaluate
 from stereophd.commands.evaluate_cameras import evaluate_calibration as evaluate_calibration
-from stereophd.commands.evaluate_runs import evaluate_runs as evaluate_runs
 from stereophd.commands.experiment import experiment as experiment
 from stereophd.commands.init import init as init
 from stereophd.commands.simulate import simulate as simulate
 from stereophd.commands.track import track as track
-from stereophd.commands.track_logs import track_logs as track_logs
 from stereophd.config.loading import LoadedConfig as LoadedConfig
 from stereophd.config.loading import load_config as load_config
 from stereophd.config.loading import make_config as make_config

@@ -18,6 +18,7 @@ import typer
 
 import stereophd
 from stereophd.cli import (
+    align,
     calibrate,
     check,
     compile,
@@ -65,6 +66,7 @@ for _name, _command, _purpose in (
     ("simulate", simulate.simulate_command, "Simulate scenes and their detection logs."),
     ("track", track.track_command, "Estimate 3-D tracks from detection logs."),
     ("calibrate", calibrate.calibrate_command, "Estimate cameras from the log of moving objects."),
+    ("align", align.align_command, "Bring cameras and tracks into a world frame."),
     ("evaluate", evaluate.evaluate_command, "Score tracks against the truth."),
     ("evaluate-cameras", evaluate.evaluate_cameras_command, "Score calibrated cameras against true ones."),
     ("report", report.report_command, "Write one page (HTML) about runs and their scores."),
@@ -97,12 +99,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     words = sys.argv[1:] if arguments is None else list(arguments)
     try:
         _check_environment()
-        result = app(
-            args=words,
-            prog_name="stereophd",
-            standalone_mode=False,
-            obj=session,
-        )
+        result = app(args=words, prog_name="stereophd", standalone_mode=False, obj=session)
         code = result if isinstance(result, int) else 0
         if code == EXIT_INTERRUPTED:
             return _interrupted(session)

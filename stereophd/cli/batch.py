@@ -11,7 +11,7 @@ import typer
 
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
-from stereophd.cli.terminal import print_data, to_json
+from stereophd.cli.terminal import print_report
 from stereophd.report.tables import SummaryTable, table_text
 
 # Not in the table: the folder identifies the log, and messages are printed below the table.
@@ -28,10 +28,7 @@ def are_many(paths: Sequence[Path]) -> bool:
 def finish_batch(session: Session, found: Mapping[str, Any], strict: bool = False) -> None:
     """Print the summary that `run_batch` returns, and exit: 2 if an input failed; if `strict`, 1 if a check warns."""
     rows = found["logs"]
-    if session.json:
-        print_data(to_json(found))
-    elif not session.quiet:
-        print_data(table_text(_table(rows, found)))
+    print_report(session, found, lambda: table_text(_table(rows, found)))
     code = found["exit_code"]
     if code == 0 and strict and any(row.get("warnings") for row in rows):
         code = 1

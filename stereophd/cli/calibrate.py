@@ -21,7 +21,7 @@ def calibrate_command(
     """
     loaded = load(words)
     if are_many(log):
-        from stereophd.commands.calibrate_logs import calibrate_logs
+        from stereophd.commands.batches import calibrate_logs
 
         report_jobs_beside_dask(session, options.dask)
         with progress_bar(session, "calibrate") as progress:

@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from stereophd.cli import options
-from stereophd.cli.terminal import exit_if_strict, load, print_data, print_report
+from stereophd.cli.terminal import exit_if_strict, load, print_report
 from stereophd.wording import counted
 
 MARKS = {"ok": "ok", "warning": "WARNING", "not checked": "not checked"}
@@ -17,7 +15,7 @@ MARKS = {"ok": "ok", "warning": "WARNING", "not checked": "not checked"}
 def check_command(
     session: options.Session,
     words: options.ConfigWords,
-    log: Annotated[Path, typer.Argument(metavar="LOG", help="Detection log (Parquet).", show_default=False)],
+    log: Annotated[Path, options.argument("LOG", "Detection log (Parquet).")],
     strict: options.Strict = False,
 ) -> None:
     """Check whether a log fits the cameras and the settings; name likely causes and remedies."""
@@ -25,10 +23,7 @@ def check_command(
     from stereophd.commands.check import check
 
     report = check(loaded, log)
-    if session.json:
-        print_report(session, report)
-    elif not session.quiet:
-        print_data("\n".join(_lines(report["checks"])))
+    print_report(session, report, lambda: _lines(report["checks"]))
     exit_if_strict(strict, report)
 
 

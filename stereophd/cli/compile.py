@@ -7,20 +7,14 @@ from typing import Annotated
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import print_data, print_report
+from stereophd.cli.terminal import print_report
 
 Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it.")]
 
 
-def compile_command(
-    session: options.Session,
-    jobs: Jobs = 1,
-) -> None:
+def compile_command(session: options.Session, jobs: Jobs = 1) -> None:
     """Compile the kernels of `track` and keep them: for images of containers and the cache of a CI job."""
     from stereophd.commands.compile import compile_kernels
 
     report = compile_kernels(jobs)
-    if session.json:
-        print_report(session, report)
-    elif not session.quiet:
-        print_data(f"kernels of {', '.join(report['filters'])}: kept in {report['folder']}")
+    print_report(session, report, lambda: f"kernels of {', '.join(report['filters'])}: kept in {report['folder']}")

@@ -9,7 +9,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.parameters import command
-from stereophd.cli.terminal import load, print_data, to_json
+from stereophd.cli.terminal import load, print_data, print_report, to_json
 
 app = typer.Typer(help="Show or check a configuration, or print its JSON schema.", no_args_is_help=True)
 
@@ -25,10 +25,7 @@ class Command(StrEnum):
 
 @app.command("show", cls=options.PlainCommand)
 @command
-def show_command(
-    session: options.Session,
-    words: options.ConfigWords,
-) -> None:
+def show_command(session: options.Session, words: options.ConfigWords) -> None:
     """Print the complete configuration.
 
     Defaults, overrides and cameras are filled in.
@@ -60,11 +57,9 @@ def check_command(
     from stereophd.commands.check_config import check_config
 
     check_config(loaded, None if for_command is None else for_command.value)
-    if session.json:
-        print_data(to_json({"ok": True, "cameras": list(loaded.cameras), "config_sha256": loaded.sha256}))
-    elif not session.quiet:
-        cameras_text = ", ".join(loaded.cameras) or "none"
-        print_data(f"{words.config}: ok (cameras: {cameras_text}; length in {loaded.config.units.length})")
+    valid = {"ok": True, "cameras": list(loaded.cameras), "config_sha256": loaded.sha256}
+    cameras_text, unit = ", ".join(loaded.cameras) or "none", loaded.config.units.length
+    print_report(session, valid, lambda: f"{words.config}: ok (cameras: {cameras_text}; length in {unit})")
 
 
 @app.command("schema", cls=options.PlainCommand)

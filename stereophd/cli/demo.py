@@ -6,18 +6,14 @@ import shlex
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
 from stereophd.cli import options
-from stereophd.cli.terminal import print_data, print_report, progress_bar
+from stereophd.cli.terminal import print_report, progress_bar
 from stereophd.site import page
 
 
 def demo_command(
     session: options.Session,
-    folder: Annotated[
-        Path, typer.Argument(metavar="DIR", help="Folder of the demonstration; created if missing.", show_default=False)
-    ],
+    folder: Annotated[Path, options.argument("DIR", "Folder of the demonstration; created if missing.")],
     force: options.Force = False,
 ) -> None:
     """Simulate, track and score a small scene, and write a page to open in a browser.
@@ -29,10 +25,7 @@ def demo_command(
 
     with progress_bar(session, "demo") as progress:
         result = demo(folder, force, progress)
-    if session.json:
-        print_report(session, result)
-    elif not session.quiet:
-        print_data("\n".join(_lines(folder, result)))
+    print_report(session, result, lambda: _lines(folder, result))
 
 
 def _lines(folder: Path, result: dict[str, Any]) -> list[str]:

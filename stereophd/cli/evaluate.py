@@ -10,7 +10,7 @@ import typer
 
 from stereophd.cli.batch import finish_batch
 from stereophd.cli.options import ConfigWords, Seed, Session, option
-from stereophd.cli.terminal import load, print_data, print_report, progress_bar
+from stereophd.cli.terminal import load, print_report, progress_bar
 from stereophd.cli.unused_options import refuse, report, report_jobs_beside_dask
 from stereophd.commands.options import FOLDERS, EvaluateCamerasOptions, EvaluateOptions
 from stereophd.errors import GateError, InputError
@@ -25,8 +25,7 @@ Estimated = Annotated[Path, typer.Argument(metavar="EST", help="Estimated camera
 TrueCameras = Annotated[Path, typer.Argument(metavar="TRUE", help="True cameras (YAML).")]
 ErrorsOut = Annotated[Path | None, option("--out", "DIR", "Folder of report.json.")]
 Scenario = Annotated[
-    Path | None,
-    option("--config", "CONFIG", "Simulated scenario and priors whose Cramer-Rao bound is reported."),
+    Path | None, option("--config", "CONFIG", "Simulated scenario and priors whose Cramer-Rao bound is reported.")
 ]
 
 
@@ -81,7 +80,7 @@ def _score_runs(session: Session, tracks: Path, truth: Path, out: Path | None, o
     """Score a folder of runs."""
     if out is None:
         raise InputError("expected --out DIR for the scores of a folder of runs, found none")
-    from stereophd.commands.evaluate_runs import evaluate_runs
+    from stereophd.commands.batches import evaluate_runs
 
     with progress_bar(session, "evaluate") as progress:
         summary = evaluate_runs(tracks, truth, out, options=options, progress=progress)
@@ -97,15 +96,11 @@ def _report_without_out(session: Session, out: Path | None) -> None:
 def _run(session: Session, score: Callable[[], Report], text: Callable[[Report], str]) -> None:
     """Score and show the report; where a gate fails the run is done, and its report is shown before the failure."""
 
-    def show(scores: Report) -> None:
-        if session.json or session.quiet:
-            print_report(session, scores)
-        else:
-            print_data(text(scores))
-
     try:
-        show(score())
+        scores = score()
     except GateError as error:
         if error.report is not None:
-            show(error.report)
+            failed = error.report
+            print_report(session, failed, lambda: text(failed))
         raise
+    print_report(session, scores, lambda: text(scores))

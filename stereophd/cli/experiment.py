@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 
 from stereophd.cli.options import Out, SceneWords, Session
-from stereophd.cli.terminal import load, print_data, progress_bar, to_json
+from stereophd.cli.terminal import load, print_report, progress_bar
 from stereophd.cli.unused_options import report_jobs_beside_dask
 from stereophd.commands.options import ExperimentOptions
 
@@ -27,7 +27,4 @@ def experiment_command(session: Session, words: SceneWords, out: Out, options: E
     from stereophd.experiments.engine.results import report_of
     from stereophd.report.experiment_table import results_text
 
-    if session.json:
-        print_data(to_json(report_of(results)))
-    elif not session.quiet:
-        print_data(results_text(results))
+    print_report(session, report_of(results), lambda: results_text(results))

@@ -9,20 +9,14 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.flags import with_flags
-from stereophd.cli.import_options import FORMAT_HELP
-from stereophd.cli.terminal import print_data, print_report
+from stereophd.cli.import_options import Form
+from stereophd.cli.terminal import print_report
 
 
 def export_command(
     session: options.Session,
-    form: Annotated[
-        str,
-        typer.Argument(metavar="FORMAT", help=FORMAT_HELP, show_default=False),
-    ],
-    source: Annotated[
-        Path,
-        typer.Argument(metavar="SOURCE", help="Tracks (Parquet), cameras, or a folder of them.", show_default=False),
-    ],
+    form: Form,
+    source: Annotated[Path, options.argument("SOURCE", "Tracks (Parquet), cameras, or a folder of them.")],
     out: Annotated[Path, options.option("--out", "FILE", "File to write.")],
     track: Annotated[list[int] | None, options.option("--track", "ID", "Write this track only (repeatable).")] = None,
     rate: Annotated[float | None, options.option("--rate", "HZ", "Resample the tracks to this rate.", min=1e-9)] = None,
@@ -36,8 +30,5 @@ def export_command(
     from stereophd.io.interchange.base import ExportOptions
 
     report = export(form, source, out, ExportOptions(track, rate, tentative), force)
-    if session.json:
-        print_report(session, report)
-    elif not session.quiet:
-        notes = [with_flags(f"{note[:1].upper()}{note[1:]}.") for note in report["notes"]]
-        print_data("\n".join([*notes, f"Written: {out} ({report['what']})"]))
+    notes = [with_flags(f"{note[:1].upper()}{note[1:]}.") for note in report["notes"]]
+    print_report(session, report, lambda: [*notes, f"Written: {out} ({report['what']})"])

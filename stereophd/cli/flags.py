@@ -33,6 +33,7 @@ _SHELL = {
     "seed": "--seed",
     "time_unit": "--time-unit",
     "tracks": "--track",
+    "truth": "--truth",
     "undistorted": "--undistorted",
 }
 _DECLARED = [item for kind in OPTIONS.values() for item in declarations(kind).items()]

@@ -7,18 +7,15 @@ from typing import Annotated
 
 import typer
 
-from stereophd.cli.options import option
+from stereophd.cli.options import argument, option
 from stereophd.site import page
 
-FORMAT_HELP = f"Format, such as csv; all: {page('reference/interchange')}"
-Form = Annotated[
-    str,
-    typer.Argument(metavar="FORMAT", help=FORMAT_HELP, show_default=False),
-]
-Sources = Annotated[
-    list[Path], typer.Argument(metavar="SOURCE", help="Files or folders of that format.", show_default=False)
-]
+Form = Annotated[str, argument("FORMAT", f"Format, such as csv; all: {page('reference/interchange')}")]
+Sources = Annotated[list[Path], argument("SOURCE", "Files or folders of that format.")]
 Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras, native or foreign, if the source has none.")]
+Truth = Annotated[
+    Path | None, option("--truth", "FILE", "The program's points in space, of the same format: truth.parquet.")
+]
 Columns = Annotated[
     list[str] | None,
     option("--column", "NAME=COLUMN", "Read a native column from a column of the table: u_px=x (repeatable)."),
@@ -26,8 +23,7 @@ Columns = Annotated[
 Fps = Annotated[list[str] | None, option("--fps", "[CAM=]HZ", "Frame rate: times are frame / rate.")]
 Offset = Annotated[list[str] | None, option("--offset", "[CAM=]S", "Seconds to add to the times of a camera.")]
 Frames = Annotated[
-    list[str] | None,
-    option("--frames", "[CAM=]FIRST:LAST", "Frames recorded; those without rows are empty."),
+    list[str] | None, option("--frames", "[CAM=]FIRST:LAST", "Frames recorded; those without rows are empty.")
 ]
 ImageSize = Annotated[list[str] | None, option("--image-size", "[CAM=]WxH", "Width and height of the images.")]
 Rename = Annotated[list[str] | None, option("--rename", "OLD=NEW", "Another name for a camera.")]
@@ -49,6 +45,5 @@ Undistorted = Annotated[bool, typer.Option("--undistorted", help="The pixels are
 SigmaPx = Annotated[float | None, option("--sigma-px", "PX", "Noise of the detections; default: estimated.")]
 PDetect = Annotated[float, typer.Option("--p-detect", metavar="P", help="With --sigma-px: detection probability.")]
 Clutter = Annotated[
-    float,
-    typer.Option("--clutter", metavar="N", help="With --sigma-px: mean number of false detections per frame."),
+    float, typer.Option("--clutter", metavar="N", help="With --sigma-px: mean number of false detections per frame.")
 ]

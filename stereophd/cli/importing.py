@@ -11,7 +11,7 @@ import typer
 from stereophd.cli import import_options as of
 from stereophd.cli import options
 from stereophd.cli.flags import with_flags
-from stereophd.cli.terminal import print_data, print_report
+from stereophd.cli.terminal import print_report
 from stereophd.cli.unused_options import refuse
 
 Value = TypeVar("Value")
@@ -23,6 +23,7 @@ def import_command(
     sources: of.Sources,
     out: options.Out,
     cameras: of.Cameras = None,
+    truth: of.Truth = None,
     columns: of.Columns = None,
     fps: of.Fps = None,
     offset: of.Offset = None,
@@ -66,13 +67,11 @@ def import_command(
         box_point=_choice("--box-point", box_point, ("center", "bottom")) or "center",
         least_score=least_score,
         undistorted=undistorted,
+        truth=truth,
         detector=detector,
     )
     report = import_recording(form, sources, out, stated, cameras, force)
-    if session.json:
-        print_report(session, report)
-    elif not session.quiet:
-        print_data("\n".join(_lines(report, out)))
+    print_report(session, report, lambda: _lines(report, out))
 
 
 def _lines(report: dict[str, Any], out: Path) -> list[str]:
@@ -88,7 +87,7 @@ def _lines(report: dict[str, Any], out: Path) -> list[str]:
             f"{name}: {row['detections']} detections in {row['frames']} frames ({row['empty_frames']} empty, "
             f"{row['filled_frames']} of them filled in), {row['first_s']:.6g} to {row['last_s']:.6g} s, {rate}, {size}"
         )
-    files = [name for name in ("detections.parquet", "cameras.yaml") if (out / name).exists()]
+    files = [name for name in ("detections.parquet", "cameras.yaml", "truth.parquet") if (out / name).exists()]
     return [*lines, f"Written to {out}: {', '.join(files)}, report.json"]
 
 

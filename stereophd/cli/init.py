@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import exit_if_strict, print_data, print_report
+from stereophd.cli.terminal import exit_if_strict, print_report
 from stereophd.cli.unused_options import refuse
 
 
@@ -33,18 +33,11 @@ class LengthUnit(StrEnum):
 
 def init_command(
     session: options.Session,
-    folder: Annotated[
-        Path,
-        typer.Argument(metavar="DIR", help="Folder of the new config.yaml; created if missing.", show_default=False),
-    ],
+    folder: Annotated[Path, options.argument("DIR", "Folder of the new config.yaml; created if missing.")],
     log: Annotated[Path | None, options.option("--log", "FILE", "Detection log to estimate values from.")] = None,
     cameras: Annotated[
         Path | None,
-        options.option(
-            "--cameras",
-            "FILE",
-            "Cameras, native or of another program; default: cameras.yaml in the log's folder.",
-        ),
+        options.option("--cameras", "FILE", "Cameras, of any program; default: cameras.yaml in the log's folder."),
     ] = None,
     length_unit: Annotated[
         LengthUnit | None,
@@ -71,10 +64,7 @@ def init_command(
         folder, log, cameras, None if length_unit is None else length_unit.value, None if kind is None else kind.value,
         force, tuple(overrides or ()),
     )  # fmt: skip
-    if session.json:
-        print_report(session, report)
-    elif not session.quiet:
-        print_data("\n".join(_lines(report, log)))
+    print_report(session, report, lambda: _lines(report, log))
     exit_if_strict(strict, report)
 
 

@@ -35,6 +35,11 @@ class PlainCommand(typer.core.TyperCommand):
         return parameters
 
 
+def argument(metavar: str, text: str) -> Any:
+    """Return an argument, whose help does not show the default."""
+    return typer.Argument(metavar=metavar, help=text, show_default=False)
+
+
 def option(name: str, metavar: str, text: str, **more: Any) -> Any:
     """Return an option with a value, whose help does not show the default."""
     return typer.Option(name, metavar=metavar, help=text, show_default=False, **more)
@@ -50,14 +55,9 @@ def _to_session(name: str) -> Callable[[typer.Context, Any], Any]:
     return keep
 
 
-Config = Annotated[Path, typer.Argument(metavar="CONFIG", help="Configuration (YAML).", show_default=False)]
+Config = Annotated[Path, argument("CONFIG", "Configuration (YAML).")]
 Out = Annotated[Path, option("--out", "DIR", "Output folder; created if missing.")]
-Logs = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="LOG", help="Detection logs (Parquet), or patterns such as 'day1/*.parquet'.", show_default=False
-    ),
-]
+Logs = Annotated[list[Path], argument("LOG", "Detection logs (Parquet), or patterns such as 'day1/*.parquet'.")]
 Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras (YAML) in place of the configuration's.")]
 
 
@@ -79,42 +79,23 @@ Set = Annotated[
 Seed = Annotated[int | None, option("--seed", "N", "Seed of the run.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 1 if a check warns.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the outputs of an earlier run.")]
-# The callbacks of Json, Quiet, Verbose and Debug put their values into the session, where the commands read them.
-Json = Annotated[
-    bool, typer.Option("--json", help="Print one JSON document.", callback=_to_session("json"), is_eager=True)
-]
-Quiet = Annotated[
-    bool,
-    typer.Option(
-        "--quiet",
-        "-q",
-        help="Print errors only, and the document of --json.",
-        callback=_to_session("quiet"),
-        is_eager=True,
-    ),
-]
+
+
+def _common(name: str, *words: str, text: str, **more: Any) -> Any:
+    """Return an option of every command; its callback puts the value into the session, where the commands read it."""
+    return typer.Option(*words, help=text, callback=_to_session(name), is_eager=True, **more)
+
+
+Json = Annotated[bool, _common("json", "--json", text="Print one JSON document.")]
+Quiet = Annotated[bool, _common("quiet", "--quiet", "-q", text="Print errors only, and the document of --json.")]
 Verbose = Annotated[
     int,
-    typer.Option(
-        "--verbose",
-        "-v",
-        count=True,
-        metavar="",
-        help="More messages (-vv: still more).",
-        callback=_to_session("verbosity"),
-        is_eager=True,
+    _common(
+        "verbosity", "--verbose", "-v", text="More messages (-vv: still more).", count=True, metavar="",
         show_default=False,
     ),
-]
-Debug = Annotated[
-    bool,
-    typer.Option(
-        "--debug",
-        help="Show the traceback of an error.",
-        callback=_to_session("debug"),
-        is_eager=True,
-    ),
-]
+]  # fmt: skip
+Debug = Annotated[bool, _common("debug", "--debug", text="Show the traceback of an error.")]
 
 
 @dataclass(frozen=True)

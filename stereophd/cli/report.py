@@ -8,16 +8,13 @@ from typing import Annotated
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import print_data, print_report
+from stereophd.cli.terminal import print_report
 
 
 def report_command(
     session: options.Session,
     folders: Annotated[
-        list[Path],
-        typer.Argument(
-            metavar="DIR", help="Output folders of track, calibrate, evaluate and simulate.", show_default=False
-        ),
+        list[Path], options.argument("DIR", "Output folders of track, calibrate, evaluate and simulate.")
     ],
     out: Annotated[Path, options.option("--out", "FILE", "The page (HTML).")],
     logs: Annotated[list[Path] | None, options.option("--log", "FILE", "Detection log elsewhere (repeatable).")] = None,
@@ -28,10 +25,6 @@ def report_command(
     """Write one self-contained page (needs the extra 'report'): tracks, cameras, residuals, scores, settings."""
     from stereophd.commands.report import report
 
-    found = report(folders, out, logs=logs or (), truths=truths or (), title=title, force=force)
-    if session.json:
-        print_report(session, found)
-    elif not session.quiet:
-        for run in found["runs"]:
-            print_data(f"{run['name']}: {run['verdict']}")
-        print_data(f"{found['page']} ({found['bytes'] / 1e6:.1f} MB)")
+    made = report(folders, out, logs=logs or (), truths=truths or (), title=title, force=force)
+    verdicts = [f"{run['name']}: {run['verdict']}" for run in made["runs"]]
+    print_report(session, made, lambda: [*verdicts, f"{made['page']} ({made['bytes'] / 1e6:.1f} MB)"])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -76,25 +76,25 @@ def to_json(report: Mapping[str, Any]) -> str:
     return json_text(report, ascii_only=not (sys.stdout.encoding or "utf-8").lower().startswith("utf"))
 
 
-def print_report(session: Session, report: Mapping[str, Any]) -> None:
-    """Print a report: JSON, or a line for each value of the summary."""
+def print_report(
+    session: Session, report: Mapping[str, Any], text: Callable[[], str | Iterable[str]] | None = None
+) -> None:
+    """Print a report: one JSON document, or the text or lines that a function returns (a line for each value)."""
     if session.json:
         session.printed = True
         print_data(to_json(report))
     elif not session.quiet:
         from stereophd.io.outputs.json_text import plain
 
-        print_data("\n".join(_lines(plain(report))))
+        shown = _lines(plain(report)) if text is None else text()
+        print_data(shown if isinstance(shown, str) else "\n".join(shown))
 
 
 def print_run(session: Session, report: Mapping[str, Any]) -> None:
     """Print the report of a run of track or calibrate: JSON, or a verdict and tables."""
-    if session.json:
-        print_report(session, report)
-    elif not session.quiet:
-        from stereophd.report.summaries import summary_text
+    from stereophd.report.summaries import summary_text
 
-        print_data(summary_text(report))
+    print_report(session, report, lambda: summary_text(report))
 
 
 def exit_if_strict(strict: bool, report: Mapping[str, Any]) -> None:

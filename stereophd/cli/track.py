@@ -76,7 +76,7 @@ def track_command(
     try:
         with progress_bar(session, "track") as progress:
             if many:
-                from stereophd.commands.track_logs import track_logs
+                from stereophd.commands.batches import track_logs
 
                 done = track_logs(loaded, log, out, options=options, progress=progress)
             else:

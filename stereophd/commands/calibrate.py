@@ -23,23 +23,24 @@ from stereophd.io.tables.schemas import history_schema, posterior_schema
 from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
 from stereophd.pipeline.arithmetic import within_arithmetic
-from stereophd.pipeline.calibration.filters import pmb_filter
+from stereophd.pipeline.calibration.annealed import annealed_outcome
 from stereophd.pipeline.calibration.found_cameras import with_found_cameras
-from stereophd.pipeline.calibration.inputs import read_problem
-from stereophd.pipeline.calibration.methods import annealed_outcome
-from stereophd.pipeline.calibration.outcome import Outcome
+from stereophd.pipeline.calibration.problem import (
+    CalibrationRun,
+    Outcome,
+    pmb_filter,
+    read_problem,
+    size_of_calibration,
+)
 from stereophd.pipeline.calibration.report import build_report
-from stereophd.pipeline.calibration.run import CalibrationRun
-from stereophd.pipeline.calibration.samplers import sequential_outcome
+from stereophd.pipeline.calibration.sampled import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import calibration_section, with_quantities
-from stereophd.pipeline.calibration.work import size_of_calibration
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.checks.run_figures.losses import check_losses
 from stereophd.pipeline.checks.run_figures.tracking import check_tracking
-from stereophd.pipeline.runs.finished import finished_report
 from stereophd.pipeline.runs.sizes import check_size
-from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, finished_report
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,

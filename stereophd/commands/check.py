@@ -7,6 +7,7 @@ from typing import Any
 
 from stereophd.config.loading import LoadedConfig, takes_config
 from stereophd.io.outputs.provenance import provenance
+from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.finding import warnings_of
 from stereophd.pipeline.checks.run import check_log
 
@@ -22,7 +23,7 @@ def check(loaded: LoadedConfig, log_path: Path | str) -> dict[str, Any]:
     loaded : LoadedConfig
         With cameras.
     log_path : path
-        Detection log.
+        Detection log, or a folder that holds one.
 
     Returns
     -------
@@ -35,6 +36,7 @@ def check(loaded: LoadedConfig, log_path: Path | str) -> dict[str, Any]:
     InputError
         The configuration has no cameras; the log is not usable.
     """
+    [log_path] = expand([log_path])
     findings = check_log(loaded, log_path)
     return {
         "report_version": REPORT_VERSION,

@@ -33,8 +33,7 @@ def _check_track(loaded: LoadedConfig) -> None:
 
 
 def _check_calibrate(loaded: LoadedConfig) -> None:
-    from stereophd.pipeline.calibration.filters import pmb_filter
-    from stereophd.pipeline.calibration.inputs import build_scale
+    from stereophd.pipeline.calibration.problem import build_scale, pmb_filter
     from stereophd.pipeline.calibration.unknowns import build_parameters
 
     parameters, _ = build_parameters(loaded)

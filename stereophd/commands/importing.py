@@ -9,13 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from stereophd.config.loading import read_camera_file
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.interchange.assembly import CameraSummary, write_native_log
-from stereophd.io.interchange.base import ForeignRecording, ImportOptions
+from stereophd.io.interchange.base import ForeignRecording, ImportOptions, TruePoints
 from stereophd.io.interchange.consulted import consulted, refuse_other_cameras, refuse_unread, with_source_names
 from stereophd.io.interchange.reading import read_foreign
 from stereophd.io.interchange.registry import find
@@ -23,13 +24,16 @@ from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, to_metadata
+from stereophd.io.tables.schemas import TRUTH
+from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.run import QUICK_FRAMES, report_findings
 
 DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
-FILES = (DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE)
+TRUTH_FILE = "truth.parquet"
+FILES = (DETECTIONS_FILE, CAMERAS_FILE, TRUTH_FILE, REPORT_FILE)
 REPORT_VERSION = 1
 # A camera's pixels may reach this far outside its image before the size of the image is doubted.
 IMAGE_MARGIN_PX = 10.0
@@ -49,10 +53,11 @@ def import_recording(
 
     The form is the name of a module of `stereophd.io.formats`; sources are files or folders, as the format has them,
     and the options are what the user states about them. The output folder gets ``detections.parquet`` and
-    ``cameras.yaml`` (what the sources hold) and ``report.json``; outputs of an earlier run are replaced with `force`
-    only. `cameras_path` is a native or foreign camera file, for sources that hold detections only. Returns the report,
-    as in ``report.json``: counts by camera; ``assumed`` and ``warnings``: sentences about what the sources do not
-    state; ``checks``: the findings of `stereophd.pipeline.checks.log.findings`.
+    ``cameras.yaml`` (what the sources hold), ``truth.parquet`` (of `options.truth`) and ``report.json``; outputs of an
+    earlier run are replaced with `force` only. `cameras_path` is a native or foreign camera file, for sources that hold
+    detections only. Returns the report, as in ``report.json``: counts by camera; ``assumed`` and ``warnings``:
+    sentences about what the sources do not state; ``checks``: the findings of
+    `stereophd.pipeline.checks.log.findings`.
 
     Raises InputError for an unknown format, a source that is not of it, a statement that is missing or of no use for
     it, and an unusable output folder.
@@ -60,20 +65,23 @@ def import_recording(
     options = options or ImportOptions()
     find(form, readable=True)  # an unknown format is named before a missing source
     paths = [Path(source) for source in sources]
-    for path in paths:
+    for path in filter(None, (*paths, options.truth)):
         if not path.exists():
             raise InputError(f"{path}: there is no such file or folder")
     with OutputFolder(out_dir, FILES, force) as out:
         naming, in_source = with_source_names(options)
         noted, read = consulted(naming)
         recording = _read(read_foreign(form, paths, noted), noted, cameras_path)
-        inputs = {f"source.{index}": path for index, path in enumerate(recording.files)}
+        files = [*recording.files, *([options.truth] if options.truth is not None else ())]
+        inputs = {f"source.{index}": path for index, path in enumerate(files) if path.is_file()}
         config = {"format": form, **options.plain()}
         record = provenance("import", config, inputs=inputs, length_unit=recording.length_unit)
         summaries: dict[str, CameraSummary] = {}
         if recording.pieces is not None:
             log = out.path(DETECTIONS_FILE)
             summaries = write_native_log(recording, noted, log, log.parent, to_metadata(record))
+        if recording.truth is not None:
+            _write_truth(recording.truth, out.path(TRUTH_FILE), recording, noted, to_metadata(record))
         refuse_unread(options, read, f"a source of format {form}")
         stated = paths if cameras_path is None else [*paths, Path(cameras_path)]
         refuse_other_cameras(options, [*recording.cameras, *summaries], in_source, stated)
@@ -93,6 +101,8 @@ def import_recording(
             "checks": report_findings(tuple(findings)),
             "detections": sum(summary.detections for summary in summaries.values()) if summaries else None,
             "cameras": _camera_rows(cameras, summaries),
+            "models": recording.models,
+            "truth": None if recording.truth is None else {"rows": len(recording.truth.object_id)},
             "labels": {str(number): label for number, label in recording.labels.items()},
             "provenance": record,
         }
@@ -113,6 +123,30 @@ def _read(recording: ForeignRecording, options: ImportOptions, cameras_path: Pat
         recording.assumed += assumed
         recording.files.append(Path(cameras_path))
     return recording
+
+
+def _write_truth(
+    truth: TruePoints, path: Path, recording: ForeignRecording, options: ImportOptions, metadata: Mapping[Any, Any]
+) -> None:
+    """Write the points in space as a truth, in order of time; frames are timed by the rate of all cameras."""
+    time = truth.time_s
+    if time is None:
+        assert truth.frame is not None
+        names = list(recording.cameras) or [""]
+        rates = {options.rates.get(name) or recording.rates.get(name) for name in names} - {None}
+        if len(rates) != 1:
+            raise InputError(
+                f"{options.truth}: expected one frame rate of all cameras, by `rates`, for the frames of these points; "
+                f"found {', '.join(f'{rate:g}' for rate in sorted(filter(None, rates))) or 'none'}"
+            )
+        time = (truth.frame - recording.first_frame) / float(rates.pop() or 1.0)
+        # the clock of the frames is that of the first camera
+        time = time + (options.offsets.get(names[0]) or 0.0)
+    order = np.lexsort((truth.object_id, time))
+    columns = {"time_s": time[order], "object_id": truth.object_id[order]}
+    columns |= dict(zip("xyz", truth.position[order].T, strict=True))
+    with TableWriter(path, pa.schema([TRUTH.field(name) for name in columns]), metadata) as table:
+        table.append(columns)
 
 
 def _with_rates(cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary]) -> dict[str, CameraConfig]:

@@ -15,6 +15,7 @@ from stereophd.config.yaml import Tree
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.io.outputs.disk import write_error
+from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.initial.draft import draft_from_log
 from stereophd.pipeline.initial.template import METRES, SCALES, Draft, Kind, template
@@ -66,6 +67,8 @@ def init(
     InputError
         The log or the cameras are not usable, or the folder holds another ``config.yaml``.
     """
+    if log_path is not None:
+        [log_path] = expand([log_path])
     target = Path(out_dir) / CONFIG_FILE
     _check_target(target, force)
     if kind is not None and kind not in SCALES:

@@ -7,13 +7,28 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from stereophd.options import numbers_by_key, option, options
 from stereophd.pipeline.evaluation.options import ScoreOptions
 
 # The use of `evaluate` with many runs.
 FOLDERS = "folders of runs"
+# That of `track` with several processes.
+MANY = "several logs, or pieces of one"
+
+
+def _jobs(meaning: str, use: str) -> Any:
+    return option(meaning, default=1, metavar="N", least=1, use=use)
+
+
+def _dask(meaning: str, use: str = "") -> Any:
+    return option(meaning, default=None, metavar="ADDRESS", use=use)
+
+
+def _limits(what: str, such_as: str) -> Any:
+    meaning = f"Exit with 1 if a figure is {what} a limit, such as {such_as} (repeatable)."
+    return option(meaning, default=None, metavar="KEY=VALUE", parse=numbers_by_key)
 
 
 @options
@@ -27,26 +42,9 @@ class Replacing:
 class TrackOptions(Replacing):
     """Options of `track`, for one log and for several."""
 
-    jobs: int = option(
-        "Processes for several logs, or for the pieces of one; the results do not depend on it.",
-        default=1,
-        metavar="N",
-        least=1,
-        use="several logs, or pieces of one",
-    )
-    dask: str | None = option(
-        "Track the logs or pieces on a Dask cluster, such as tcp://host:8786.",
-        default=None,
-        metavar="ADDRESS",
-        use="several logs, or pieces of one",
-    )
-    threads: int = option(
-        "Threads; the outputs do not depend on it.",
-        default=1,
-        metavar="N",
-        least=1,
-        use="filters of several objects",
-    )
+    jobs: int = _jobs("Processes for several logs, or for the pieces of one; the results do not depend on it.", MANY)
+    dask: str | None = _dask("Track the logs or pieces on a Dask cluster, such as tcp://host:8786.", MANY)
+    threads: int = _jobs("Threads; the outputs do not depend on it.", "filters of several objects")
     pieces_s: float | None = option(
         "Cut the log into pieces of S seconds, track them independently, and join their tracks. The last piece is "
         "shorter, or longer by up to the overlap.",
@@ -90,9 +88,7 @@ class LiveOptions:
     )
     arrow: bool = option("Write an Arrow IPC stream in place of lines of JSON.", default=False)
     record: Path | None = option(
-        "Keep the frames of a running recording as JSON lines while they arrive.",
-        default=None,
-        metavar="FILE",
+        "Keep the frames of a running recording as JSON lines while they arrive.", default=None, metavar="FILE"
     )
 
 
@@ -108,9 +104,7 @@ class CalibrateOptions(Replacing):
         metavar="N",
         use="without a cluster",
     )
-    dask: str | None = option(
-        "Calibrate several logs on a Dask cluster.", default=None, metavar="ADDRESS", use="several logs"
-    )
+    dask: str | None = _dask("Calibrate several logs on a Dask cluster.", "several logs")
     resume: bool = option("Continue an interrupted run from what it has kept (DIR/partial-HASH).", default=False)
     plots: bool | None = option("Make plots (needs the extra 'plot'); default: if it is installed.", default=None)
     require: Literal["determined", "partly"] | None = option(
@@ -122,18 +116,8 @@ class CalibrateOptions(Replacing):
 class Gated(Replacing):
     """What commands take whose figures may have limits."""
 
-    fail_above: Mapping[str, float] | None = option(
-        "Exit with 1 if a figure is above a limit, such as ospa.mean=0.8 (repeatable).",
-        default=None,
-        metavar="KEY=VALUE",
-        parse=numbers_by_key,
-    )
-    fail_below: Mapping[str, float] | None = option(
-        "Exit with 1 if a figure is below a limit, such as completeness.mean=0.9 (repeatable).",
-        default=None,
-        metavar="KEY=VALUE",
-        parse=numbers_by_key,
-    )
+    fail_above: Mapping[str, float] | None = _limits("above", "ospa.mean=0.8")
+    fail_below: Mapping[str, float] | None = _limits("below", "completeness.mean=0.9")
 
 
 @options
@@ -157,13 +141,8 @@ class EvaluateOptions(Gated, ScoreOptions):
     plots: bool | None = option(
         "Make plots (needs the extra 'plot'); default: if it is installed.", default=None, use="an output folder"
     )
-    jobs: int = option("Processes; the results do not depend on it.", default=1, metavar="N", least=1, use=FOLDERS)
-    dask: str | None = option(
-        "Score the runs on a Dask cluster, such as tcp://host:8786.",
-        default=None,
-        metavar="ADDRESS",
-        use=FOLDERS,
-    )
+    jobs: int = _jobs("Processes; the results do not depend on it.", FOLDERS)
+    dask: str | None = _dask("Score the runs on a Dask cluster, such as tcp://host:8786.", FOLDERS)
 
 
 @options
@@ -178,29 +157,43 @@ class EvaluateCamerasOptions(Gated):
 
 
 @options
+class AlignOptions(Replacing):
+    """Options of `align`."""
+
+    tracks_path: Path | str | None = option(
+        "Tracks of these cameras; default: tracks.parquet beside them.", default=None, metavar="FILE", flag="tracks"
+    )
+    forward: str | None = option(
+        "Camera whose foot or centre is the origin, and whose view is forward, of a floor or gravity; default: the "
+        "first.",
+        default=None,
+        metavar="NAME",
+    )
+    same_scale: bool = option("The control track has the scale of the cameras.", default=False)
+    same_clock: bool = option("The control track has the clock of the cameras.", default=False)
+
+
+@options
 class SimulateOptions(Replacing):
     """Options of `simulate`."""
 
     force_size: bool = option("Run even if that fills much of the disk.", default=False)
     runs: int | None = option("Make N runs, in folders run-0000, ...", default=None, metavar="N", least=1)
-    jobs: int = option("Processes for several runs.", default=1, metavar="N", least=1, use="several runs")
+    jobs: int = _jobs("Processes for several runs.", "several runs")
 
 
 @options
 class ExperimentOptions(Replacing):
     """Options of `experiment`."""
 
-    jobs: int = option(
-        "Processes; the results do not depend on it.", default=1, metavar="N", least=1, use="without a cluster"
-    )
-    dask: str | None = option(
-        "Do the runs on a Dask cluster, such as tcp://host:8786.", default=None, metavar="ADDRESS"
-    )
+    jobs: int = _jobs("Processes; the results do not depend on it.", "without a cluster")
+    dask: str | None = _dask("Do the runs on a Dask cluster, such as tcp://host:8786.")
     resume: bool = option("Continue an interrupted experiment.", default=False)
 
 
 #: Command -> the class of its options.
 OPTIONS: Mapping[str, type] = {
+    "align": AlignOptions,
     "calibrate": CalibrateOptions,
     "evaluate": EvaluateOptions,
     "evaluate-cameras": EvaluateCamerasOptions,

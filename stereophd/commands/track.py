@@ -29,11 +29,9 @@ from stereophd.pipeline.checks.run_figures.estimated_detectors import check_esti
 from stereophd.pipeline.checks.run_figures.losses import check_losses
 from stereophd.pipeline.checks.run_figures.tracking import check_detections, check_knocks, check_noise, check_tracking
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
-from stereophd.pipeline.runs.finished import finished_report
 from stereophd.pipeline.runs.progress import Progress
-from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, finished_report
 from stereophd.pipeline.stream import EventStream, open_stream
-from stereophd.pipeline.tracking.checkpoint import Journal
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces
 from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, track_pieces
@@ -48,6 +46,7 @@ from stereophd.pipeline.tracking.run import (
 )
 from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
 from stereophd.pipeline.tracking.single import SingleTracker
+from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
 
@@ -123,8 +122,8 @@ def track(
             plots = options.plots and whether_to_draw(options.plots)
             run = _Outputs(tracking, stream, record, unfinished, motion, plots)
             if options.pieces_s is None:
-                journal = tracking.open_journal(unfinished)
-                report = run.write(tracking.records(stream, journal), findings, out, journal=journal)
+                kept = tracking.keep_in(unfinished)
+                report = run.write(tracking.records(stream, kept), findings, out, kept=kept)
             else:
                 joined = run.in_pieces(options, progress)
                 report = run.write(run.lasting(joined.records()), findings, out, joined)
@@ -164,7 +163,7 @@ class _Outputs:
 
     def write(
         self, records: Iterator[Record], findings: tuple[Finding, ...], out: OutputFolder,
-        joined: JoinedPieces | None = None, journal: Journal | None = None,
+        joined: JoinedPieces | None = None, kept: UnfinishedTracking | None = None,
     ) -> dict[str, Any]:  # fmt: skip
         """Write all files of the output folder; return the report."""
         tracking, loaded = self.tracking, self.tracking.loaded
@@ -172,7 +171,7 @@ class _Outputs:
             described = with_detectors(loaded.cameras, tracking.cameras)
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
         metadata = to_metadata(self.record)
-        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, journal, tracking.boxes)
+        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, kept, tracking.boxes)
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))

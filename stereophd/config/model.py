@@ -14,11 +14,9 @@ from pydantic import Field, model_validator
 
 from stereophd.config.calibration import CalibrationConfig
 from stereophd.config.experiment import ExperimentConfig
-from stereophd.config.live import LiveConfig
-from stereophd.config.motion import Motion
 from stereophd.config.report import EvaluationConfig, InputConfig, ReportConfig
-from stereophd.config.simulate import SimulateConfig
-from stereophd.config.tracking import DisparityConfig, Filter, RegionConfig, Shape
+from stereophd.config.simulate import Motion, SimulateConfig
+from stereophd.config.tracking import DisparityConfig, Filter, LiveConfig, RegionConfig, Shape
 from stereophd.core.bodies.shapes.point import PointSettings
 from stereophd.core.motion.constant_velocity import ConstantVelocitySettings
 from stereophd.core.multi.filter_settings.common import FilterSettings

@@ -8,8 +8,7 @@ import numpy as np
 from annotated_types import Interval, Len
 from pydantic import ValidationInfo, field_validator, model_validator
 
-from stereophd.config.motion import Motion
-from stereophd.core.motion.settings import ESTIMATE
+from stereophd.core.motion.settings import DEFAULT, ESTIMATE, MotionSettings, motion_models
 from stereophd.core.settings import (
     FINITE,
     LARGEST_COUNT,
@@ -23,7 +22,10 @@ from stereophd.core.settings import (
     Vector3,
     parameter,
 )
-from stereophd.validated import Model, Range3
+from stereophd.validated import Model, OneOf, Range3
+
+Motion = Annotated[MotionSettings, OneOf(motion_models, "model", DEFAULT)]
+
 
 # A float bound: typing keeps one of two annotations that are equal, and 1e9 is printed unlike 1000000000.
 BirthsPerSecond = Annotated[float, Interval(ge=0, le=float(LARGEST_COUNT)), FINITE]

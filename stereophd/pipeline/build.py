@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -28,8 +27,6 @@ from stereophd.pipeline.tracking.loop import ReportTimes
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
-
-LOGGER = logging.getLogger("stereophd")
 
 
 def build_motion(config: Config, path: Path | str) -> Motion:
@@ -73,29 +70,17 @@ def build_labelled_filter(
 
 
 def _check_birth_rate(settings: FilterSettings, cameras: tuple[Camera, ...], path: Path | str) -> None:
-    """Refuse births so rare that every newborn component would be dropped at once; warn of the old key."""
-    birth = settings.birth
-    key, rate = ("per_s", birth.per_s) if birth.per_frame is None else ("per_frame", birth.per_frame)
+    """Refuse births so rare that every newborn component would be dropped at once."""
+    rate = settings.birth.per_s
     for camera in cameras:
         born = camera.detector.p_detect * rate
         existence = born / (born + camera.detector.clutter_per_frame)
         if existence < LEAST_PRUNING * settings.prune_weight:
             raise InputError(
-                f"{path}: filter.birth.{key}: expected births that outlive prune_weight "
+                f"{path}: filter.birth.per_s: expected births that outlive prune_weight "
                 f"{settings.prune_weight:g}, found {rate:g}: with the clutter of "
                 f"{camera.name} a newborn weighs {existence:.2g}"
             )
-    if birth.per_frame is not None:
-        rates = [camera.frame_rate_hz for camera in cameras if camera.frame_rate_hz is not None]
-        value = f"{birth.per_frame:g} times the frames per second of one camera"
-        if rates:
-            value = f"{birth.per_frame * sum(rates) / len(rates):.3g} ({value})"
-        LOGGER.warning(
-            "%s: filter.birth.per_frame: births then depend on the frame rate and on the number of cameras; write "
-            "filter.birth.per_s: %s",
-            path,
-            value,
-        )
 
 
 def report_times(config: ReportConfig) -> ReportTimes:

@@ -13,7 +13,7 @@ from stereophd.config.loading import load_cameras
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
 from stereophd.io.cameras import writing as camera_files
-from stereophd.io.cameras.from_camera import camera_config
+from stereophd.io.cameras.writing import camera_config
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED
 from stereophd.io.outputs.atomic import atomic_write

@@ -24,6 +24,7 @@ ALWAYS = {"--out", "--json", "--quiet", "--verbose", "--debug", "--set", "--seed
 
 # Command -> its further options that act in every use: those that are declared so, and those of the shell alone.
 ACTING = {
+    "align": {"--to"},
     "calibrate": {"--cameras", "--strict"},
     "check": {"--cameras", "--strict"},
     "compile": {"--jobs"},
@@ -73,7 +74,7 @@ REFUSED = [
         (["import", "opencv", "CAMERAS", "--out", "OUT"], words, f"{words[0]}: expected an option that a source of")
         for words in (
             ["--column", "u_px=x"], ["--fps", "9"], ["--offset", "1"], ["--frames", "0:9"],
-            ["--pixel-origin", "corner"], ["--rows-from", "bottom"],
+            ["--pixel-origin", "corner"], ["--rows-from", "bottom"], ["--truth", "."],
         )
     ),
     *(

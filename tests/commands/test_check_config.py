@@ -39,7 +39,7 @@ def test_what_is_complete_passes(command: str | None, name: str) -> None:
     [
         ("track", "filter=null", "filter: expected a filter section for track"),
         ("track", "cameras=null", "cameras: expected cameras"),
-        ("track", "filter.birth.per_frame=1e-12", "expected births that outlive prune_weight"),
+        ("track", "filter.birth.per_s=1e-12", "expected births that outlive prune_weight"),
         ("track", "motion={}", "motion.acceleration_std: expected by how much the velocity of objects changes"),
         ("track", STATIC_SINGLE, "filter.prior: expected velocity_std"),
         ("simulate", "simulate=null", "simulate: expected a section `simulate`"),

@@ -9,7 +9,7 @@ import pytest
 
 from stereophd.cli.app import run
 from stereophd.commands import compile
-from stereophd.core.multi import preparation
+from stereophd.core.multi import compiling
 from stereophd.pipeline.workers import compile_ahead
 
 
@@ -71,9 +71,9 @@ def test_a_second_process_compiles_where_nothing_is_kept(
 
 
 def test_what_both_processes_compile_is_the_same() -> None:
-    preparation.prepare_last_first("pmb")
-    kernel = preparation.last_kernel("pmb")
+    compiling.prepare_last_first("pmb")
+    kernel = compiling.last_kernel("pmb")
     before = sum(kernel.stats.cache_misses.values())
-    preparation.prepare("pmb")
+    compiling.prepare("pmb")
     assert sum(kernel.stats.cache_misses.values()) == before
     assert len(kernel.overloads) == 1

@@ -12,7 +12,7 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_cameras, load_config
 from stereophd.errors import InputError
-from stereophd.io.cameras.from_camera import camera_config
+from stereophd.io.cameras.writing import camera_config
 
 CONFIG = """
 units: {length: cm}

@@ -26,7 +26,7 @@ pytestmark = pytest.mark.usefixtures("without_checks")
 CONFIG = Path(__file__).parents[2] / "configs" / "paper" / "multi_object.yaml"
 SEEDS = (1, 2, 3, 4, 5)
 OBJECTS = 6
-BIRTH = "{per_frame: 0.1, disparity: {mean_px: 7.0, std_px: 3.0}, velocity_std: 1.5}"
+BIRTH = "{disparity: {mean_px: 7.0, std_px: 3.0}, velocity_std: 1.5}"
 
 
 @dataclass(frozen=True)

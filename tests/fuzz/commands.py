@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 import pytest
-from hypothesis import HealthCheck, settings
+from hypothesis import HealthCheck, Phase, settings
 
 from stereophd.cli.app import run
 from stereophd.cli.interrupts import outside_kernels
@@ -30,6 +30,7 @@ def budget(examples: int = EXAMPLES) -> settings:
         max_examples=examples,
         derandomize=EXAMPLES <= 100,
         database=None,
+        phases=[Phase.explicit, Phase.generate],  # to shrink a case takes longer than to find it
         suppress_health_check=list(HealthCheck),
     )
 

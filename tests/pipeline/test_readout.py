@@ -52,7 +52,7 @@ cameras:
 motion: {{acceleration_std: 1.0, max_speed: 40.0}}
 filter:
   kind: pmb
-  birth: {{per_frame: 0.01, depth_range: [15.0, 60.0], velocity_std: 8.0}}
+  birth: {{depth_range: [15.0, 60.0], velocity_std: 8.0}}
 simulate:
   duration_s: 2.0
   acceleration_std: 1.0

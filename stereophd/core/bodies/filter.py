@@ -23,7 +23,7 @@ import numpy as np
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.bodies.births import Newborns, half_extents, newborn_bodies, shares_left
 from stereophd.core.bodies.boxes import Boxes, box_variances, boxes_of, share_in_image
-from stereophd.core.bodies.hypotheses import Hypotheses, reduce_hypotheses
+from stereophd.core.bodies.hypotheses import Hypotheses, box_factors, merged, reassociate, reduce_hypotheses
 from stereophd.core.bodies.occlusion import CUT_SHARE, detection_probabilities, hidden_shares
 from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE, TOP, outline_boxes
 from stereophd.core.bodies.prediction import predict_bodies
@@ -41,6 +41,8 @@ from stereophd.core.multi.state.estimates import Estimates, Info
 GATE, GATE_SQUARED = 5.0, 36.0
 # Bodies of whose box less is hidden are seen whole.
 LEAST_HIDDEN = 0.05
+# Rounds over the associations of the cameras of one instant.
+ROUNDS = 1
 # Detections that tracks claim with more than these odds against clutter give birth to nothing: it would be pruned.
 CLEARLY_CLAIMED = 1e5
 
@@ -58,6 +60,9 @@ class BodyState:
     next_label: int = 0
     next_track: int = 0
     undetected: Undetected | None = None
+    # Of the open instant: its start, and the number of boxes of each camera (-1: no frame yet)
+    instant_s: float = -math.inf
+    counts: tuple[int, ...] = ()
 
 
 class Pairs(NamedTuple):
@@ -83,12 +88,18 @@ class BodyFilter:
     def init(self) -> BodyState:
         """Return the state before the first event: no bodies."""
         none = np.empty(0, dtype=np.int64)
-        return BodyState(Hypotheses.none(), none, none, none.astype(np.bool_))
+        empty = np.empty((0, STATE_SIZE)), np.empty((0, STATE_SIZE, STATE_SIZE))
+        hypotheses = Hypotheses.undecided(none, np.empty(0), *empty, len(self.rig.cameras))
+        return BodyState(hypotheses, none, none, none.astype(np.bool_))
 
     def step(self, state: BodyState, event: Event) -> tuple[BodyState, Info, Estimates]:
         """Predict, update and report for one event."""
         camera = self.rig.cameras[event.camera].at(event.time_s)
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
+        if event.time_s - state.instant_s >= self.shape.instant_s or state.counts[event.camera] >= 0:
+            hypotheses = merged(state.hypotheses, self.settings.hypothesis_distance)
+            none = (-1,) * len(self.rig.cameras)
+            state = replace(state, hypotheses=hypotheses, instant_s=event.time_s, counts=none)
         state = self._predicted(state, event.time_s)
         state, info = self._update(state, event, camera, elapsed)
         return self._extract(state, info)
@@ -109,7 +120,8 @@ class BodyFilter:
         means, covariances = predict_bodies(hypotheses.means, hypotheses.covariances, elapsed, self.motion, self.shape)
         weights = hypotheses.weights * self.settings.survival_per_s**elapsed
         weights = np.where(self._is_in_reach(means, time_s), weights, weights * self._fading(elapsed))
-        return replace(state, hypotheses=Hypotheses(hypotheses.owners, weights, means, covariances), time_s=time_s)
+        hypotheses = hypotheses._replace(weights=weights, means=means, covariances=covariances)
+        return replace(state, hypotheses=hypotheses, time_s=time_s)
 
     def _fading(self, elapsed: float) -> float:
         return math.exp(-elapsed / self.settings.out_of_view_s)
@@ -171,16 +183,24 @@ class BodyFilter:
 
         labels = np.concatenate([state.labels, state.next_label + np.arange(len(boxes))])
         info = self._info(state.labels, labels, tracks, columns, taken, missing * (existence > 0), newborn_weights)
+        factors = box_factors(taken, missing[tracks], shared / np.maximum(not_detected[tracks], 1e-12))[inverse]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            newborn_factors = np.clip(np.nan_to_num(unclaimed / (1.0 + born - unclaimed * born), nan=1.0), 1e-12, 1.0)
         joined = self._joined(
-            hypotheses, pairs, newborns, (missed_weights, detected_weights, newborn_weights), n_tracks
-        )
+            hypotheses, pairs, newborns, (missed_weights, detected_weights, newborn_weights),
+            (factors, newborn_factors), n_tracks, event.camera,
+        )  # fmt: skip
+        counts = (*state.counts[: event.camera], len(boxes), *state.counts[event.camera + 1 :])
+        others = [k for k, count in enumerate(counts) if count > 0 and k != event.camera]
+        for k in [*others, event.camera] * ROUNDS if others and len(boxes) else ():
+            joined = reassociate(joined, k, len(labels), counts[k])
         reported = np.concatenate([state.reported, np.zeros(len(boxes), dtype=np.bool_)])
         reduced, kept = reduce_hypotheses(joined, reported, self.settings, self.shape.direction)
         identities = np.concatenate([state.track_ids, np.full(len(boxes), -1)])
         state = replace(
             state, hypotheses=reduced, labels=labels[kept], track_ids=identities[kept],
             reported=reported[kept], next_label=state.next_label + len(boxes),
-            undetected=undetected,
+            undetected=undetected, counts=counts,
         )  # fmt: skip
         return state, replace(
             info, log_likelihood=log_likelihood, cardinality_mean=float(reduced.weights.sum()),
@@ -265,21 +285,24 @@ class BodyFilter:
         pairs: Pairs,
         newborns: Newborns,
         weights: tuple[Array, Array, Array],
+        factors: tuple[Array, Array],
         n_tracks: int,
+        camera: int,
     ) -> Hypotheses:
         """Return the hypotheses after an event: missed, updated by a box each, and newborn."""
         means = hypotheses.means[pairs.rows] + np.einsum("kij,kj->ki", pairs.gains, pairs.residuals)
         covariances = hypotheses.covariances[pairs.rows]
         covariances = covariances - pairs.gains @ (pairs.projections @ covariances)
         covariances = (covariances + covariances.swapaxes(1, 2)) / 2.0
-        return Hypotheses(
-            np.concatenate(
-                [hypotheses.owners, hypotheses.owners[pairs.rows], n_tracks + np.arange(len(newborns.states))]
-            ),
-            np.concatenate(weights),
-            np.concatenate([hypotheses.means, means, newborns.states]),
-            np.concatenate([hypotheses.covariances, covariances, newborns.covariances]),
-        )
+        fresh = Hypotheses.undecided(
+            n_tracks + np.arange(len(newborns.states)), weights[2], newborns.states, newborns.covariances,
+            hypotheses.boxes.shape[1],
+        )  # fmt: skip
+        fresh.boxes[:, camera], fresh.factors[:, camera] = np.arange(len(newborns.states)), factors[1]
+        updated = hypotheses.take(pairs.rows)._replace(weights=weights[1], means=means, covariances=covariances)
+        updated.boxes[:, camera], updated.factors[:, camera] = pairs.columns, factors[0]
+        parts = hypotheses._replace(weights=weights[0]), updated, fresh
+        return Hypotheses(*(np.concatenate(values) for values in zip(*parts, strict=True)))
 
     @staticmethod
     def _info(

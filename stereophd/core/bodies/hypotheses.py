@@ -8,11 +8,11 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.bodies.occlusion import exclusive_existence
-from stereophd.core.bodies.outline import STATE_SIZE
+from stereophd.core.multi.association.exact_association import association_marginals
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 
-# Most hypotheses of one track.
-MOST_HYPOTHESES = 5
+# Most hypotheses of one track, from one instant to the next and while an instant is open.
+MOST_HYPOTHESES, MOST_OPEN = 5, 10
 
 
 class Hypotheses(NamedTuple):
@@ -22,16 +22,20 @@ class Hypotheses(NamedTuple):
     weights: Array  # (n,): Those of a track add up to its probability of existence
     means: Array  # (n, 8)
     covariances: Array  # (n, 8, 8)
+    # (n, c): Box of the last frame of each camera of the open instant, -1 for none, and the factor by which the other
+    # tracks' claims on that box reduce the weight
+    boxes: Integers
+    factors: Array
 
     @staticmethod
-    def none() -> Hypotheses:
-        """Return no hypotheses."""
-        size = STATE_SIZE
-        return Hypotheses(np.empty(0, dtype=np.int64), np.empty(0), np.empty((0, size)), np.empty((0, size, size)))
+    def undecided(owners: Integers, weights: Array, means: Array, covariances: Array, n_cameras: int) -> Hypotheses:
+        """Return hypotheses before an instant."""
+        shape = (len(owners), n_cameras)
+        return Hypotheses(owners, weights, means, covariances, np.full(shape, -1), np.ones(shape))
 
     def take(self, kept: Integers | Booleans) -> Hypotheses:
         """Return some of the hypotheses."""
-        return Hypotheses(self.owners[kept], self.weights[kept], self.means[kept], self.covariances[kept])
+        return Hypotheses._make(values[kept] for values in self)
 
     def first(self) -> Integers:
         """Return the heaviest hypothesis of each track."""
@@ -41,7 +45,7 @@ class Hypotheses(NamedTuple):
 def reduce_hypotheses(
     hypotheses: Hypotheses, reported: Booleans, settings: PmbSettings, up: Array
 ) -> tuple[Hypotheses, Integers]:
-    """Drop, merge and bound the hypotheses of tracks, and let the tracks exclude each other.
+    """Drop and bound the hypotheses of tracks, and let the tracks exclude each other.
 
     The hypotheses are in any order; `reported` (t,) says whether each track has been reported, and `up` (3,) is the
     axis of the bodies. Returns the hypotheses of the tracks that are kept, numbered anew, and those tracks.
@@ -52,8 +56,9 @@ def reduce_hypotheses(
     kept &= existence[owners] >= settings.prune_weight
     hypotheses = hypotheses.take(kept)
     hypotheses = hypotheses.take(np.lexsort((-hypotheses.weights, hypotheses.owners)))
-    if (np.diff(hypotheses.owners) == 0).any():
-        hypotheses = _merged(hypotheses, settings.hypothesis_distance)
+    first = hypotheses.first()
+    ranks = np.arange(len(hypotheses.owners)) - np.repeat(first, np.diff(np.append(first, len(hypotheses.owners))))
+    hypotheses = hypotheses.take(ranks < MOST_OPEN)
     # what was dropped belongs to the hypotheses that stay
     totals = np.bincount(hypotheses.owners, hypotheses.weights, n_tracks)
     first = hypotheses.first()
@@ -68,14 +73,18 @@ def reduce_hypotheses(
         tracks = np.sort(tracks[np.argsort(-existence[tracks], kind="stable")[: settings.max_components]])
     number = np.full(n_tracks, -1)
     number[tracks] = np.arange(len(tracks))
-    owners = number[hypotheses.owners]
-    reduced = Hypotheses(owners, weights, hypotheses.means, hypotheses.covariances)
-    return reduced.take(owners >= 0), tracks
+    reduced = hypotheses._replace(owners=number[hypotheses.owners], weights=weights)
+    return reduced.take(reduced.owners >= 0), tracks
 
 
-def _merged(hypotheses: Hypotheses, distance: float) -> Hypotheses:
-    """Merge hypotheses of a track that are close in both covariances, round by round with the heaviest that is left."""
-    owners, weights, means, covariances = hypotheses
+def merged(hypotheses: Hypotheses, distance: float) -> Hypotheses:
+    """Merge hypotheses of a track that are close in both covariances, round by round with the heaviest that is left.
+
+    What they say of the boxes of an instant is decided by that.
+    """
+    owners, weights, means, covariances, boxes, _ = hypotheses
+    if not (np.diff(owners) == 0).any():
+        return Hypotheses.undecided(owners, weights, means, covariances, boxes.shape[1])
     inverses = np.linalg.inv(covariances)
     group, rest = np.full(len(owners), -1), np.arange(len(owners))
     for _ in range(MOST_HYPOTHESES):
@@ -98,5 +107,32 @@ def _merged(hypotheses: Hypotheses, distance: float) -> Hypotheses:
     joint = np.add.reduceat(share[:, None] * means[order], starts)
     off = means[order] - joint[number]
     spread = covariances[order] + off[:, :, None] * off[:, None, :]
-    joined = Hypotheses(owners[order[starts]], totals, joint, np.add.reduceat(share[:, None, None] * spread, starts))
+    covariances = np.add.reduceat(share[:, None, None] * spread, starts)
+    joined = Hypotheses.undecided(owners[order[starts]], totals, joint, covariances, boxes.shape[1])
     return joined.take(np.lexsort((-joined.weights, joined.owners)))
+
+
+def reassociate(hypotheses: Hypotheses, camera: int, n_tracks: int, n_boxes: int) -> Hypotheses:
+    """Decide anew which tracks made the boxes of one camera of the open instant, given what the others say now.
+
+    The factors of the other cameras are kept: rounds over the cameras are expectation propagation between the
+    associations of frames, each of which is exact.
+    """
+    owners, columns = hypotheses.owners, hypotheses.boxes[:, camera]
+    weights = hypotheses.weights / hypotheses.factors[:, camera]
+    rest = np.maximum(1.0 - np.bincount(owners, hypotheses.weights, n_tracks), 1e-12)
+    detected = np.flatnonzero(columns >= 0)
+    free = rest + np.bincount(owners, np.where(columns < 0, weights, 0.0), n_tracks)
+    keys, inverse = np.unique(owners[detected] * n_boxes + columns[detected], return_inverse=True)
+    tracks = keys // n_boxes
+    odds = np.bincount(inverse, weights[detected], len(keys)) / free[tracks]
+    taken, missing, _, _ = association_marginals(tracks, keys % n_boxes, odds, n_tracks, n_boxes)
+    factors = hypotheses.factors.copy()
+    factors[detected, camera] = box_factors(taken, missing[tracks], odds)[inverse]
+    weights = weights * factors[:, camera] * (missing / free)[owners]
+    return hypotheses._replace(weights=weights, factors=factors)
+
+
+def box_factors(taken: Array, missing: Array, odds: Array) -> Array:
+    """Return the factors (k,) by which claims of others reduce the odds of pairs of tracks and boxes."""
+    return np.asarray(np.clip(taken / np.maximum(missing * odds, 1e-300), 1e-12, 1.0))

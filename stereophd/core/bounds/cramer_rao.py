@@ -21,14 +21,16 @@ Information matrices are (d, d), covariances their inverses; lengths and pixels 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from stereophd.core.arrays import Array
+from stereophd.core.bounds.known_association import AssociatedDetections
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import pinhole, projective
+from stereophd.core.multi.filter_settings.common import BirthPrior
 
 # An information matrix of worse condition leaves a direction undetermined: the bound is infinite.
 WORST_CONDITION = 1e15
@@ -177,3 +179,29 @@ def mean_error_norm(covariance: Array) -> float:
     near, _ = quad(integrand, 0.0, 1.0)
     far, _ = quad(integrand, 1.0, math.inf)
     return float(math.sqrt(2.0 * largest / math.pi) * (near + far))
+
+
+def static_point_information(
+    detections: AssociatedDetections,
+    positions: Array,
+    first: Sequence[DisparitySpace | None],
+    prior: BirthPrior,
+) -> Array:
+    """Return the information (n, 3, 3) of points, in 1 / length^2; the inverse bounds the covariance of estimates.
+
+    It is the sum over the detections of a point of H^T R^-1 H, H the derivative of the pixel with respect to the point
+    (R. Hartley and A. Zisserman, "Multiple View Geometry in Computer Vision", section 5.2), plus that of the prior of
+    its disparity before the camera that saw it first.
+    True positions (n, 3) are in the world. `first` has the space of the camera that saw each point first; None of a
+    point that no camera saw, whose information is 0.
+    """
+    information = np.zeros((len(positions), 3, 3))
+    slopes = detections.whitening @ projective(detections.projection, positions[detections.row])[1]
+    np.add.at(information, detections.row, np.swapaxes(slopes, 1, 2) @ slopes)
+    for row, space in enumerate(first):
+        if space is None:
+            continue
+        _, std = prior.disparity_moments(space.packed())
+        slope = projective(space.projective_matrix, positions[row : row + 1])[1][0, 2]
+        information[row] += np.outer(slope, slope) / std**2
+    return information

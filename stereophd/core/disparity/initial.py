@@ -50,7 +50,7 @@ def initial_moments(
         6, or 3 for static objects.
     readings : array (m, 3), optional
         Time of each detection after that of the Gaussian, s, and the change of its u and v with the disparity
-        (`stereophd.core.disparity.rolling`).
+        (`stereophd.core.disparity.events`).
 
     Returns
     -------

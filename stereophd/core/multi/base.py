@@ -6,6 +6,7 @@ three in a row that an event takes. The filters differ in their update.
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -23,14 +24,25 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.multi.births.birth import birth_moments, newborn_prior
 from stereophd.core.multi.births.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.multi.births.undetected import Undetected, burst_of, expected_births, undetected_shares
-from stereophd.core.multi.crosswise.history import History
 from stereophd.core.multi.extract import Counters, select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
-from stereophd.core.numerics.memory import machine_memory
+from stereophd.core.multi.swaps.history import History
 from stereophd.core.numerics.samples import SampleSets
+
+# Assumed where the system does not report it, bytes.
+DEFAULT_MEMORY = 4e9
+
+
+def machine_memory() -> float:
+    """Return the memory of the machine, bytes."""
+    try:
+        return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        return DEFAULT_MEMORY
+
 
 # Upper bound on the memory of one component, its moved forms and its updated forms, bytes.
 _COMPONENT_BYTES = 4096
@@ -108,7 +120,7 @@ class DisparityFilter(ABC):
     def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
         """Large kernels that an event needs late, the last one at the end, each with arguments of the types of a call.
 
-        They are what a second process compiles first (`stereophd.core.multi.preparation`).
+        They are what a second process compiles first (`stereophd.core.multi.compiling`).
         """
 
     def compile_tests(self) -> None:

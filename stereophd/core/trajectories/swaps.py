@@ -1,8 +1,8 @@
-"""Tracks choose their detections anew: neighbours that a filter took for each other are exchanged (ours).
+"""Tracks choose their detections anew: neighbours that a filter took for each other are swapped (ours).
 
 A filter decides from the past alone. Where objects are near one another and seldom seen it takes one for its neighbour
 for an event or two, above all at the first frames, when it knows neither depth nor velocity. The smoother knows what
-follows, but it keeps the decision. (`core.multi.crosswise.exchange` decides the same while the filter
+follows, but it keeps the decision. (`core.multi.crosswise.swap` decides the same while the filter
 runs.) Here all detections of each track decide, by two proposals:
 
 1. *Windows.* At every event each track is predicted from its detections before and after, without those in a window
@@ -11,7 +11,7 @@ runs.) Here all detections of each track decide, by two proposals:
    gain (`WholeRun.gains`). Changes that share tracks or detections within the window are one group. A group that does
    not explain the detections better is divided in time, down to single events.
 2. *Ends.* Once a round of all windows changes nothing, tracks that never change back to their own objects, so that no
-   window is long enough, exchange their ends. At a cut the state of track a from its detections before, predicted over
+   window is long enough, swap their ends. At a cut the state of track a from its detections before, predicted over
    a window to the first event after it, is compared with that of track b from its detections from there on. With the
    difference d and its covariance S the log-odds that each track continues as the other, and not as itself, are
 
@@ -45,7 +45,7 @@ WINDOWS = (0.0, 0.5, 1.0)
 MOST_CHANGES = 64
 # Times the window, to either side of a cut, in which the two tracks choose anew.
 AROUND = 4.0
-# Tracks further apart than this many standard deviations of a prediction over the window do not exchange their ends.
+# Tracks further apart than this many standard deviations of a prediction over the window do not swap their ends.
 NEAR = 6.0
 # Fewest events that both tracks have before and after a cut.
 LEAST_EVENTS = 6
@@ -63,7 +63,7 @@ class Change(NamedTuple):
 
 
 class Cut(NamedTuple):
-    """An exchange of the ends of two tracks after an event, and its log-odds."""
+    """A swap of the ends of two tracks after an event, and its log-odds."""
 
     first: int
     second: int
@@ -88,7 +88,7 @@ def choose_anew(tracks: Sequence[Chain], run: WholeRun) -> list[Chain]:
         book.decide_parts(list(proposed_changes(book.tracks, run, width, where)), 2.0 * width + interval)
         touched.append(book.settle())
         if not np.logical_or.reduce(touched[-len(WINDOWS) :]).any():
-            if not sum(book.exchange_ends(width * interval) for width in WINDOWS if width):
+            if not sum(book.swap_ends(width * interval) for width in WINDOWS if width):
                 break
             touched.append(book.settle())
     return book.tracks
@@ -180,10 +180,10 @@ class _Book:
         self._changed.clear()
         return touched
 
-    def exchange_ends(self, width: float) -> int:
-        """Exchange the ends of tracks that continue each other better than themselves; return how many pairs did.
+    def swap_ends(self, width: float) -> int:
+        """Swap the ends of tracks that continue each other better than themselves; return how many pairs did.
 
-        A second cut is tried after the first, for objects that were exchanged for some time only.
+        A second cut is tried after the first, for objects that were swapped for some time only.
         """
         done: set[int] = set()
         for cut in sorted(best_cuts(self.tracks, width, LEAST_GAIN), key=lambda one: -one.odds):
@@ -202,7 +202,7 @@ class _Book:
         return len(done) // 2
 
     def _cut_at(self, pair: Sequence[Chain], numbers: tuple[int, int], event: int, width: float) -> list[Chain]:
-        """Return two tracks with their ends after an event exchanged, and the detections about it chosen anew."""
+        """Return two tracks with their ends after an event swapped, and the detections about it chosen anew."""
         run = self._run
         parts = [(one, int(np.searchsorted(one.trajectory.events, event, side="right"))) for one in pair]
         (a, at_a), (b, at_b) = parts

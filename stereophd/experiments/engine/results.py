@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,22 +12,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereophd.config.experiment import ExperimentConfig
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series
 from stereophd.experiments.engine.parts import PartStore, RunResult, parquet_metadata
 from stereophd.experiments.engine.plan import cases_of
 from stereophd.experiments.engine.summary import Summary, summarise, with_windows
-from stereophd.experiments.engine.tables import columns_of, columns_of_summary, read_summaries
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part
 from stereophd.io.outputs.atomic import OutputFolder, output_folder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import from_metadata, provenance, to_metadata
-from stereophd.io.tables.schemas import RUNS, SUMMARY
+from stereophd.io.tables.reading import read_table
+from stereophd.io.tables.schemas import FLOAT, INTEGER, RUNS, STRING, SUMMARY
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
+
 
 RUNS_FILE, SUMMARY_FILE, TIMING_FILE = "runs.parquet", "summary.parquet", "timing.json"
 
@@ -161,3 +163,62 @@ def is_finished(store: PartStore, loaded: LoadedConfig, resume: bool, force: boo
         LOGGER.info("%s: the experiment is finished: nothing to resume", out)
         return True
     return False
+
+
+STATISTICS = ("mean", "std", "ci_low", "ci_high", "bound")
+
+
+def columns_of(experiment: str, method: str, case: str, run: int, seed: int, series: Series) -> dict[str, Any]:
+    """Return rows of ``runs.parquet``."""
+    times: Any = [None] * len(series.values) if series.times_s is None else series.times_s
+    return {
+        "experiment": experiment,
+        "method": method,
+        "case": case,
+        "run": run,
+        "seed": seed,
+        "time_s": times,
+        "quantity": series.quantity,
+        "unit": series.unit,
+        "value": series.values,
+    }
+
+
+def columns_of_summary(experiment: str, method: str, case: str, summary: Summary) -> dict[str, Any]:
+    """Return rows of ``summary.parquet``; what is not defined is null."""
+    times: Any = [None] * len(summary.mean) if summary.times_s is None else summary.times_s
+    return {
+        "experiment": experiment,
+        "method": method,
+        "case": case,
+        "time_s": times,
+        "quantity": summary.quantity,
+        "unit": summary.unit,
+        "runs": summary.runs,
+        **{name: np.ma.masked_invalid(getattr(summary, name)) for name in STATISTICS},
+    }
+
+
+def read_summaries(path: Path) -> Iterator[tuple[str, str, Summary]]:
+    """Yield method, case and summary of every quantity of a ``summary.parquet``; errors as of `read_table`."""
+    texts = ("method", "case", "quantity", "unit")
+    numbers = ("time_s", *STATISTICS)
+    required = {**dict.fromkeys(texts, STRING), "runs": INTEGER}
+    table = read_table(path, required, dict.fromkeys(numbers, FLOAT), what="summary of an experiment")
+    text = {name: table.column(name).to_pylist() for name in texts}
+    number = {name: table.column(name).to_numpy(zero_copy_only=False) for name in numbers}
+    runs = table.column("runs").to_numpy()
+    keys = list(zip(*text.values(), strict=True))
+    for piece in pieces(keys, number["time_s"]):
+        method, case, quantity, unit = keys[piece.start]
+        times_s = None if np.isnan(number["time_s"][piece.start]) else number["time_s"][piece]
+        values = {name: number[name][piece] for name in STATISTICS}
+        yield method, case, Summary(quantity, unit, times_s, runs[piece], **values)
+
+
+def pieces(keys: Sequence[Any], times_s: Array) -> Iterator[slice]:
+    """Yield the rows of each series: those with one key and times (NaN: no time, one row)."""
+    whole = np.isnan(times_s)
+    starts = [i for i in range(len(keys)) if i == 0 or keys[i] != keys[i - 1] or bool(whole[i]) or bool(whole[i - 1])]
+    for start, end in zip(starts, [*starts, len(keys)][1:], strict=False):
+        yield slice(start, end)

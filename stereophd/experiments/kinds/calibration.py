@@ -31,14 +31,17 @@ from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
 from stereophd.pipeline.build import build_motion
-from stereophd.pipeline.calibration.filters import pmb_filter
-from stereophd.pipeline.calibration.inputs import CalibrationProblem, build_scale
-from stereophd.pipeline.calibration.methods import annealed_outcome
+from stereophd.pipeline.calibration.annealed import annealed_outcome
+from stereophd.pipeline.calibration.problem import (
+    CalibrationProblem,
+    CalibrationRun,
+    build_scale,
+    pmb_filter,
+    size_of_calibration,
+)
 from stereophd.pipeline.calibration.report import status_of
-from stereophd.pipeline.calibration.run import CalibrationRun
-from stereophd.pipeline.calibration.samplers import sequential_outcome
+from stereophd.pipeline.calibration.sampled import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section, draw_guess
-from stereophd.pipeline.calibration.work import size_of_calibration
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.runs.sizes import counts_of_scene
 from stereophd.pipeline.runs.unfinished import UnfinishedRun

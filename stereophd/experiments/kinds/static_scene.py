@@ -17,8 +17,8 @@ from scipy.optimize import linear_sum_assignment
 
 from stereophd.config.experiment import StaticSceneScenario
 from stereophd.core.arrays import Array
+from stereophd.core.bounds.cramer_rao import static_point_information
 from stereophd.core.bounds.known_association import AssociatedDetections, sight
-from stereophd.core.bounds.static_points import static_point_information
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.projection import projective
 from stereophd.core.metrics.scans import PointSets, score_scans

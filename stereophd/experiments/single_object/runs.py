@@ -27,7 +27,7 @@ from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.static import Static
-from stereophd.core.simulation.walk import walk
+from stereophd.core.simulation.objects import walk
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import EstimatorSettings

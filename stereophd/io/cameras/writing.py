@@ -7,9 +7,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
+from pydantic import ValidationError
 
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.lens import PARAMETERS
+from stereophd.core.geometry.pose import Pose
+from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig
+from stereophd.io.tables.trajectories import pack_poses
 
 CONVENTIONS = (
     "# Pose: x_camera = rotation_matrix @ (x_world - center); x right, y down, z forward; "
@@ -28,9 +35,9 @@ def cameras_text(
     text = CONVENTIONS
     if provenance is not None:
         version, command, seed = provenance["version"], provenance["command"], provenance["seed"]
-        text += f"# Made by stereophd {version} {command}, seed {seed}, "
+        text += f"# Made by stereophd {version} {command}, {'' if seed is None else f'seed {seed}, '}"
         text += f"config sha256 {provenance['config_sha256']}\n"
-    document = {"units": {"length": length_unit}, "cameras": {n: _plain(c) for n, c in cameras.items()}}
+    document = {"units": {"length": length_unit}, "cameras": plain_cameras(cameras)}
     # Flow style for the leaves only: one line for a matrix row or the intrinsics.
     return text + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=1000)
 
@@ -45,9 +52,53 @@ def write_cameras(
     Path(path).write_text(cameras_text(cameras, length_unit, provenance), encoding="utf-8")
 
 
+def plain_cameras(cameras: Mapping[str, CameraConfig]) -> dict[str, Any]:
+    """Return cameras as plain values, by name."""
+    return {name: _plain(camera) for name, camera in cameras.items()}
+
+
 def _plain(camera: CameraConfig) -> dict[str, Any]:
     """Return a camera as plain values, without defaults and absent values."""
     values = camera.model_dump(mode="json", exclude_defaults=True, exclude_none=True)
     if camera.distortion.model != "none":
         values["distortion"] = asdict(camera.distortion)
     return values
+
+
+def camera_config(camera: Camera) -> CameraConfig:
+    """Return the configuration that builds a camera; InputError if a value lies outside what a configuration allows."""
+    lens = {name: getattr(camera.lens, name) for name in PARAMETERS[camera.lens.model]}
+    values = {
+        "image_size_px": [camera.width, camera.height],
+        "intrinsics": {"fx": camera.fx, "fy": camera.fy, "cx": camera.cx, "cy": camera.cy},
+        "pose": _pose_values(camera.pose),
+        "detector": {
+            "sigma_px": camera.detector.sigma.tolist(),
+            "p_detect": camera.detector.p_detect,
+            "clutter_per_frame": camera.detector.clutter_per_frame,
+        },
+        "distortion": {"model": camera.lens.model, **lens},
+        "frame_rate_hz": camera.frame_rate_hz,
+        "phase_s": camera.phase_s,
+        "clock": {"offset_s": camera.clock.offset_s, "rate": camera.clock.rate},
+        "readout_s": camera.readout_s,
+    }
+    try:
+        return CameraConfig.model_validate(values)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_input=False)[0]
+        where = ".".join(map(str, first["loc"]))
+        raise InputError(f"camera {camera.name}: {where}: {first['msg']}") from None
+
+
+def _pose_values(pose: Pose) -> dict[str, Any]:
+    if pose.path is not None:
+        mount = {"center": pose.path.center.tolist(), "rotation_matrix": pose.path.rotation.tolist()}
+        return {"trajectory": {"file": "memory", "poses": pack_poses(pose.path.trajectory)}, "mount": mount}
+    return {
+        "center": pose.center.tolist(),
+        "rotation_matrix": pose.rotation.tolist(),
+        "velocity": pose.velocity.tolist(),
+        "rotation_rate_deg_s": np.degrees(pose.rotation_rate).tolist(),
+        "time_s": pose.time_s,
+    }

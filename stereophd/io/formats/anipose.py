@@ -4,7 +4,8 @@ One table for each camera: ``name``, ``size``, ``matrix``, ``distortions`` (Open
 with ``fisheye = true``), ``rotation`` (a rotation vector) and ``translation``.
 
 Conventions: pixels and camera axes are the native ones; ``x_camera = R x_world + t``. Lengths have the unit of the
-calibration board, which the file does not name (usually millimetres).
+calibration board, which the file does not name (usually millimetres). Points in space (``pose-3d``, a table with
+columns ``nose_x``, ... and ``fnum``) are the truth.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import take_apart, unit
 from stereophd.io.interchange.documents.toml_cameras import read_toml, toml_camera
+from stereophd.io.interchange.truth import wide_truth
 
 
 def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
@@ -37,6 +39,8 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
         if recording.length_unit is None:
             is_stated = isinstance(stated, str) and options.length_unit is None
             recording.length_unit = str(stated) if is_stated else unit(options, recording, path.name)
+    if options.truth is not None:
+        recording.truth = wide_truth(options.truth, "fnum")
     return recording
 
 

@@ -7,67 +7,45 @@ arrived.
 
 Conventions: pixels and camera axes are the native ones. The calibration is a projection matrix of undistorted pixels,
 with a lens as OpenCV's (k1, k2, p1, p2) about its own principal point and focal lengths (``non_linear_parameters``):
-where they differ from those of the projection, the detections are undistorted and the camera has no lens. Lengths are
-in metres.
+where they differ from those of the projection, the lens about the latter that fits best takes its place. A skew is
+moved into the detections. Lengths are in metres.
 """
 
 from __future__ import annotations
 
 import zipfile
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.geometry.lens import Lens
 from stereophd.errors import InputError
 from stereophd.io.documents import open_packed_table, read_bytes, read_member
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
-from stereophd.io.interchange.cameras import Parts, put_together
+from stereophd.io.interchange.cameras import put_together
 from stereophd.io.interchange.documents.text_tables import numbers, read_batches
+from stereophd.io.interchange.fitted import StatedLens, parts_of_projection
 from stereophd.io.interchange.projection import Decomposed, decompose, is_left_handed
 
 DETECTIONS, CAMERAS, CALIBRATION = "data2d_distorted.csv", "cam_info.csv", "calibration.xml"
-# Skew, and difference of intrinsics, that move pixels by less than this are rounding of a file of few digits.
-NEGLIGIBLE_PX = 1e-3
-
-
-@dataclass(frozen=True)
-class _Correction:
-    """How detections of a camera are corrected: a lens of its own, or a skew."""
-
-    lens: Lens | None
-    matrix: Array
-    skew_slope: float
-    skew_row: float
-
-    def apply(self, pixels: Array) -> Array:
-        result = pixels.copy()
-        if self.lens is not None:
-            focal, center = np.diag(self.matrix)[:2], self.matrix[:2, 2]
-            seen = np.isfinite(result).all(axis=1)
-            result[seen] = self.lens.undistort((result[seen] - center) / focal)[0] * focal + center
-        result[:, 0] -= self.skew_slope * (result[:, 1] - self.skew_row)
-        return result
 
 
 def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read recordings and calibrations."""
     recording = ForeignRecording(files=list(sources))
     archives = [path for path in sources if zipfile.is_zipfile(path)]
-    corrections: dict[str, _Correction] = {}
+    skewed: dict[str, Decomposed] = {}
     for path in sources:
         if path not in archives:
-            _read_calibration(read_bytes(path), str(path), bool(archives), options, recording, corrections)
+            _read_calibration(read_bytes(path), str(path), bool(archives), options, recording, skewed)
     for path in archives:
         content = None if recording.cameras else read_member(path, CALIBRATION)
         if content is not None:
-            _read_calibration(content, f"{path}: {CALIBRATION}", True, options, recording, corrections)
+            _read_calibration(content, f"{path}: {CALIBRATION}", True, options, recording, skewed)
     if archives:
-        recording.pieces = _pieces(archives, options, corrections, recording)
+        recording.pieces = _pieces(archives, options, skewed, recording)
     return recording
 
 
@@ -77,7 +55,7 @@ def _read_calibration(
     has_points: bool,
     options: ImportOptions,
     recording: ForeignRecording,
-    corrections: dict[str, _Correction],
+    skewed: dict[str, Decomposed],
 ) -> None:
     import xml.etree.ElementTree as ElementTree
 
@@ -97,10 +75,10 @@ def _read_calibration(
     recording.length_unit = options.length_unit or "m"
     for (source, _, size, lens), camera in zip(entries, cameras, strict=True):
         name = options.name(source)
-        parts, correction = _with_lens(name, camera, size, lens, has_points, where, recording)
+        parts, with_skew = parts_of_projection(camera, _lens_of(lens), size, has_points, recording, f"{where}: {name}")
         recording.cameras[name] = put_together(name, parts, options, where)
-        if correction is not None and has_points:
-            corrections[name] = correction
+        if with_skew is not None:
+            skewed[name] = with_skew
 
 
 def _entry(element: Any) -> tuple[str, Array, tuple[int, int], dict[str, float]]:
@@ -120,37 +98,17 @@ def _entry(element: Any) -> tuple[str, Array, tuple[int, int], dict[str, float]]
     return text("cam_id"), projection.reshape(3, 4), (width, height), lens
 
 
-def _with_lens(
-    name: str,
-    camera: Decomposed,
-    size: tuple[int, int],
-    lens: dict[str, float],
-    has_points: bool,
-    where: str,
-    recording: ForeignRecording,
-) -> tuple[Parts, _Correction | None]:
-    """Return a camera whose lens is about the projection's own principal point, or what corrects its detections."""
-    matrix = camera.matrix.copy()
-    matrix[0, 1] = 0.0
-    coefficients = np.array([lens.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")])
-    own = matrix
-    if coefficients.any():
-        own = np.array([[lens["fc1"], 0.0, lens["cc1"]], [0.0, lens["fc2"], lens["cc2"]], [0.0, 0.0, 1.0]])
-    slope = camera.skew_slope if abs(camera.skew_slope) * size[1] > NEGLIGIBLE_PX else 0.0
-    if not slope and np.abs(own - matrix).max() < NEGLIGIBLE_PX:
-        return Parts(matrix, coefficients, False, camera.rotation, camera.center, size), None
-    if not has_points:
-        reason = "its lens has a principal point of its own" if coefficients.any() else "its projection has a skew"
-        recording.warnings.append(f"{where}: {name}: {reason}; import the calibration with the recording to correct it")
-        return Parts(matrix, coefficients, False, camera.rotation, camera.center, size), None
-    recording.assumed.append(f"{name}: the detections are undistorted, and the camera has no lens")
-    model = Lens("brown_conrady", **dict(zip(("k1", "k2", "p1", "p2", "k3"), map(float, coefficients), strict=True)))
-    correction = _Correction(model if coefficients.any() else None, own, slope, float(matrix[1, 2]))
-    return Parts(matrix, np.zeros(5), False, camera.rotation, camera.center, size), correction
+def _lens_of(stated: dict[str, float]) -> StatedLens | None:
+    """Return the lens of a camera's non-linear parameters."""
+    coefficients = np.array([stated.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")])
+    if not coefficients.any():
+        return None
+    matrix = [[stated["fc1"], 0.0, stated["cc1"]], [0.0, stated["fc2"], stated["cc2"]], [0.0, 0.0, 1.0]]
+    return StatedLens(np.array(matrix), coefficients)
 
 
 def _pieces(
-    archives: Sequence[Path], options: ImportOptions, corrections: dict[str, _Correction], recording: ForeignRecording
+    archives: Sequence[Path], options: ImportOptions, skewed: dict[str, Decomposed], recording: ForeignRecording
 ) -> Iterator[Piece]:
     import io
 
@@ -165,7 +123,7 @@ def _pieces(
             row for b in read_batches(io.BytesIO(_uncommented(info)), ",", kinds, str(path)) for row in b.to_pylist()
         ]
         names = {int(row["camn"]): options.name(row["cam_id"]) for row in rows}
-        yield from _detections(path, names, corrections, recording)
+        yield from _detections(path, names, skewed, recording)
 
 
 def _uncommented(content: bytes) -> bytes:
@@ -174,7 +132,7 @@ def _uncommented(content: bytes) -> bytes:
 
 
 def _detections(
-    path: Path, names: dict[int, str], corrections: dict[str, _Correction], recording: ForeignRecording
+    path: Path, names: dict[int, str], skewed: dict[str, Decomposed], recording: ForeignRecording
 ) -> Iterator[Piece]:
     import pyarrow as pa
 
@@ -189,8 +147,8 @@ def _detections(
                 time = mine["timestamp" if trigger else "cam_received_timestamp"]
                 name = names.get(camn, f"cam{camn}")
                 pixels = np.stack([mine["x"], mine["y"]], axis=1)
-                if name in corrections:
-                    pixels = corrections[name].apply(pixels)
+                if name in skewed:
+                    pixels = skewed[name].upright(pixels)
                 yield Piece(name, pixels, mine["frame"], time)
         source = "the trigger" if all(is_triggered.values()) else "the arrival of the images at the computer"
         recording.assumed.append(f"times are those of {source}")

@@ -1,8 +1,10 @@
 """caliscope: its cameras (``camera_array.toml``) and 2-D points (``xy.csv``) with the times of all frames.
 
-Sources: the TOML file, ``xy.csv`` and ``timestamps.csv`` (or ``frame_time_history.csv``), or a folder with them.
-Cameras are named ``cam0``, ``cam1``, ... after their id (older versions: port). A frame is a ``sync_index`` of a
-camera; a frame in the list of times without points is empty. Points are numbered by object and keypoint.
+Sources: the TOML file, ``xy.csv`` and ``timestamps.csv`` (or ``frame_time_history.csv``), a folder with them, or the
+folder of a session, whose points are in ``calibration/extrinsic``, one of its folders (``CHARUCO/xy_CHARUCO.csv``) or
+``recordings``. Cameras are named ``cam0``, ``cam1``, ... after their id (older versions: port). A frame is a
+``sync_index`` of a camera, or the number of its row where the times have none; a frame in the list of times without
+points is empty. Points are numbered by object and keypoint. Points in space (``xyz_....csv``) are the truth.
 
 Conventions: pixels and camera axes are the native ones; points are as detected, lens distortion included; ``x_camera
 = rotation x_world + translation``, the rotation a matrix or a rotation vector. Lengths are in metres, times in
@@ -22,21 +24,32 @@ from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.documents.text_tables import first_lines, numbers, read_batches, split_line
 from stereophd.io.interchange.documents.toml_cameras import read_toml, toml_camera
+from stereophd.io.interchange.truth import POINTS_OF_A_GROUP, long_truth, read_columns
 
 CAMERA_FILES = ("camera_array.toml", "config.toml")
-POINT_FILES = ("xy.csv",)
+POINT_FILES = "xy*.csv"
+#: Where a session has its points: the first of these with one table.
+POINT_FOLDERS = ("calibration/extrinsic", "calibration/extrinsic/*", "recordings/*", "recordings/*/*")
 TIME_FILES = ("timestamps.csv", "frame_time_history.csv", "frametimes.csv")
 #: Meaning -> column, that of the newest version first.
 CAMERA, SYNC, TIME = ("cam_id", "port"), ("sync_index", "frame_index"), ("frame_time",)
 POINT, U, V, OBJECT = ("keypoint_id", "point_id"), ("img_loc_x",), ("img_loc_y",), ("object_id",)
-# Numbers of keypoints of one object; the second object's are beyond.
-KEYPOINTS_OF_AN_OBJECT = 1000
+IN_SPACE = {
+    "x": ("x_coord",),
+    "y": ("y_coord",),
+    "z": ("z_coord",),
+    "time": TIME,
+    "frame": SYNC,
+    "object": POINT,
+    "group": OBJECT,
+}
 
 
 def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read cameras, points with their times, or both."""
-    files = [file for source in sources for file in (_files_of(source) if source.is_dir() else [source])]
-    recording = ForeignRecording(files=files)
+    recording = ForeignRecording()
+    files = [file for source in sources for file in (_files_of(source, recording) if source.is_dir() else [source])]
+    recording.files = files
     tables = [path for path in files if path.suffix.lower() == ".csv"]
     for path in files:
         if path not in tables:
@@ -51,15 +64,41 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
             recording.assumed.append("frames without points are not in the log, because no table of times lists them")
     elif tables:
         raise InputError(f"{tables[0]}: expected a table with img_loc_x, img_loc_y, found none")
+    if options.truth is not None:
+        recording.truth = long_truth(options.truth, IN_SPACE)
     return recording
 
 
-def _files_of(folder: Path) -> list[Path]:
-    found = [folder / name for names in (CAMERA_FILES, POINT_FILES, TIME_FILES) for name in names]
-    kept = [path for path in found if path.is_file() and (path.suffix != ".toml" or recognises_cameras(path))]
-    if not kept:
-        raise InputError(f"{folder}: expected {', '.join(path.name for path in found)}, found none of them")
-    return kept
+def _files_of(folder: Path, recording: ForeignRecording) -> list[Path]:
+    """Return the cameras, points and times of a session, or of a folder of it."""
+    cameras = [path for name in CAMERA_FILES if recognises_cameras(path := folder / name)][:1]
+    places = [folder, *(place for pattern in POINT_FOLDERS for place in sorted(folder.glob(pattern)))]
+    tables = [path for place in places for path in sorted(place.glob(POINT_FILES)) if _is_points(path)]
+    if not tables:
+        if not cameras:
+            raise InputError(
+                f"{folder}: expected {' or '.join(CAMERA_FILES)}, or points ({POINT_FILES}) there or in "
+                f"{', '.join(POINT_FOLDERS)}; found none of them"
+            )
+        recording.assumed.append(
+            f"{folder}: cameras only: no points ({POINT_FILES}) there or in {', '.join(POINT_FOLDERS)}"
+        )
+        return cameras
+    points = tables[0]
+    if others := [str(path.relative_to(folder)) for path in tables[1:]]:
+        chosen = points.relative_to(folder)
+        recording.assumed.append(f"{folder}: the points are those of {chosen}, not of {', '.join(others)}")
+    near = [
+        path
+        for place in (points.parent, points.parent.parent)
+        for name in TIME_FILES
+        if (path := place / name).is_file()
+    ]
+    return [*cameras, points, *near[:1]]
+
+
+def _is_points(path: Path) -> bool:
+    return path.is_file() and _column(path, U, None) is not None
 
 
 def _read_cameras(path: Path, options: ImportOptions, recording: ForeignRecording) -> None:
@@ -108,15 +147,26 @@ def _column(path: Path, names: Sequence[str], expected: str | None) -> str | Non
 
 def _pieces(points: Path, times: Sequence[Path], options: ImportOptions) -> Iterator[Piece]:
     """Yield the points, and an empty row for every listed frame (those of frames with points are dropped later)."""
-    yield from _rows(points, options, True)
+    # without a common index the frames of a camera are the rows of its times
+    is_counted = any(_column(path, SYNC, None) is None for path in times)
+    yield from _rows(points, options, True, SYNC[::-1] if is_counted else SYNC)
     for path in times:
-        yield from _rows(path, options, False)
+        yield from _counted(path, options) if is_counted else _rows(path, options, False, SYNC)
 
 
-def _rows(path: Path, options: ImportOptions, has_points: bool) -> Iterator[Piece]:
+def _counted(path: Path, options: ImportOptions) -> Iterator[Piece]:
+    """Yield an empty row for each time of a camera, numbered in order."""
+    camera, time = read_columns(path, [_column(path, names, names[0]) or "" for names in (CAMERA, TIME)]).T
+    for number in np.unique(camera):
+        mine = np.sort(time[camera == number])
+        frames = np.arange(len(mine), dtype=np.float64)
+        yield Piece(options.name(f"cam{number:.0f}"), np.full((len(mine), 2), np.nan), frames, mine)
+
+
+def _rows(path: Path, options: ImportOptions, has_points: bool, sync: Sequence[str]) -> Iterator[Piece]:
     import pyarrow as pa
 
-    wanted: dict[str, Sequence[str]] = {"camera": CAMERA, "frame": SYNC, "time": TIME}
+    wanted: dict[str, Sequence[str]] = {"camera": CAMERA, "frame": sync, "time": TIME}
     if has_points:
         wanted |= {"u": U, "v": V, "point": POINT}
     column = {key: _column(path, names, names[0]) or "" for key, names in wanted.items()}
@@ -131,7 +181,7 @@ def _rows(path: Path, options: ImportOptions, has_points: bool) -> Iterator[Piec
             pixels = np.full((len(mine["frame"]), 2), np.nan)
             if has_points:
                 pixels = np.stack([mine["u"], mine["v"]], axis=1)
-                extra["object_id"] = mine["point"] + KEYPOINTS_OF_AN_OBJECT * mine.get("object", np.zeros(1))
+                extra["object_id"] = mine["point"] + POINTS_OF_A_GROUP * mine.get("object", np.zeros(1))
             yield Piece(options.name(f"cam{camera:.0f}"), pixels, mine["frame"], mine["time"], extra)
 
 

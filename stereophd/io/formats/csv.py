@@ -6,6 +6,8 @@ native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_p
 without u and v is a frame without detections. Without a column of cameras, each file is a camera, named as the file.
 Pixels are native (pixel (0, 0) is the centre of the top-left pixel) unless an option changes that.
 
+Points in space (`truth`): columns x, y and z, times or frames, and where there are several objects their numbers.
+
 Tracks: the columns of ``tracks.parquet``; the covariance as its upper triangle, ``cov_x_x``, ``cov_x_y``, ..., after
 ``existence`` ``status`` and ``std_x``, ``std_y``, ``std_z`` where the table has them. Numbers have 17 digits, which is
 exact; names of cameras are quoted where they need it, and one that begins like a formula gets an apostrophe before it.
@@ -15,6 +17,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,6 +34,7 @@ from stereophd.io.interchange.base import (
 )
 from stereophd.io.interchange.documents.text_tables import first_lines, read_batches, separator_of, split_line
 from stereophd.io.interchange.pixels import native_pixels
+from stereophd.io.interchange.truth import long_truth
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -49,6 +53,15 @@ USUAL_NAMES: Mapping[str, tuple[str, ...]] = {
     "score": ("score", "confidence", "likelihood", "conf", "probability"),
     "object_id": ("object_id",),
 }
+#: The same of points in space.
+NAMES_IN_SPACE: Mapping[str, tuple[str, ...]] = {
+    "x": ("x", "x_m", "x_mm", "x_world"),
+    "y": ("y", "y_m", "y_mm", "y_world"),
+    "z": ("z", "z_m", "z_mm", "z_world"),
+    "time": USUAL_NAMES["time_s"],
+    "frame": USUAL_NAMES["frame"],
+    "object": ("object_id", "track_id", "object", "track", "id", "label"),
+}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # A spreadsheet evaluates text that begins with one of these.
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -59,6 +72,11 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read tables of detections."""
     recording = ForeignRecording(files=list(sources))
     recording.pieces = _pieces(recording, sources, options)
+    if options.truth is not None:
+        truth = long_truth(options.truth, NAMES_IN_SPACE)
+        if truth.time_s is not None:
+            truth = replace(truth, time_s=truth.time_s * TIME_UNITS[options.time_unit])
+        recording.truth = truth
     return recording
 
 

@@ -24,8 +24,7 @@ from stereophd.errors import InputError
 from stereophd.io.documents import check_hdf5
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_package
 from stereophd.io.interchange.documents.text_tables import first_lines, numbers, read_batches
-from stereophd.io.interchange.pixels import native_pixels
-from stereophd.io.interchange.points import point_rows
+from stereophd.io.interchange.pixels import native_pixels, point_rows
 
 ADDED = re.compile(r"_?DLC_.*$|_?DLC$")
 # (individual and body part, coordinate) of a column of values.

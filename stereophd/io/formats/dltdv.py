@@ -7,24 +7,25 @@ principal point, aspect ratio, k1, k2, p1, p2, k3). Cameras are named ``cam1``, 
 
 Conventions: rows count from the bottom of the image, and the centre of the first pixel is (1, 1), as in MATLAB
 (``pixel_origin`` and ``rows_from`` state others). Row k of the points is frame k - 1; rows are synchronous, so
-frame offsets between the videos do not matter. The coefficients hold for undistorted pixels: with a profile, the
-points are undistorted, and the cameras have no lens. A DLT camera may have a skew; it is moved into the points, which
-is exact. A left-handed world is recognised by the scene lying behind the cameras; its z axis is reversed.
+frame offsets between the videos do not matter. The coefficients hold for undistorted pixels, the points are as
+digitised: with a profile, the cameras get the lens with which the coefficients see the points. A DLT camera may have
+a skew; it is moved into the points, which is exact. A left-handed world is recognised by the scene lying behind the
+cameras; its z axis is reversed. Points in space (``...xyzpts.csv`` with columns ``pt1_X``) are the truth.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.geometry.lens import Lens
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
+from stereophd.io.documents import check_claim
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, TruePoints
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, unit
 from stereophd.io.interchange.documents.text_tables import (
     first_lines,
@@ -33,9 +34,10 @@ from stereophd.io.interchange.documents.text_tables import (
     separator_of,
     split_line,
 )
-from stereophd.io.interchange.pixels import ORIGINS
-from stereophd.io.interchange.points import point_rows
+from stereophd.io.interchange.fitted import StatedLens, parts_of_projection
+from stereophd.io.interchange.pixels import ORIGINS, point_rows
 from stereophd.io.interchange.projection import MIRROR, Decomposed, decompose, is_left_handed, triangulate
+from stereophd.io.interchange.truth import stacked, wide_truth
 
 COEFFICIENTS = 11
 PROFILE_COLUMNS = 12
@@ -43,8 +45,6 @@ PROFILE_COLUMNS = 12
 _COLUMN = re.compile(r"(?P<point>.+?)_cam_?(?P<camera>\d+)_(?P<axis>[xy])", re.IGNORECASE)
 # Points that decide the handedness.
 POINTS_TRIED = 200
-# A skew that moves pixels by less than this is rounding.
-NEGLIGIBLE_SKEW_PX = 1e-6
 
 
 @dataclass
@@ -61,67 +61,63 @@ class _View:
     """How the source's pixels of one camera become native ones."""
 
     name: str
-    height: int
+    size: tuple[int, int]
     shift: float
     from_bottom: bool
-    lens: Lens | None = None
-    lens_matrix: Array | None = None
-    skew_slope: float = 0.0
-    skew_row: float = 0.0
+    lens: StatedLens | None = None
+    skewed: Decomposed | None = None
 
     def flip(self) -> Array:
         """Return the matrix (3, 3) from the source's homogeneous pixels to native ones."""
         flip = np.array([[1.0, 0.0, -self.shift], [0.0, 1.0, -self.shift], [0.0, 0.0, 1.0]])
         if self.from_bottom:
-            flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, self.height - 1.0], [0.0, 0.0, 1.0]]) @ flip
+            flip = np.array([[1.0, 0.0, 0.0], [0.0, -1.0, self.size[1] - 1.0], [0.0, 0.0, 1.0]]) @ flip
         return flip
 
     def native(self, pixels: Array) -> Array:
-        """Return native pixels (..., 2): flipped, undistorted, without skew."""
+        """Return native pixels (..., 2) of the source's: flipped, without skew."""
         flip = self.flip()
-        result = pixels * np.diag(flip)[:2] + flip[:2, 2]
-        if self.lens is not None and self.lens_matrix is not None:
-            focal, center = np.diag(self.lens_matrix)[:2], self.lens_matrix[:2, 2]
-            flat = ((result - center) / focal).reshape(-1, 2)
-            seen = np.isfinite(flat).all(axis=1)
-            flat[seen] = self.lens.undistort(flat[seen])[0]
-            result = flat.reshape(result.shape) * focal + center
-        result[..., 0] -= self.skew_slope * (result[..., 1] - self.skew_row)
-        return result
+        native = pixels * np.diag(flip)[:2] + flip[:2, 2]
+        return native if self.skewed is None else self.skewed.upright(native)
 
 
 def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read points, cameras, or both."""
     recording = ForeignRecording(files=list(sources))
-    found = _classify(sources)
+    tables = _classify(sources)
     where = ", ".join(path.name for path in sources)
-    views = _views(found, options, recording, where)
-    if found.coefficients is not None:
-        views = _add_cameras(found, views, options, recording, where)
-    if found.points:
-        recording.pieces = _pieces(found, views, options, recording)
+    views = _views(tables, options, recording, where)
+    flips_z = False
+    if tables.coefficients is not None:
+        views, flips_z = _add_cameras(tables, views, options, recording, where)
+    elif tables.profile is not None:
+        _add_unplaced(views, options, recording, where)
+    if tables.points:
+        recording.pieces = _pieces(tables, views, options, recording)
+    if options.truth is not None:
+        recording.truth = _truth(options.truth, flips_z)
     return recording
 
 
 def _classify(sources: Sequence[Path]) -> _Sources:
-    found = _Sources()
+    tables = _Sources()
     for path in sources:
         lines = first_lines(path, 2)
         table = read_matrix(path)
         if (lines and any(_COLUMN.fullmatch(word) for word in split_line(lines[0]))) or (
-            len(lines) > 1 and table is None and re.fullmatch(r"\d+\t\d+\t\d+", lines[1].strip())
+            table is None and _is_sparse(lines)
         ):
-            found.points.append(path)
+            tables.points.append(path)
         elif table is not None and is_profile(table):
-            found.profile = table
+            tables.profile = table
         elif table is not None and table.shape[0] == COEFFICIENTS:
-            found.coefficients = table
+            tables.coefficients = table
         else:
             raise InputError(
                 f"{path}: expected points (columns like pt1_cam1_X), {COEFFICIENTS} rows of DLT coefficients, or a "
                 f"camera profile of {PROFILE_COLUMNS} columns, found none of them"
             )
-    return found
+    return tables
 
 
 def is_profile(table: Array) -> bool:
@@ -129,16 +125,16 @@ def is_profile(table: Array) -> bool:
     return table.shape[1] == PROFILE_COLUMNS and bool((table[:, 0] == np.arange(1, len(table) + 1)).all())
 
 
-def _views(found: _Sources, options: ImportOptions, recording: ForeignRecording, where: str) -> list[_View]:
+def _views(tables: _Sources, options: ImportOptions, recording: ForeignRecording, where: str) -> list[_View]:
     """Return the conventions of each camera; cameras are counted in the coefficients, the profile, or the points."""
-    if found.coefficients is not None:
-        count = found.coefficients.shape[1]
-    elif found.profile is not None:
-        count = len(found.profile)
+    if tables.coefficients is not None:
+        count = tables.coefficients.shape[1]
+    elif tables.profile is not None:
+        count = len(tables.profile)
     else:
-        count = max((camera for path in found.points for _, camera in _columns(path, 0)[0]), default=0)
-    if found.profile is not None and len(found.profile) != count:
-        raise InputError(f"{where}: expected a camera profile of {count} rows, found {len(found.profile)}")
+        count = max((camera for path in tables.points for _, camera in _columns(path, 0)[0]), default=0)
+    if tables.profile is not None and len(tables.profile) != count:
+        raise InputError(f"{where}: expected a camera profile of {count} rows, found {len(tables.profile)}")
     shift = ORIGINS[options.pixel_origin or "one"]
     from_bottom = (options.rows_from or "bottom") == "bottom"
     recording.assumed.append(
@@ -148,14 +144,12 @@ def _views(found: _Sources, options: ImportOptions, recording: ForeignRecording,
     views = []
     for number in range(1, count + 1):
         name = options.name(f"cam{number}")
-        stated = None if found.profile is None else found.profile[number - 1]
+        stated = None if tables.profile is None else tables.profile[number - 1]
         size = image_size(name, None if stated is None else (int(stated[2]), int(stated[3])), options, where)
-        view = _View(name, size[1], shift, from_bottom)
-        if stated is not None and stated[7:].any():
+        view = _View(name, size, shift, from_bottom)
+        if stated is not None:
             view = _with_lens(view, stated)
         views.append(view)
-    if any(view.lens is not None for view in views):
-        recording.assumed.append("the points are distorted, and are undistorted by the camera profile")
     return views
 
 
@@ -167,21 +161,31 @@ def _with_lens(view: _View, stated: Array) -> _View:
     center = flip[:2, :2] @ [cx, cy] + flip[:2, 2]
     matrix = np.array([[focal, 0.0, center[0]], [0.0, focal * (aspect or 1.0), center[1]], [0.0, 0.0, 1.0]])
     # with y reversed, the tangential term of y changes its sign
-    lens = Lens("brown_conrady", k1=k1, k2=k2, p1=up * p1, p2=p2, k3=k3)
-    return _View(view.name, view.height, view.shift, view.from_bottom, lens, matrix)
+    return replace(view, lens=StatedLens(matrix, np.array([k1, k2, up * p1, p2, k3])))
+
+
+def _add_unplaced(views: Sequence[_View], options: ImportOptions, recording: ForeignRecording, where: str) -> None:
+    """Add cameras of which the profile is all that is known."""
+    recording.length_unit = unit(options, recording, where)
+    recording.assumed.append("the poses of the cameras are unknown: the sources have no DLT coefficients")
+    for view in views:
+        assert view.lens is not None
+        parts = Parts(view.lens.matrix, view.lens.coefficients, False, np.eye(3), np.zeros(3), view.size)
+        recording.cameras[view.name] = put_together(view.name, parts, options, where, pose="unknown")
 
 
 def _add_cameras(
-    found: _Sources, views: Sequence[_View], options: ImportOptions, recording: ForeignRecording, where: str
-) -> list[_View]:
-    """Take the coefficients apart into cameras; returns the views with their skews."""
-    assert found.coefficients is not None
+    tables: _Sources, views: Sequence[_View], options: ImportOptions, recording: ForeignRecording, where: str
+) -> tuple[list[_View], bool]:
+    """Take the coefficients apart into cameras; returns the views with their skews, and whether z is reversed."""
+    assert tables.coefficients is not None
     projections = [
         view.flip() @ np.append(column, 1.0).reshape(3, 4)
-        for view, column in zip(views, found.coefficients.T, strict=True)
+        for view, column in zip(views, tables.coefficients.T, strict=True)
     ]
     cameras = [decompose(p, f"{where}: {view.name}") for p, view in zip(projections, views, strict=True)]
-    if is_left_handed(cameras, _some_points(found, views, projections)):
+    flips_z = is_left_handed(cameras, _some_points(tables, views, projections))
+    if flips_z:
         projections = [p @ MIRROR for p in projections]
         cameras = [decompose(p, f"{where}: {view.name}") for p, view in zip(projections, views, strict=True)]
         recording.assumed.append(
@@ -190,48 +194,30 @@ def _add_cameras(
     recording.length_unit = unit(options, recording, where)
     result = []
     for view, camera in zip(views, cameras, strict=True):
-        size = image_size(view.name, _profile_size(found, view.name, views), options, where)
-        matrix = camera.matrix.copy()
-        matrix[0, 1] = 0.0
-        parts = Parts(matrix, np.zeros(5), False, camera.rotation, camera.center, size)
+        lens = None if options.undistorted else view.lens
+        parts, skewed = parts_of_projection(camera, lens, view.size, bool(tables.points), recording, view.name)
         recording.cameras[view.name] = put_together(view.name, parts, options, where)
-        result.append(_without_skew(view, camera, bool(found.points), recording))
-    return result
+        result.append(replace(view, skewed=skewed))
+    return result, flips_z
 
 
-def _profile_size(found: _Sources, name: str, views: Sequence[_View]) -> tuple[int, int] | None:
-    if found.profile is None:
-        return None
-    row = found.profile[[view.name for view in views].index(name)]
-    return int(row[2]), int(row[3])
-
-
-def _without_skew(view: _View, camera: Decomposed, has_points: bool, recording: ForeignRecording) -> _View:
-    largest = abs(camera.skew_slope) * view.height / 2
-    if largest < NEGLIGIBLE_SKEW_PX:
-        return view
-    way = "moved into the points" if has_points else "left out"
-    recording.assumed.append(f"{view.name}: its skew of up to {largest:.2g} px is {way}: native cameras have none")
-    slope, row = camera.skew_slope, float(camera.matrix[1, 2])
-    return _View(view.name, view.height, view.shift, view.from_bottom, view.lens, view.lens_matrix, slope, row)
-
-
-def _some_points(found: _Sources, views: Sequence[_View], projections: Sequence[Array]) -> Array | None:
+def _some_points(tables: _Sources, views: Sequence[_View], projections: Sequence[Array]) -> Array | None:
     """Return some world points of the recording, in the world of the coefficients."""
-    for path in found.points:
+    for path in tables.points:
         for _, points in _batches(path, len(views)):
-            native = np.stack([view.native(points[:, :, k]) for k, view in enumerate(views)], axis=2)
-            # frames x points x cameras x 2
-            return triangulate(projections, native.reshape(-1, len(views), 2)[:POINTS_TRIED])
+            rows = points.reshape(-1, len(views), 2)[:POINTS_TRIED]
+            native = [view.native(rows[:, k]) for k, view in enumerate(views)]
+            flat = [n if view.lens is None else view.lens.undistort(n) for n, view in zip(native, views, strict=True)]
+            return triangulate(projections, np.stack(flat, axis=1))
     return None
 
 
 def _pieces(
-    found: _Sources, views: Sequence[_View], options: ImportOptions, recording: ForeignRecording
+    tables: _Sources, views: Sequence[_View], options: ImportOptions, recording: ForeignRecording
 ) -> Iterator[Piece]:
-    if len(found.points) > 1:
-        raise InputError(f"expected one table of points, found {', '.join(map(str, found.points))}")
-    path = found.points[0]
+    if len(tables.points) > 1:
+        raise InputError(f"expected one table of points, found {', '.join(map(str, tables.points))}")
+    path = tables.points[0]
     names = list(dict.fromkeys(name for name, _ in _columns(path, len(views))[0]))
     recording.labels.update(enumerate(names))
     for frames, points in _batches(path, len(views)):
@@ -245,8 +231,8 @@ def _columns(path: Path, cameras: int) -> tuple[list[tuple[str, int]], list[str]
     words = split_line(lines[0])
     matches = [_COLUMN.fullmatch(word) for word in words]
     if any(matches):
-        found = [(m["point"], int(m["camera"])) for m in matches if m is not None and m["axis"].lower() == "x"]
-        return found, words
+        pairs = [(m["point"], int(m["camera"])) for m in matches if m is not None and m["axis"].lower() == "x"]
+        return pairs, words
     columns = int(lines[1].split()[1])
     if not cameras or columns % (2 * cameras):
         raise InputError(f"{path}: expected DLT coefficients with sparse points, because their columns have no names")
@@ -259,7 +245,8 @@ def _batches(path: Path, cameras: int) -> Iterator[tuple[Array, Array]]:
     names = list(dict.fromkeys(name for name, _ in pairs))
     cameras = max(cameras, max(camera for _, camera in pairs))
     if not words:
-        yield _sparse(path, len(names), cameras)
+        values = _read_sparse(path)
+        yield np.arange(len(values), dtype=np.float64), values.reshape(len(values), len(names), cameras, 2)
         return
     import pyarrow as pa
 
@@ -279,19 +266,30 @@ def _batches(path: Path, cameras: int) -> Iterator[tuple[Array, Array]]:
         start += len(batch)
 
 
-def _sparse(path: Path, points: int, cameras: int) -> tuple[Array, Array]:
-    """Return the content of a sparse table: row, column, value; what is not there is not seen."""
-    rows = int(first_lines(path, 2)[1].split()[0])
-    values = np.full((rows, points * cameras * 2), np.nan)
+def _truth(path: Path, flips_z: bool) -> TruePoints:
+    """Return DLTdv's points in space, in the world of the cameras."""
+    truth = stacked(_read_sparse(path)) if _is_sparse(first_lines(path, 2)) else wide_truth(path)
+    return replace(truth, position=truth.position * [1.0, 1.0, -1.0 if flips_z else 1.0])
+
+
+def _is_sparse(lines: Sequence[str]) -> bool:
+    """Whether the first lines are those of DLTdv's sparse tables, whose second states their size."""
+    return len(lines) > 1 and re.fullmatch(r"\d+\t\d+\t\d+", lines[1].strip()) is not None
+
+
+def _read_sparse(path: Path) -> Array:
+    """Return the content of a sparse table of rows of row, column, value; what is not there is not seen."""
+    rows, columns = map(int, first_lines(path, 2)[1].split()[:2])
+    check_claim(8 * rows * columns, path.stat().st_size, str(path))
+    values = np.full((rows, columns), np.nan)
     try:
         entries = np.loadtxt(path, skiprows=2, ndmin=2)
-        for row, column, value in entries:
-            values[int(row) - 1, int(column) - 1] = value
+        values[entries[:, 0].astype(int) - 1, entries[:, 1].astype(int) - 1] = entries[:, 2]
     except (ValueError, IndexError) as error:
         raise InputError(
             f"{path}: expected rows of row, column and value within the stated size, found: {error}"
         ) from error
-    return np.arange(rows, dtype=np.float64), values.reshape(rows, points, cameras, 2)
+    return values
 
 
 FORMAT = Format("DLTdv, easyWand, Argus: digitised points and DLT coefficients", read=read)

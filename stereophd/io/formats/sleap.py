@@ -19,8 +19,7 @@ import numpy as np
 from stereophd.errors import InputError
 from stereophd.io.documents import check_hdf5
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_package
-from stereophd.io.interchange.pixels import native_pixels
-from stereophd.io.interchange.points import point_rows
+from stereophd.io.interchange.pixels import native_pixels, point_rows
 
 #: Order of the axes where the file names none: as MATLAB reads it.
 USUAL_AXES = ("track", "xy", "node", "frame")

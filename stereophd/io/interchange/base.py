@@ -8,6 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig
@@ -63,6 +66,7 @@ class ImportOptions:
     least_score: float | None = None  # Detections of a smaller score are left out
     # Whether the source's pixels are already undistorted: the cameras then lose their lens model.
     undistorted: bool = False
+    truth: Path | None = None  # A file (or folder) of the program's points in space, which become a truth
     # ``sigma_px``, ``p_detect`` and ``clutter_per_frame`` of all cameras; None: to be estimated from the log.
     detector: Mapping[str, Any] | None = None
 
@@ -82,7 +86,8 @@ class ImportOptions:
         for name, default in vars(ImportOptions()).items():
             value = getattr(self, name)
             if value != default:
-                result[name] = value.plain() if isinstance(value, PerCamera) else value
+                plain = value.plain() if isinstance(value, PerCamera) else value
+                result[name] = plain.name if isinstance(plain, Path) else plain
         return result
 
 
@@ -98,6 +103,16 @@ class Piece:
     extra: Mapping[str, Array] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class TruePoints:
+    """Where objects were, in the unit of the source's cameras; times (s) or frame numbers, one of the two."""
+
+    object_id: NDArray[np.int64]  # (n,)
+    position: Array  # (n, 3)
+    time_s: Array | None = None  # (n,)
+    frame: Array | None = None  # (n,)
+
+
 @dataclass
 class ForeignRecording:
     """Contents of a foreign source."""
@@ -105,6 +120,9 @@ class ForeignRecording:
     # Its detections, in any order; None: it holds none. They may be consumed once.
     pieces: Iterable[Piece] | None = None
     cameras: dict[str, CameraConfig] = field(default_factory=dict)  # Its cameras, by native name
+    truth: TruePoints | None = None  # Its points in space, where the options name a file of them
+    # What the native cameras cannot hold, by native name, as the source has it; for the report.
+    models: dict[str, Any] = field(default_factory=dict)
     length_unit: str | None = None  # Unit of the camera centres; None without cameras
     unit_is_assumed: bool = False  # Whether neither the source nor the user states that unit
     # Sentences: what the source does not state, and what was assumed instead. Complete once `pieces` are consumed.

@@ -31,6 +31,12 @@ class Decomposed:
         """Shift of u by the skew per row below the principal point, px per px."""
         return float(self.matrix[0, 1] / self.matrix[1, 1])
 
+    def upright(self, pixels: Array) -> Array:
+        """Return pixels (..., 2) as the camera without its skew would have them."""
+        result = pixels.copy()
+        result[..., 0] -= self.skew_slope * (result[..., 1] - self.matrix[1, 2])
+        return result
+
     def depth(self, points: Array) -> Array:
         """Return the depths (n,) of world points (n, 3)."""
         return np.asarray((points - self.center) @ self.rotation[2], dtype=np.float64)

@@ -18,6 +18,8 @@ FRAME, TIME, U, V = range(4)
 WIDTH = 4 + len(EXTRA_COLUMNS)
 # Rows of a piece of a temporary file.
 PIECE_ROWS = 65536
+# Largest number of a frame: beyond it not every whole number is a float.
+MAX_FRAME = 2.0**53
 
 
 @dataclass
@@ -79,7 +81,7 @@ def _append(spool: Spool, piece: Piece) -> None:
     if not np.isfinite(key).all():
         what = "frame numbers" if spool.has_frames else "times"
         raise InputError(f"camera {piece.camera}: expected {what}, found a row without one")
-    broken = key[key % 1.0 != 0.0]
+    broken = key[(key % 1.0 != 0.0) | (np.abs(key) > MAX_FRAME)]
     if spool.has_frames and len(broken):
         raise InputError(f"camera {piece.camera}: expected whole frame numbers, found {broken[0]:g}")
     spool.in_order &= bool(key[0] >= spool.last and (np.diff(key) >= 0).all())

@@ -13,21 +13,24 @@ from stereophd.errors import InputError
 # File names that state the kind of file, not the recording: the folder names the recording.
 NATIVE_STEMS = frozenset({"detections", "tracks", "truth"})
 
+LOG_FILE = "detections.parquet"
 _WILD = frozenset("*?[")
 
 
 def expand(paths: Sequence[Path | str]) -> list[Path]:
-    """Return files, each pattern replaced by the files that fit it, in order of name; InputError when none fits."""
-    found: list[Path] = []
+    """Return logs: each pattern replaced by the files that fit it, in order of name, each folder by the log in it.
+
+    Raises InputError when nothing fits a pattern.
+    """
+    logs: list[Path] = []
     for path in map(Path, paths):
-        if path.exists() or not _WILD & set(str(path)):
-            found.append(path)
-            continue
-        fitting = sorted(Path(name) for name in glob.glob(str(path), recursive=True))
+        fitting = [path]
+        if not path.exists() and _WILD & set(str(path)):
+            fitting = sorted(Path(name) for name in glob.glob(str(path), recursive=True))
         if not fitting:
             raise InputError(f"{path}: expected a pattern that fits a file, found no such file")
-        found += fitting
-    return found
+        logs += [log if (log := place / LOG_FILE).is_file() else place for place in fitting]
+    return logs
 
 
 def folder_names(paths: Sequence[Path]) -> list[str]:

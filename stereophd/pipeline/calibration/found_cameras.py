@@ -9,11 +9,13 @@ the search itself doubts, never by posterior over prior.
 from __future__ import annotations
 
 import copy
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydantic import BaseModel
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig, NoScale
 from stereophd.config.loading import variant
@@ -27,15 +29,14 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
 from stereophd.core.numerics.random_streams import CAMERA_DISCOVERY
 from stereophd.errors import InputError
-from stereophd.pipeline.calibration.filters import pmb_filter
-from stereophd.pipeline.calibration.inputs import CalibrationProblem, tracked_frames
-from stereophd.pipeline.calibration.outcome import Outcome
-from stereophd.pipeline.calibration.unit_of_length import with_baseline_unit
+from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, pmb_filter, tracked_frames
 from stereophd.pipeline.calibration.unknowns import calibration_section
 from stereophd.pipeline.stream import covered, open_stream
+from stereophd.validated import NO_LENGTH
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
+
 
 # Prior deviations about what was found: so many stated ones, and at least these: rad, share of the distance, frames.
 STATED, LEAST_ROTATION, LEAST_SHARE, LEAST_FRAMES = 5.0, np.deg2rad(3.0), 0.05, 1.0
@@ -288,3 +289,31 @@ def _placed(
         placeholder = {c.name: {"rotation_std_deg": 1.0} for c in cameras if c.name != section.reference}
         changes["calibration.priors"] = priors if priors is not None else placeholder
     return variant(loaded, [("cameras that were found", changes)])
+
+
+# Sections whose lengths are settings. Those of cameras and of calibrations are made anew where cameras are found.
+SECTIONS = ("disparity", "motion", "object", "region", "filter", "report", "evaluation")
+
+
+def with_baseline_unit(loaded: LoadedConfig, factor: float) -> LoadedConfig:
+    """Return a configuration in the unit `baseline`, in which its lengths have this many times their values."""
+    changes: dict[str, Any] = {"units.length": NO_LENGTH}
+    for section in SECTIONS:
+        changes.update(_scaled(getattr(loaded.config, section), section, factor))
+    return variant(loaded, [("unit of length", changes)])
+
+
+def _scaled(value: Any, key: str, factor: float) -> Iterator[tuple[str, Any]]:
+    """Key paths of the lengths in settings, and their scaled values."""
+    if isinstance(value, BaseModel):
+        units = {name: field.json_schema_extra for name, field in type(value).model_fields.items()}
+    elif is_dataclass(value):
+        units = {field.name: field.metadata.get("json_schema_extra") for field in fields(value)}
+    else:
+        return
+    for name, extra in units.items():
+        inner, unit = getattr(value, name), extra.get("unit", "") if isinstance(extra, dict) else ""
+        if isinstance(inner, BaseModel) or is_dataclass(inner):
+            yield from _scaled(inner, f"{key}.{name}", factor)
+        elif str(unit).startswith("length") and inner is not None and not isinstance(inner, str):
+            yield f"{key}.{name}", [factor * part for part in inner] if isinstance(inner, tuple) else factor * inner

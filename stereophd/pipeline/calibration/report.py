@@ -20,8 +20,7 @@ from stereophd.core.calibration.unknowns.observability import (
     posed_cameras,
 )
 from stereophd.io.outputs.json_text import finite_or_none
-from stereophd.pipeline.calibration.inputs import CalibrationProblem
-from stereophd.pipeline.calibration.outcome import Outcome
+from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome
 from stereophd.wording import percent
 
 # Parameters that make up this part of a direction (in units of prior standard deviations) are named.

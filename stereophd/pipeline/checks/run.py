@@ -87,7 +87,7 @@ def check_samples(
         if config.object.shape == "point":
             # the middle of a box is not the image of the middle of a body
             findings += check_residuals(samples)
-        findings += check_settings(config, measure_scene(geometry), samples, config.units.length)
+        findings += check_settings(config, measure_scene(geometry), samples, whole)
     return tuple(findings)
 
 

@@ -146,9 +146,9 @@ def expected_depths(config: Config, samples: list[CameraSample]) -> tuple[float,
     return 0.5 * size, 20.0 * size
 
 
-def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
-    """Yield findings about births, motion and region."""
-    settings = config.filter
+def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSample], whole: bool) -> Iterator[Finding]:
+    """Yield findings about births, motion and region; objects are too slow for these only in a `whole` log."""
+    settings, unit = config.filter, config.units.length
     if settings is None or isinstance(settings, SingleSettings) or scene.depths is None:
         return
     low, high = expected_depths(config, samples)
@@ -166,7 +166,8 @@ def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSam
     else:
         yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}", round(covered, 3), 1.0)
     yield from _region(config, scene, unit)
-    yield from _speeds(config, scene, samples, unit)
+    held = np.mean([_held(sample) for sample in samples]) >= LEAST_HELD
+    yield from _speeds(config, scene, bool(whole and held))
 
 
 def _held(sample: CameraSample) -> float:
@@ -190,16 +191,16 @@ def _region(config: Config, scene: MeasuredScene, unit: str) -> Iterator[Finding
         )  # fmt: skip
 
 
-def _speeds(config: Config, scene: MeasuredScene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
-    settings, motion = config.filter, config.motion
+def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Finding]:
+    """Yield findings about speeds and accelerations; settings are too large only where the objects are `complete`."""
+    settings, motion, unit = config.filter, config.motion, config.units.length
     assert settings is not None
     assert not isinstance(settings, SingleSettings)
     if scene.speed is None:
         return
     spread, fastest = float(scene.speed[0]), float(scene.speed[1])
     stated = float(np.max(settings.birth.velocity_std))
-    held = np.mean([_held(sample) for sample in samples]) >= LEAST_HELD
-    if spread > SLOWER * stated or (held and spread < stated / FASTER):
+    if spread > SLOWER * stated or (complete and spread < stated / FASTER):
         yield Finding(
             "settings.velocity_std", "warning",
             f"the objects move at about {spread:.3g} {unit}/s per axis, but filter.birth.velocity_std is {stated:g}: "
@@ -229,7 +230,7 @@ def _speeds(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
             stated_acceleration, round(found, 6), None, f"set motion.acceleration_std near {found:.2g}",
             "acceleration_std",
         )  # fmt: skip
-    elif held and found is not None and stated_acceleration > TOO_MUCH * max(found, 0.1 * spread):
+    elif complete and found is not None and stated_acceleration > TOO_MUCH * max(found, 0.1 * spread):
         yield Finding(
             "settings.acceleration_std", "warning",
             f"motion.acceleration_std is {stated_acceleration:g} {unit}/s^2, but the objects accelerate by only about "

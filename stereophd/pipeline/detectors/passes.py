@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 from typing import Any
@@ -25,8 +25,9 @@ from stereophd.pipeline.detectors.statistics import (
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import FORGET_EVERY, run_estimator
 
-# Frames of a pass: more add no information, and the time stays bounded for logs of any length.
-MOST_FRAMES = 20_000
+# Frames of a log that are looked at, stretches of it that a filter runs over, events and detections of them all: more
+# add little, and the time stays bounded for logs of any length.
+MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 2400, 12_000
 # Passes end when no value changes by more than this share (probabilities of detection: of the misses) or this part
 # of its standard error.
 MOST_PASSES = 5
@@ -83,7 +84,9 @@ class _Watched:
         self._settled = _Settled()
 
     def init(self) -> FilterState:
-        """Return the state before the first event."""
+        """Return the state before the first event of a stretch, whose labels begin anew."""
+        self._settled = _Settled()
+        self._forget(set())
         return self._filter.init()
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
@@ -118,11 +121,23 @@ class _Watched:
             each.previous = {label: residual for label, residual in each.previous.items() if label in alive}
 
 
-def _pass(multi_filter: DisparityFilter, stream: EventStream) -> tuple[list[DetectorSums], bool]:
-    """Run over the log once; return the sums of every camera, and whether the log states its own noise."""
+def stretches(stream: EventStream) -> list[EventStream]:
+    """Return stretches of a log in memory, spread over its first `MOST_FRAMES` frames: all of it if it is short."""
+    frames = list(islice(stream.frames, MOST_FRAMES))
+    detections = sum(len(frame.pixels) for frame in frames)
+    most = int(min(MOST_EVENTS, len(frames) * MOST_DETECTIONS / max(detections, 1)))
+    if len(frames) <= most or most < STRETCHES:
+        return [EventStream(stream.cameras, frames)]
+    length = most // STRETCHES
+    starts = np.linspace(0, len(frames) - length, STRETCHES).astype(int)
+    return [EventStream(stream.cameras, frames[start : start + length]) for start in starts.tolist()]
+
+
+def _pass(multi_filter: DisparityFilter, parts: Iterable[EventStream]) -> tuple[list[DetectorSums], bool]:
+    """Run over stretches of a log once; return the sums of every camera, and whether the log states its own noise."""
     watched = _Watched(multi_filter)
     sums = {camera.name: own for camera, own in zip(multi_filter.rig.cameras, watched.sums, strict=True)}
-    for record in run_estimator(watched, islice(stream, MOST_FRAMES)):
+    for record in (record for part in parts for record in run_estimator(watched, part)):
         sums[record.camera].frames += 1
         sums[record.camera].detections += record.n_detections
         for counts in record.attributed.values():
@@ -135,7 +150,7 @@ def estimate_detectors(
     cameras: tuple[Camera, ...],
     priors: Mapping[str, NoisePrior],
     build_filter: Callable[[tuple[Camera, ...]], DisparityFilter],
-    stream: EventStream,
+    parts: Sequence[EventStream],
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
     """Estimate noise, probability of detection and clutter of cameras from a log.
 
@@ -149,8 +164,8 @@ def estimate_detectors(
         Name -> what is known of the noise, of the cameras whose detectors are estimated; the others stay as they are.
     build_filter : callable
         Makes a labelled filter of cameras.
-    stream : EventStream
-        The log, read anew in every pass.
+    parts : sequence of EventStream
+        Stretches of the log (`stretches`).
 
     Returns
     -------
@@ -165,7 +180,7 @@ def estimate_detectors(
     passes, converged, nearly, own_noise = 0, False, False, False
     while passes < MOST_PASSES and not converged:
         passes += 1
-        sums, own_noise = _pass(build_filter(cameras), stream.with_cameras(cameras))
+        sums, own_noise = _pass(build_filter(cameras), [part.with_cameras(cameras) for part in parts])
         converged = nearly = True
         updated = []
         for camera, mine in zip(cameras, sums, strict=True):

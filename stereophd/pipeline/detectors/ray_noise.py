@@ -17,7 +17,7 @@ from the others, and without any data the answer is the prior's median.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,16 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.pipeline.checks.geometry.measure import pairs_of
-from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, candidates, distances, rays_of, signed_of_rays
+from stereophd.pipeline.checks.geometry.rays import (
+    Candidates,
+    Reading,
+    candidates,
+    distances,
+    pixels_at,
+    pixels_near,
+    rays_of,
+    signed_of_rays,
+)
 from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.pipeline.detectors.statistics import NoisePrior
 
@@ -39,8 +48,12 @@ SAMPLE_FRAMES = 1500
 # Noises that are tried, px, and borders between classes of distances, px.
 NOISES = np.geomspace(0.03, 300.0, 90)
 BORDERS = np.concatenate([[0.0], np.geomspace(0.01, 10_000.0, 110)])
-# Detections of a pair that are examined at most, and distances of them all, those of chance included.
-MOST_DETECTIONS, MOST_DISTANCES = 1000, 1_500_000
+# Detections of a pair that are examined at most, and distances of them all, those of chance included, of one pair and
+# of all pairs; times that measure chance, by the detections of a frame; and distances between detections of a frame.
+MOST_DETECTIONS, MOST_DISTANCES, MOST_OF_ALL = 1000, 1_500_000, 8_000_000
+SHIFTS, FEW_SHIFTS, CROWD, MOST_STEPS = 8, 2, 50, 40
+# Error of the density of distances of different objects, as a share of it: where these are many, they tell no more.
+BACKGROUND_ERROR = 0.02
 # Rounds of the share of partners, and of the cameras in turn.
 SHARE_ROUNDS, CAMERA_ROUNDS, SETTLED = 40, 20, 1e-3
 # Detections that have a partner, at most.
@@ -48,6 +61,8 @@ MOST_PARTNERS = 0.95
 # Log-likelihood that one pair of cameras may weigh: detections of one object are not independent, and the chance of a
 # single pair may look like noise of another size.
 MOST_EVIDENCE = 20.0
+# Evidence of partners in nearer frames over that along tracks, from which tracks are wrong.
+CLEARER = 1.5
 # Distances of chance, number and share, below which their density counts as even.
 EVEN_COUNT, EVEN_SHARE = 50, 0.001
 # By how much detections are moved for distances of chance, as a share of the image, and the angle between successive
@@ -56,6 +71,9 @@ OFFSETS, GOLDEN_ANGLE = (0.08, 0.25), 2.39996
 # Share of the detections among neighbours that has a partner within the noise, at least. Without that bound large noise
 # would pass for neighbours.
 LEAST_PARTNERS = 0.25
+
+# Where the detections of a camera are at times (n,): pixels (n, k, 2).
+Places = Callable[[CameraSample, Array], Array]
 
 
 @dataclass(frozen=True)
@@ -75,6 +93,7 @@ class _PairEvidence:
     shares: Array  # (2,): of that variance, by the squared noise of either camera
     likelihoods: Array  # (noises,): logarithm, of this standard deviation, px; the largest is 0
     partners: float
+    gain: float  # Log-likelihood of the best of them over that without partners
 
     def of_camera(self, camera: int, logs: Array) -> Array:
         """Return the log-likelihood (noises,) of the noise of one camera, with the logarithms of the others' noise."""
@@ -97,9 +116,13 @@ def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
         Frames of every camera; the stated detectors are not used.
     """
     unit = [replace(sample, camera=with_noise(sample.camera, 1.0)) for sample in samples]
-    evidence = [pair for a, b in pairs_of(len(unit)) if (pair := _evidence(unit, a, b)) is not None]
+    pairs = pairs_of(len(unit))
+    most = min(MOST_DISTANCES, MOST_OF_ALL // max(len(pairs), 1))
+    evidence = [pair for a, b in pairs if (pair := _evidence(unit, a, b, most)) is not None]
     usual = float(np.log(USUAL_NOISE_PX))
-    start = sum((pair.of_all() for pair in evidence), _prior(usual, NOISE_SPREAD))
+    # pairs share detections: an object that n cameras see has 2 n - 3 independent distances, and n (n - 1) / 2 pairs
+    independent = min(1.0, (2 * len(samples) - 3) / max(len(pairs), 1))
+    start = sum((independent * pair.of_all() for pair in evidence), _prior(usual, NOISE_SPREAD))
     values = np.full(len(samples), _posterior(start)[0])
     spreads = np.full(len(samples), NOISE_SPREAD)
     for _ in range(CAMERA_ROUNDS):
@@ -111,7 +134,7 @@ def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
             total = _prior(mean, float(np.sqrt(BETWEEN_CAMERAS**2 + 1.0 / precision)))
             for pair in evidence:
                 if camera in pair.cameras:
-                    total = total + pair.of_camera(camera, values)
+                    total = total + independent * pair.of_camera(camera, values)
             values[camera], spreads[camera] = _posterior(total)
         if np.abs(values - before).max() < SETTLED:
             break
@@ -169,9 +192,22 @@ def _posterior(total: Array) -> tuple[float, float]:
     return mean, float(np.sqrt(weights @ (logs - mean) ** 2))
 
 
-def _evidence(samples: list[CameraSample], a: int, b: int) -> _PairEvidence | None:
-    """Return what a pair of cameras with a noise of 1 px says; None where they share no frames."""
-    pair = candidates(samples, a, b, MOST_DETECTIONS, most_distances=MOST_DISTANCES)
+def _evidence(samples: list[CameraSample], a: int, b: int, most: int) -> _PairEvidence | None:
+    """Return what a pair of cameras with a noise of 1 px says, of so many distances; None where they share no frames.
+
+    Between frames, detections are where one-camera tracks lead, or where the nearer frame has them: tracks are wrong in
+    a crowd, and frames where objects move by more than their noise. Frames count if they show far more partners.
+    """
+    tracked, nearest = (_read(samples, a, b, most, places) for places in (pixels_at, pixels_near))
+    if tracked is None or nearest is None:
+        return tracked
+    return nearest if nearest.gain > CLEARER * max(tracked.gain, MOST_EVIDENCE) else tracked
+
+
+def _read(samples: list[CameraSample], a: int, b: int, most: int, places: Places) -> _PairEvidence | None:
+    """Return what a pair of cameras says by one way to place detections between frames."""
+    shifts = SHIFTS if samples[b].detections_per_frame < CROWD else FEW_SHIFTS
+    pair = candidates(samples, a, b, MOST_DETECTIONS, shifts, most, places)
     if pair is None:
         return None
     first, second = Reading(samples[a].camera), Reading(samples[b].camera)
@@ -181,7 +217,7 @@ def _evidence(samples: list[CameraSample], a: int, b: int) -> _PairEvidence | No
     by_chance = distances(elsewhere, first, second, (None, known[1]))[0][1:]
     signed = signed_of_rays(first.camera, second.camera, known[0][:, None], known[1][0])
     signed[~np.isfinite(missed)] = np.nan
-    steps = range(1, signed.shape[1])
+    steps = np.unique(np.linspace(1, max(signed.shape[1] - 1, 1), MOST_STEPS).astype(int)).tolist()
     neighbours = sum((_classes(np.abs(signed[:, k:] - signed[:, :-k])) for k in steps), np.zeros(len(BORDERS) - 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         by_a = distances(pair, first, Reading(with_noise(second.camera, 1e-6)), known)[0][0]
@@ -190,8 +226,9 @@ def _evidence(samples: list[CameraSample], a: int, b: int) -> _PairEvidence | No
     if not usable.any():
         return None
     share_a = float(shares[usable].mean())
-    likelihoods, partners = _mixture(_classes(missed), neighbours, _classes(by_chance), len(pair.detections))
-    return _PairEvidence((a, b), np.array([share_a, (1.0 - share_a) * _kept(pair, samples[b])]), likelihoods, partners)
+    kept = _kept(pair, samples[b]) if places is pixels_at else 1.0
+    found = _mixture(_classes(missed), neighbours, _classes(by_chance), len(pair.detections))
+    return _PairEvidence((a, b), np.array([share_a, (1.0 - share_a) * kept]), *found)
 
 
 def _kept(pair: Candidates, second: CameraSample) -> float:
@@ -207,8 +244,8 @@ def _classes(missed: Array) -> Array:
     return np.histogram(missed[np.isfinite(missed)], BORDERS)[0].astype(np.float64)
 
 
-def _mixture(together: Array, neighbours: Array, apart: Array, count: int) -> tuple[Array, float]:
-    """Return the log-likelihood (noises,) of the noise of partners among distances, and the number of partners.
+def _mixture(together: Array, neighbours: Array, apart: Array, count: int) -> tuple[Array, float, float]:
+    """Return the log-likelihood (noises,) of the noise of partners among distances, their number, and its gain.
 
     Parameters
     ----------
@@ -220,19 +257,25 @@ def _mixture(together: Array, neighbours: Array, apart: Array, count: int) -> tu
     own = _half_normal(NOISES)
     others = np.stack([_background(neighbours), _background(apart)])
     total = max(float(together.sum()), 1.0)
-    most = min(MOST_PARTNERS * count / total, 1.0 - 1e-6)
+    most = MOST_PARTNERS * min(count, total)
     most_neighbours = max(total / count - 1.0, 0.0) / LEAST_PARTNERS
-    shares = np.full(len(NOISES), 0.5 * most)
-    mixed = np.full((len(NOISES), 2), 0.5 * (1.0 - 0.5 * most))
+    # the error of the density in a class is that of all distances as small
+    weights = 1.0 / (1.0 + BACKGROUND_ERROR**2 * np.cumsum(together))
+    # begun near the answer: where partners are few, rounds change their number slowly
+    excess = (weights * (together - total * others[1]) * own).sum(axis=1) / (weights * own**2).sum(axis=1)
+    partners = np.clip(excess, 0.01 * most, most)
+    rates = np.stack([0.1 * np.minimum(total, most_neighbours * partners), np.full(len(NOISES), total)], axis=1)
     for _ in range(SHARE_ROUNDS):
-        part = together / (shares[:, None] * own + mixed @ others)
-        mixed = mixed * (part @ others.T) / total
-        shares = np.minimum(shares * (part * own).sum(axis=1) / total, most)
-        mixed[:, 0] = np.minimum(mixed[:, 0], most_neighbours * shares)
-        mixed[:, 1] = 1.0 - shares - mixed[:, 0]
-    likelihoods = (together * np.log(shares[:, None] * own + mixed @ others)).sum(axis=1)
+        ratio = weights * together / (partners[:, None] * own + rates @ others)
+        rates = rates * (ratio @ others.T) / (others @ weights)
+        partners = np.minimum(partners * (ratio * own).sum(axis=1) / (own @ weights), most)
+        rates[:, 0] = np.minimum(rates[:, 0], most_neighbours * partners)
+    expected = partners[:, None] * own + rates @ others
+    likelihoods = (weights * (together * np.log(expected) - expected)).sum(axis=1)
     best = int(likelihoods.argmax())
-    return np.logaddexp(likelihoods - likelihoods[best], -MOST_EVIDENCE), float(shares[best] * total)
+    alone = float((weights * together).sum() / (weights * others[1]).sum()) * others[1]
+    gain = float(likelihoods[best] - (weights * (together * np.log(alone) - alone)).sum())
+    return np.logaddexp(likelihoods - likelihoods[best], -MOST_EVIDENCE), float(partners[best]), gain
 
 
 def _background(apart: Array) -> Array:

@@ -17,7 +17,7 @@ from stereophd.core.numerics.random_streams import RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene
 from stereophd.errors import InputError
 from stereophd.io.outputs.json_text import finite_or_none
-from stereophd.pipeline.calibration.inputs import build_scale
+from stereophd.pipeline.calibration.problem import build_scale
 from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.simulation import build_scene
 

@@ -12,7 +12,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,16 +24,16 @@ from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.build import build_labelled_filter
+from stereophd.pipeline.detectors.passes import stretches
 from stereophd.pipeline.initial.template import rounded
-from stereophd.pipeline.stream import EventStream, open_stream
+from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.loop import run_estimator
 
 if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
 
 
-# Frames of a log that are looked at, stretches of it that the filter runs over, events and detections of them all.
-MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 2400, 12_000
+# Fewest events that show an acceleration.
 LEAST_EVENTS = 20
 # Factor between neighbouring values, and their number in either direction from the first.
 FACTOR, MOST_STEPS = 3.0, 8
@@ -62,18 +61,6 @@ class AccelerationEstimate:
         """Return the entry of ``report.json``."""
         tried = [{"acceleration_std": a, "log_likelihood": one} for a, one in sorted(self.tried.items())]
         return {"acceleration_std": self.value, "most_likely": self.usual, "events": self.events, "tried": tried}
-
-
-def stretches(stream: EventStream) -> list[list[Event]]:
-    """Return stretches of a log, spread over its first `MOST_FRAMES` frames: all of it if it is short."""
-    events = list(islice(stream, MOST_FRAMES))
-    detections = sum(len(event.points) for event in events)
-    most = int(min(MOST_EVENTS, len(events) * MOST_DETECTIONS / max(detections, 1)))
-    if len(events) <= most or most < STRETCHES:
-        return [events]
-    length = most // STRETCHES
-    starts = np.linspace(0, len(events) - length, STRETCHES).astype(int)
-    return [events[start : start + length] for start in starts.tolist()]
 
 
 def estimate_acceleration(
@@ -151,7 +138,7 @@ def with_estimated_motion(loaded: LoadedConfig, log_path: Path | str) -> tuple[L
             f"{ESTIMATE}"
         )
     cameras = loaded.build_cameras()
-    parts = stretches(open_stream(config, cameras, log_path))
+    parts = [list(part) for part in stretches(open_stream(config, cameras, log_path))]
     if sum(map(len, parts)) < LEAST_EVENTS:
         raise InputError(
             f"{log_path}: expected at least {LEAST_EVENTS} frames to estimate motion.acceleration_std from, found "

@@ -7,7 +7,7 @@ acceleration, its tracks give depths, speeds and births, and its residuals the d
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,10 +24,10 @@ from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run_figures.estimated_detectors import LASTING, check_estimated_detectors
 from stereophd.pipeline.checks.settings import expected_depths, measure_scene
-from stereophd.pipeline.detectors.passes import estimate_detectors
+from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
 from stereophd.pipeline.detectors.statistics import NoisePrior
-from stereophd.pipeline.initial.acceleration import estimate_acceleration, stretches
+from stereophd.pipeline.initial.acceleration import estimate_acceleration
 from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter, shared_depths
 from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
@@ -181,35 +181,39 @@ def _rough(draft: Draft, samples: list[CameraSample]) -> dict[str, Choice] | Non
 def _with_filter(draft: Draft, usual: Draft, priors: Mapping[str, NoisePrior], log_path: Path | str) -> Draft:
     """Return the draft with what the filter finds in the log."""
     loaded = loaded_draft(draft, str(log_path))
-    stream = open_stream(loaded.config, loaded.build_cameras(), log_path)
-    parts = stretches(stream)
-    if sum(map(len, parts)) < LEAST_FRAMES:
+    parts = stretches(open_stream(loaded.config, loaded.build_cameras(), log_path))
+    events = [list(part) for part in parts]
+    if sum(map(len, events)) < LEAST_FRAMES:
         return draft
-    draft = _with_acceleration(draft, stream.cameras, parts, str(log_path))
+    draft = _with_acceleration(draft, events, str(log_path))
     if priors:
-        draft = _with_detectors(draft, loaded_draft(draft, str(log_path)), priors, stream)
-        stream = stream.with_cameras(loaded_draft(draft, str(log_path)).build_cameras())
-        parts = stretches(stream)
-        draft = _with_acceleration(draft, stream.cameras, parts, str(log_path))
-    figures = measure_with_filter(loaded_draft(draft, str(log_path)), stream.cameras, parts)
+        draft = _with_detectors(draft, loaded_draft(draft, str(log_path)), priors, parts)
+        cameras = loaded_draft(draft, str(log_path)).build_cameras()
+        events = [list(part.with_cameras(cameras)) for part in parts]
+        draft = _with_acceleration(draft, events, str(log_path))
+    loaded = loaded_draft(draft, str(log_path))
+    figures = measure_with_filter(loaded, loaded.build_cameras(), events)
     return draft if figures is None else draft.with_choices(_final(figures, usual, draft.unit))
 
 
-def _with_acceleration(draft: Draft, cameras: tuple[Camera, ...], parts: list[list[Event]], name: str) -> Draft:
+def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str) -> Draft:
     """Return the draft with the acceleration that the log shows, from that of the draft on."""
     start = float(draft.choices["motion.acceleration_std"].value)
-    found = estimate_acceleration(loaded_draft(draft, name), cameras, parts, start)
+    loaded = loaded_draft(draft, name)
+    found = estimate_acceleration(loaded, loaded.build_cameras(), parts, start)
     why = f"from the likelihood of {len(found.tried)} values over {found.events} events"
     if found.value > found.usual:
         why += f" ({found.usual:g} for most of them, more where objects turn)"
     return draft.with_choices({"motion.acceleration_std": Choice(found.value, f"{why}; {draft.unit}/s^2")})
 
 
-def _with_detectors(draft: Draft, loaded: LoadedConfig, priors: Mapping[str, NoisePrior], stream: EventStream) -> Draft:
+def _with_detectors(
+    draft: Draft, loaded: LoadedConfig, priors: Mapping[str, NoisePrior], parts: Sequence[EventStream]
+) -> Draft:
     """Estimate the detectors that are unknown."""
     config, path = loaded.config, loaded.path
     cameras, report = estimate_detectors(
-        stream.cameras, priors, lambda used: build_labelled_filter(config, used, path, 1), stream
+        parts[0].cameras, priors, lambda used: build_labelled_filter(config, used, path, 1), parts
     )
     notes = dict(draft.camera_notes)
     for name, entry in report["cameras"].items():

@@ -96,10 +96,10 @@ def read_runs(
 ) -> tuple[Run, ...]:
     """Read output folders, in their order, and find out which evaluation, log and truth belong to which run.
 
-    The folders are those of `track`, `calibrate`, `evaluate` or `simulate` (whose log and truth are used), in any
-    order; `logs` and `truths` lie elsewhere. An evaluation belongs to the run whose tracks it scored, and a log to the
-    runs made from it. A truth belongs to the runs whose evaluation used it. If there is none, it belongs to the runs
-    made from a log of its folder. A truth named in `truths` belongs to the runs without another.
+    The folders are those of `track`, `calibrate`, `evaluate`, `simulate` or `import` (whose log and truth are used), in
+    any order; `logs` and `truths` lie elsewhere. An evaluation belongs to the run whose tracks it scored, and a log to
+    the runs made from it. A truth belongs to the runs whose evaluation used it. If there is none, it belongs to the
+    runs made from a log of its folder. A truth named in `truths` belongs to the runs without another.
 
     Raises InputError when a folder holds nothing to report on, a file is damaged, or a log belongs to no run.
     """
@@ -143,7 +143,7 @@ def _read_folder(folder: Path, found: _Found) -> None:
         found.evaluations.append((folder, Evaluation(report, scores or {})))
     elif command in ("track", "calibrate"):
         found.runs.append((folder, read_run(folder, command, report)))
-    else:
+    elif command != "import":
         raise InputError(f"{folder}: expected the output of track, calibrate or evaluate, found that of {command}")
 
 

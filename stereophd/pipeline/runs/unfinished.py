@@ -10,6 +10,7 @@ Everything in the folder is data (`stereophd.io.outputs.saved`). It goes when th
 from __future__ import annotations
 
 import contextlib
+import json
 import shutil
 import time
 from collections.abc import Iterator, Mapping
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.errors import InputError
+from stereophd.io.outputs.atomic import tidy
 from stereophd.io.outputs.commit import files_below, is_folder
 from stereophd.io.outputs.disk import TEMPORARY_PREFIX, UNFINISHED_PREFIX
 from stereophd.io.outputs.saved import GrowingFile, decoder, is_saved, read_frames, read_saved, write_saved
@@ -161,3 +163,30 @@ def _is_ours(folder: Path, relative: Path) -> bool:
     if relative.suffix == GROWING and not path.is_symlink() and not path.stat().st_size:
         return True  # killed as it was made
     return relative.name.startswith(TEMPORARY_PREFIX) or is_saved(path)
+
+
+REPORT_FILE = "report.json"
+
+
+def finished_report(folder: Path | str, record: Mapping[str, Any], force: bool) -> dict[str, Any] | None:
+    """Return the report of a run that is finished in an output folder; None if there is none, or it is to be replaced.
+
+    `record` is the provenance of the wanted run (`stereophd.io.outputs.provenance.provenance`). Raises InputError if
+    the folder holds the results of another configuration or of other inputs, which only `force` lets a run replace.
+    """
+    path = Path(folder) / REPORT_FILE
+    tidy(path.parent)
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); use `force=True` to start anew") from error
+    if isinstance(report, dict) and report.get("provenance") == record:
+        return report
+    if force:
+        return None
+    raise InputError(
+        f"output folder {folder} holds the results of another configuration, log or version; use `force=True` to "
+        "replace them"
+    )

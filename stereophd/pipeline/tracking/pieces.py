@@ -28,11 +28,11 @@ from stereophd.errors import StereophdError
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_log
-from stereophd.pipeline.tracking.checkpoint import RecordFile, RecordPart, read_records
 from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.piece_plan import LogPiece
 from stereophd.pipeline.tracking.run import build_tracking
 from stereophd.pipeline.tracking.single import SingleTrackerState
+from stereophd.pipeline.tracking.unfinished import RecordFile, RecordPart, read_records
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 
 if TYPE_CHECKING:

@@ -21,16 +21,16 @@ from stereophd.io.tables.schemas import ASSOCIATIONS, EXTENTS, SCANS, STD, TRACK
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.checks.log.sample import sample_log
-from stereophd.pipeline.detectors.passes import estimate_detectors
+from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.checkpoint import Journal
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.outputs import RecordWriter, Tables
 from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 from stereophd.pipeline.tracking.smoothed import smoothed_records
+from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -57,7 +57,7 @@ class TrackingRun:
     def records(
         self,
         stream: EventStream,
-        journal: Journal | None = None,
+        kept: UnfinishedTracking | None = None,
         run: RunState[Any] | None = None,
     ) -> Iterator[Record]:
         """Yield the records of a log, smoothed if the configuration states it; see `reported_records`."""
@@ -70,16 +70,16 @@ class TrackingRun:
             events = with_boxes(stream)
         elif single:
             events = at_most_one(stream)
-        return reported_records(self.estimator, self.motion, events, self.report, not single, journal, run)
+        return reported_records(self.estimator, self.motion, events, self.report, not single, kept, run)
 
-    def open_journal(self, unfinished: UnfinishedRun) -> Journal:
+    def keep_in(self, unfinished: UnfinishedRun) -> UnfinishedTracking:
         """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end.
 
         Raises InputError if what an earlier process kept is damaged.
         """
-        journal = Journal(unfinished, self.estimator, keeps_records=self.report.smooth is not None)
-        journal.load()
-        return journal
+        kept = UnfinishedTracking(unfinished, self.estimator, keeps_records=self.report.smooth is not None)
+        kept.load()
+        return kept
 
     def with_estimated_detectors(self, stream: EventStream) -> TrackingRun:
         """Return the run with detectors estimated from the log; the same where the configuration gives them all."""
@@ -90,7 +90,7 @@ class TrackingRun:
         samples = sample_log(stream.frames, self.cameras, SAMPLE_FRAMES)
         started, priors = starting_detectors(self.cameras, estimated, samples)
         cameras, detectors = estimate_detectors(
-            started, priors, lambda used: build_labelled_filter(config, used, path, self.threads), stream
+            started, priors, lambda used: build_labelled_filter(config, used, path, self.threads), stretches(stream)
         )
         return replace(build_tracking(self.loaded, self.threads, cameras), detectors=detectors)
 
@@ -101,25 +101,25 @@ def reported_records(
     events: Iterable[Event],
     report: ReportConfig,
     reach_back: bool = False,
-    journal: Journal | None = None,
+    kept: UnfinishedTracking | None = None,
     run: RunState[Any] | None = None,
 ) -> Iterator[Record]:
     """Yield the records of events, smoothed and without short tracks if the section ``report`` states it.
 
     With `reach_back`, smoothed tracks reach back to detections that the filter did not assign to them. With a
-    `journal` the run continues from there, and what it gives is kept there; without one it begins at `run`, if given.
+    `kept` the run continues from there, and what it gives is kept there; without one it begins at `run`, if given.
     """
     smooth = report.smooth
     times = report_times(report)
-    if journal is None:
+    if kept is None:
         records = run_estimator(estimator, events, times, smooth is not None, run)
     else:
-        records = journal.records(events, times, smooth is not None)
+        records = kept.records(events, times, smooth is not None)
     if smooth is not None:
         records = smoothed_records(records, estimator.rig.cameras, motion, smooth, reach_back, report.max_position_std)
     if report.min_track_length <= 0.0:
         return records
-    return (lasting if journal is None else journal.lasting)(records, report.min_track_length)
+    return (lasting if kept is None else kept.lasting)(records, report.min_track_length)
 
 
 def build_tracking(loaded: LoadedConfig, threads: int = 1, cameras: tuple[Camera, ...] | None = None) -> TrackingRun:
@@ -193,12 +193,12 @@ def write_tracks(
     metadata: Mapping[bytes, bytes],
     cameras: Sequence[Camera],
     report: ReportConfig,
-    journal: Journal | None = None,
+    kept: UnfinishedTracking | None = None,
     extents: bool = False,
 ) -> dict[str, Any]:
     """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
 
-    With `extents` the tracks are those of bodies. With a `journal` that keeps tables and gives the `records`, the
+    With `extents` the tracks are those of bodies. With `kept` that keeps tables and gives the `records`, the
     tables begin with those of a killed run. Returns the figures of the run for ``report.json``.
     """
     columns = (*(EXTENTS if extents else ()), *(STD if report.std_columns else ()))
@@ -206,13 +206,13 @@ def write_tracks(
     with contextlib.ExitStack() as files:
 
         def table(name: str, schema: pa.Schema) -> TableWriter:
-            make = TableWriter if journal is None or journal.keeps_records else journal.table
+            make = TableWriter if kept is None or kept.keeps_records else kept.table
             return files.enter_context(make(out.path(name), schema, metadata))
 
         third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if report.associations else None
         writer = RecordWriter(
             Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third),
-            cameras, report, None if journal is None else journal.writing,
+            cameras, report, None if kept is None else kept.writing,
         )  # fmt: skip
         for record in records:
             writer.add(record)

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
-from stereophd.pipeline.calibration.outcome import Outcome
+from stereophd.pipeline.calibration.problem import Outcome
 from stereophd.report.style import BLUE, GREY, INK, ORANGE, STYLE, TRACK_COLOURS, marker_of, plots_named, save_figures
 
 # Half-width of a 90 % band in standard deviations.

@@ -48,7 +48,7 @@ def estimate(prior: BirthPrior, noise: float, seed: int, lens: Lens) -> tuple[np
 def test_without_noise_it_finds_the_truth(lens: Lens) -> None:
     # the prior, which pulls towards rest, is too weak to matter
     states, _, seen = estimate(
-        BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=5.0, std_px=1e5), velocity_std=1e5), 0.0, 0, lens
+        BirthPrior(disparity=DisparityPrior(mean_px=5.0, std_px=1e5), velocity_std=1e5), 0.0, 0, lens
     )
     assert seen[:, 0].all()
     assert seen[:, 1].tolist() == [False] * 3 + [True] * 9
@@ -60,7 +60,7 @@ def test_without_noise_it_finds_the_truth(lens: Lens) -> None:
 
 
 def test_errors_agree_with_the_stated_covariance() -> None:
-    prior = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=5.0, std_px=3.0), velocity_std=1.0)
+    prior = BirthPrior(disparity=DisparityPrior(mean_px=5.0, std_px=3.0), velocity_std=1.0)
     squares = []
     for seed in range(60):
         states, covariances, _ = estimate(prior, 1.0, seed, Lens())

@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from stereophd.core.bounds.cramer_rao import static_point_information
 from stereophd.core.bounds.known_association import AssociatedDetections, sight
-from stereophd.core.bounds.static_points import static_point_information
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector

@@ -22,6 +22,7 @@ from stereophd.core.multi.phd.filter import PhdFilter
 from stereophd.core.multi.pmb.filter import PmbFilter
 from tests.core.disparity.cases import make_camera
 from tests.core.disparity.moves import sample_sets
+from tests.core.multi.scenes import BIRTHS, with_births
 
 PRIOR_STD = (5.0, 5.0, 5.0, 0.02, 0.13, 0.02)
 
@@ -47,10 +48,12 @@ def make_template(
     motion = ConstantVelocity([0.05] * 3, 12.0) if motion is None else motion
     sets = sample_sets("qmc", samples, motion, seed=7)
     rig = make_rig(cameras, 1.0, "horizontal", region)
-    birth = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=2.0)
+    birth = BirthPrior(disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=2.0)
     if kind == "pmb":
-        return PmbFilter(rig, motion, sets, PmbSettings(survival_per_s=0.99, birth=birth, **settings))  # type: ignore[arg-type]
-    return PhdFilter(rig, motion, sets, PhdSettings(survival_per_s=0.99, birth=birth, **settings))  # type: ignore[arg-type]
+        return with_births(
+            PmbFilter(rig, motion, sets, PmbSettings(survival_per_s=0.99, birth=birth, **settings)), BIRTHS
+        )  # type: ignore[arg-type]
+    return with_births(PhdFilter(rig, motion, sets, PhdSettings(survival_per_s=0.99, birth=birth, **settings)), BIRTHS)  # type: ignore[arg-type]
 
 
 def make_events(cameras: tuple[Camera, ...], count: int, seed: int = 3, clutter: float = 3.0) -> list[Event]:

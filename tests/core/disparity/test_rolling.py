@@ -131,7 +131,7 @@ def test_a_camera_that_does_not_turn_keeps_its_pixels_to_the_last_bit() -> None:
 def test_births_are_taken_back_to_the_place_of_the_frame() -> None:
     """Seen again at its own reading a newborn is where it was detected, with the noise of the detection."""
     camera = moving_camera()
-    prior = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=150.0, std_px=30.0), velocity_std=1.5)
+    prior = BirthPrior(disparity=DisparityPrior(mean_px=150.0, std_px=30.0), velocity_std=1.5)
     event = make_event(camera.at(TIME_S), 0, TIME_S, np.array([[10.0, 15.0], [400.0, 300.0], [790.0, 540.0]]))
     space = make_space(camera.at(TIME_S)).packed()
     for size in (3, 6):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from stereophd.core.motion.settings import motion_models
-from stereophd.core.simulation.walk import walk
+from stereophd.core.simulation.objects import walk
 from tests.core.motion.examples import MOVING, SETTINGS, WORDS, example
 
 steps = st.floats(-8.0, 8.0, allow_subnormal=False)

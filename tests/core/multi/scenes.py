@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from typing import Any, TypeVar
+
 import numpy as np
 from numpy.typing import ArrayLike
 
-from stereophd.core.disparity.events import Rig, make_rig
+from stereophd.core.disparity.events import Event, Rig, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.multi.births.undetected import Undetected
 from stereophd.core.multi.filter_settings.common import BirthPrior, Hysteresis
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.phd.filter import PhdFilter
@@ -17,7 +21,23 @@ from stereophd.core.multi.state.mixture import GaussianMixture
 from tests.core.disparity.cases import make_camera, random_covariance
 from tests.core.disparity.moves import sample_sets
 
-PRIOR = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.5)
+# Births of the filters below, in every frame.
+BIRTHS = 0.1
+PRIOR = BirthPrior(disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.5)
+
+
+Filter = TypeVar("Filter", bound=DisparityFilter)
+
+
+def with_births(multi_filter: Filter, count: float) -> Filter:
+    """The filter, which expects as many new objects in every frame, whatever the frames before have shown."""
+
+    def expected(undetected: Undetected | None, elapsed: float, event: Event, known: float = 0.0) -> tuple[Any, ...]:
+        cameras = len(multi_filter.rig.cameras)
+        return count, undetected or Undetected(np.zeros(cameras), np.ones(cameras), np.zeros(cameras)), 0
+
+    object.__setattr__(multi_filter, "expected_births", expected)
+    return multi_filter
 
 
 def make_filter(
@@ -26,6 +46,7 @@ def make_filter(
     method: str = "qmc",
     samples: int = 64,
     birth: BirthPrior = PRIOR,
+    births: float = BIRTHS,
     baseline: float = 1.0,
     hysteresis: Hysteresis | None = None,
     threads: int = 1,
@@ -43,7 +64,7 @@ def make_filter(
         "extraction": hysteresis or Hysteresis(confirm=0.5, release=0.5),
         **settings,
     }
-    return PhdFilter(rig, motion, sets, PhdSettings(**values), threads)  # type: ignore[arg-type]
+    return with_births(PhdFilter(rig, motion, sets, PhdSettings(**values), threads), births)  # type: ignore[arg-type]
 
 
 def make_mixture(

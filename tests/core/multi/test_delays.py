@@ -108,7 +108,7 @@ def test_delays_of_an_event_follow_the_row_in_the_image(lens: str, readout_s: fl
 
 def test_births_are_taken_back_to_the_time_of_the_frame() -> None:
     camera = make_camera((0.3, -0.4, 0.2), (5.0, -6.0, 7.0))
-    prior = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
+    prior = BirthPrior(disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
     space = make_space(camera).packed()
     pixels = np.array([[10.0, 15.0], [400.0, 300.0], [790.0, 40.0]])
     means, covariances = birth_moments(make_event(camera, 0, 0.0, pixels), space, prior, 6)

@@ -19,7 +19,7 @@ from stereophd.core.multi.filter_settings.common import BirthPrior, Hysteresis
 from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import make_camera
 
-BIRTH = BirthPrior(per_frame=0.2, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.5)
+BIRTH = BirthPrior(disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.5)
 OBJECT = np.array([1.0, 2.0, 90.0])
 
 
@@ -56,7 +56,7 @@ class TestEveryKind:
     @pytest.mark.parametrize("burst_at", [0, 5])
     def test_a_burst_of_clutter_gives_no_births(self, word: str, kind: Any, burst_at: int) -> None:
         """Hundreds of false detections in one frame, the first one too: the object is as without them."""
-        prior = replace(BIRTH, per_frame=None, per_s=0.2, max_per_frame=100)
+        prior = replace(BIRTH, per_s=0.2, max_per_frame=100)
         cameras = [make_camera((0.0, -0.26, 0.0), (-20.0, 0.0, 0.0)), make_camera((0.0, 0.26, 0.0), (20.0, 0.0, 0.0))]
         sets = draw_sample_sets("qmc", 64, 12, np.random.SeedSequence(7))
         built = make_filter(kind(birth=prior), make_rig(cameras, 1.0, "horizontal"), ConstantVelocity([0.01] * 3), sets)

@@ -85,7 +85,7 @@ def _tracks(run: WholeRun, own: Sequence[dict[int, int]]) -> list[Chain]:
     return out
 
 
-def _exchanged(own: Sequence[dict[int, int]], one: int, other: int, events: Sequence[int]) -> list[dict[int, int]]:
+def _swapped(own: Sequence[dict[int, int]], one: int, other: int, events: Sequence[int]) -> list[dict[int, int]]:
     """Detections with those of two tracks exchanged at some events."""
     out = [dict(detections) for detections in own]
     for event in events:
@@ -116,9 +116,9 @@ WRONG = {
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("wrong", WRONG)
-def test_neighbours_that_were_exchanged_change_back(wrong: str, seed: int) -> None:
+def test_neighbours_that_were_swapped_change_back(wrong: str, seed: int) -> None:
     events, own = _scene(seed)
-    given = _exchanged(own, 0, 1, WRONG[wrong])
+    given = _swapped(own, 0, 1, WRONG[wrong])
     run = _run(events)
     found = choose_anew(_tracks(run, given), run)
     after = _found(found)
@@ -135,9 +135,9 @@ def test_neighbours_that_were_exchanged_change_back(wrong: str, seed: int) -> No
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("mixed", [(), (22, 23, 26)], ids=["at once", "little by little"])
-def test_tracks_that_exchanged_their_objects_for_good_change_back(mixed: tuple[int, ...], seed: int) -> None:
+def test_tracks_that_swapped_their_objects_for_good_change_back(mixed: tuple[int, ...], seed: int) -> None:
     events, own = _scene(seed)
-    given = _exchanged(own, 0, 1, sorted({*range(24, 48)} ^ {*mixed}))
+    given = _swapped(own, 0, 1, sorted({*range(24, 48)} ^ {*mixed}))
     run = _run(events)
     after = _found(choose_anew(_tracks(run, given), run))
     right = sum(after[k].get(event) == own[k].get(event) for k in range(4) for event in range(len(events)))
@@ -162,7 +162,7 @@ def test_tracks_that_are_right_stay_as_they_are(readout_s: float) -> None:
 
 def test_no_detection_has_two_tracks() -> None:
     events, own = _scene(7)
-    given = _exchanged(_exchanged(own, 0, 1, range(0, 9)), 2, 3, range(4, 12))
+    given = _swapped(_swapped(own, 0, 1, range(0, 9)), 2, 3, range(4, 12))
     run = _run(events)
     after = _found(choose_anew(_tracks(run, given), run))
     for event in range(len(events)):
@@ -185,7 +185,7 @@ def test_predictions_of_a_grid_have_no_detections() -> None:
     events = [None if number == 10 else event for number, event in enumerate(events)]
     for detections in own:
         detections.pop(10, None)
-    given = _exchanged(own, 0, 1, [12])
+    given = _swapped(own, 0, 1, [12])
     run = _run(events)
     after = _found(choose_anew(_tracks(run, given), run))
     assert all(10 not in detections for detections in after)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow.parquet as pq
+import pytest
 
 from stereophd.config.loading import load_cameras
 from stereophd.core.geometry.pose import rotation_to_vector
@@ -58,6 +59,49 @@ def test_both_versions_of_a_session(tmp_path: Path, imported: Import) -> None:
             (100.8125, "cam1", 7, None, None),
         ]
         assert report["length_unit"] == "m"
+
+
+@pytest.mark.parametrize("place", ["calibration/extrinsic/xy.csv", "calibration/extrinsic/CHARUCO/xy_CHARUCO.csv"])
+def test_a_session_finds_its_points(tmp_path: Path, imported: Import, place: str) -> None:
+    write_session(tmp_path, 1)
+    _, flat = imported("caliscope", tmp_path)
+    expected = log_rows(flat / "detections.parquet")
+    (tmp_path / place).parent.mkdir(parents=True)
+    (tmp_path / "xy.csv").rename(tmp_path / place)
+    (tmp_path / "timestamps.csv").rename(tmp_path / "calibration/extrinsic/timestamps.csv")
+    later = tmp_path / "recordings/walk/POSE"
+    later.mkdir(parents=True)
+    (later / "xy_POSE.csv").write_bytes((tmp_path / place).read_bytes())
+    (later / "xyz_POSE.csv").write_text("sync_index,point_id,x_coord,y_coord,z_coord,frame_time\n5,7,1,2,3,100.3\n")
+    report, out = imported("caliscope", tmp_path, truth=later / "xyz_POSE.csv")
+    assert log_rows(out / "detections.parquet") == expected
+    assert any("not of recordings/walk/POSE/xy_POSE.csv" in sentence for sentence in report["assumed"])
+    assert pq.read_table(out / "truth.parquet").to_pylist() == [
+        {"time_s": 100.3, "object_id": 7, "x": 1.0, "y": 2.0, "z": 3.0}
+    ]
+
+
+def test_a_session_without_points_says_so(tmp_path: Path, imported: Import) -> None:
+    write_session(tmp_path, 1)
+    (tmp_path / "xy.csv").unlink()
+    report, out = imported("caliscope", tmp_path)
+    assert any("cameras only" in sentence for sentence in report["assumed"])
+    assert not (out / "detections.parquet").exists()
+
+
+def test_times_without_a_common_index_count_the_frames(tmp_path: Path, imported: Import) -> None:
+    write_session(tmp_path, 1)
+    times = [f"0,{time}" for time in (100.75, 100.05, 100.5, 100.15, 100.2, 100.25, 100.1)]
+    times += [f"1,{100 + k / 10}" for k in range(6)]
+    (tmp_path / "timestamps.csv").write_text("cam_id,frame_time\n" + "\n".join(times) + "\n")
+    _, out = imported("caliscope", tmp_path)
+    rows = [row[2:] for row in log_rows(out / "detections.parquet") if row[1] == "cam0"]
+    assert rows == [(0, None, None), (1, None, None), (2, None, None), (3, None, None)] + [
+        (4, 10.5, 20.5),
+        (4, 11.5, 20.5),
+        (5, None, None),
+        (6, 12.5, 20.5),
+    ]
 
 
 def test_a_real_session_agrees_with_its_conversion(imported: Import) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from stereophd.core.geometry.camera import Camera
@@ -108,24 +109,67 @@ def test_sparse_points(tmp_path: Path, imported: Import) -> None:
     assert_cameras_see_the_points(out, points)
 
 
-def test_a_camera_profile_undistorts_the_points(tmp_path: Path, imported: Import) -> None:
+def distorted_scene(tmp_path: Path, focal: float) -> tuple[np.ndarray, np.ndarray, tuple[Path, Path, Path]]:
+    """Write points seen through lenses, coefficients and a profile; returns the points, and their native pixels."""
     points, projections, pixels = scene()
-    rows = []
+    rows, native = [], []
     for k, camera in enumerate(cameras()):
-        # the lens is stated in pixels from below, about a principal point of its own
-        focal, center = 505.0, np.array([camera.width / 2 + 3, camera.height / 2 - 2])
+        # the lens is stated in pixels from below, about a principal point and a focal length of its own
+        center = np.array([camera.width / 2 + 3, camera.height / 2 - 2])
         k1, p1, p2 = -0.05, 2e-3, -1e-3
         x, y = np.moveaxis((pixels[:, :, k] - center) / focal, -1, 0)
         r = x * x + y * y
         xd = x * (1 + k1 * r) + 2 * p1 * x * y + p2 * (r + 2 * x * x)
         yd = y * (1 + k1 * r) + p1 * (r + 2 * y * y) + 2 * p2 * x * y
         pixels[:, :, k] = np.stack([xd, yd], axis=-1) * focal + center
+        native.append(pixels[:, :, k] * [1, -1] + [-1, camera.height])
         rows.append([k + 1, focal, camera.width, camera.height, *center, 1, k1, 0, p1, p2, 0])
     np.savetxt(tmp_path / "profile.txt", rows, fmt="%.17g")
-    sources = write_points(tmp_path / "xypts.csv", pixels), write_coefficients(tmp_path / "dlt.csv", projections)
-    report, out = imported("dltdv", *sources, tmp_path / "profile.txt", rates=100.0)
-    assert_cameras_see_the_points(out, points)
-    assert any("undistorted by the camera profile" in sentence for sentence in report["assumed"])
+    files = write_points(tmp_path / "xypts.csv", pixels), write_coefficients(tmp_path / "dlt.csv", projections)
+    return points, np.stack(native, axis=2), (*files, tmp_path / "profile.txt")
+
+
+@pytest.mark.parametrize("focal", [505.0, 400.0])
+def test_a_camera_profile_becomes_the_lens(tmp_path: Path, imported: Import, focal: float) -> None:
+    points, native, sources = distorted_scene(tmp_path, focal)
+    report, out = imported("dltdv", *sources, rates=100.0)
+    assert not report["warnings"]
+    rows = log_rows(out / "detections.parquet")
+    for k, (name, config) in enumerate(cameras_of(out).items()):
+        logged = np.array([row[3:] for row in rows if row[1] == name]).reshape(6, 3, 2)
+        np.testing.assert_allclose(logged, native[:, :, k], atol=1e-9)
+        seen = config.build(name).project(points.reshape(-1, 3)).reshape(6, 3, 2)
+        assert np.abs(seen - native[:, :, k]).max() < 0.05
+    assert any("residual" in sentence for sentence in report["assumed"])
+
+
+def test_a_profile_alone_leaves_the_poses_unknown(tmp_path: Path, imported: Import) -> None:
+    _, _, (points, _, profile) = distorted_scene(tmp_path, 505.0)
+    report, out = imported("dltdv", points, profile, rates=100.0)
+    assert any("unknown" in sentence for sentence in report["assumed"])
+    assert all(config.pose.unknown and config.distortion.k1 == -0.05 for config in cameras_of(out).values())
+
+
+@pytest.mark.parametrize("sparse", [False, True])
+@pytest.mark.parametrize("mirror", [False, True])
+def test_points_in_space_become_a_truth(tmp_path: Path, imported: Import, sparse: bool, mirror: bool) -> None:
+    points, projections, pixels = scene(mirror)
+    flat = points.reshape(6, -1)
+    flat[2, 3:6] = np.nan
+    truth = tmp_path / "flight-xyzpts.csv"
+    names = ",".join(f"pt{k + 1}_{axis}" for k in range(3) for axis in "XYZ")
+    np.savetxt(truth, flat, delimiter=",", header=names, comments="")
+    if sparse:
+        entries = [(i + 1, j + 1, flat[i, j]) for j in range(9) for i in range(6) if np.isfinite(flat[i, j])]
+        truth.write_text(f"xyzpts\n6\t9\t{len(entries)}\n" + "".join(f"{i}\t{j}\t{v:.12f}\n" for i, j, v in entries))
+    files = write_points(tmp_path / "xypts.csv", pixels), write_coefficients(tmp_path / "dlt.csv", projections)
+    _, out = imported("dltdv", *files, truth=truth, **STATED)
+    table = pq.read_table(out / "truth.parquet").to_pylist()
+    assert len(table) == 17
+    expected = points @ MIRROR if mirror else points
+    for row in table:
+        frame = round(row["time_s"] * 100)
+        np.testing.assert_allclose([row[axis] for axis in "xyz"], expected[frame, row["object_id"]], atol=1e-9)
 
 
 def test_what_is_missing_is_named(tmp_path: Path, imported: Import) -> None:

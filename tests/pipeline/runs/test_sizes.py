@@ -13,7 +13,7 @@ from stereophd.commands.experiment import experiment
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
 from stereophd.errors import InputError, SizeError
-from stereophd.pipeline.calibration.work import size_of_calibration
+from stereophd.pipeline.calibration.problem import size_of_calibration
 from stereophd.pipeline.runs.sizes import Size, check_size, size_of_simulation
 
 CONFIG = Path(__file__).resolve().parents[3] / "configs" / "paper" / "multi_object.yaml"

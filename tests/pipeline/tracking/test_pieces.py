@@ -20,7 +20,7 @@ from stereophd.io.logs.reading import Frame, LogReader
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.tracking import pieces
 from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces
-from tests.commands.test_track_logs import SCENE
+from tests.commands.test_batches import SCENE
 
 from .test_checkpoint import Killed, files
 

@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.settings import Fraction, Positive, PositiveLength, Vector3, parameter, settings
+from stereophd.core.settings import Fraction, NonNegative, Positive, PositiveLength, Vector3, parameter, settings
 
 # Share of its extent by which a sphere may differ from one: the two half axes then share one value.
 SPHERE_TOLERANCE = 1e-3
@@ -58,6 +58,11 @@ class EllipsoidSettings:
         advice="0.5 for detectors that were trained on crowds, 0.7 for others.",
     )
     hidden_power: Positive = parameter("exponent of the hidden share: see hidden_loss", default=2.5)
+    instant_s: NonNegative = parameter(
+        "frames of different cameras within this time are associated jointly; 0: each by itself",
+        unit="s",
+        default=0.02,
+    )
 
     def __post_init__(self) -> None:
         if (self.up is None) != (self.width is None):

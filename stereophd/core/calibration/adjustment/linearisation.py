@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,7 @@ from stereophd.core.calibration.unknowns.parameters import taken
 from stereophd.core.calibration.unknowns.quantities.base import TIMES
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import log_scale, predicted
+from stereophd.core.geometry.camera import Camera
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,15 @@ class NormalEquations:
     distances: Array
     energy: float
     pull: Array
+
+
+class Placement(NamedTuple):
+    """What values determine whatever the knots are: cameras, times, and the interpolation of what is seen at them."""
+
+    cameras: tuple[Camera, ...]
+    times: Array
+    path: Interpolation  # Positions
+    rates: Interpolation  # Velocities
 
 
 @dataclass(frozen=True)
@@ -116,11 +127,17 @@ class Linearisation:
             matrix[held, held] = parameters.prior_std[held] ** -2
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances, energy, pull)
 
-    def of_knots(self, values: Array, states: Array, log_noise: float = 0.0) -> tuple[Array, Array]:
-        """Matrix (12, size) and vector (size,) of the knots alone, as `at` has them, at a part of its time."""
+    def of_knots(
+        self, values: Array, states: Array, log_noise: float = 0.0, placement: Placement | None = None
+    ) -> tuple[Array, Array]:
+        """Matrix (12, size) and vector (size,) of the knots alone, as `at` has them, at a part of its time.
+
+        A placement of the values without velocities (`placed`) saves what several knots at the same values share.
+        """
         observations, problem, size = self.problem.observations, self.problem, self.problem.knots.size
         bands, vector, count = np.zeros((12, size)), np.zeros(size), len(observations)
-        path, errors, visible, by_point, by_value = self.residuals(values, states, by_values=False)
+        placement = placement or self.placed(values, by_values=False)
+        path, errors, visible, by_point, by_value = self.residuals(values, states, placement, by_values=False)
         counted = np.ones(count) if observations.weights is None else observations.weights
         normal_equations.accumulate(
             observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
@@ -134,13 +151,8 @@ class Linearisation:
         vector -= product - density * self.motion.pull
         return bands, vector
 
-    def residuals(
-        self, values: Array, states: Array, by_values: bool = True
-    ) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
-        """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values.
-
-        Without `by_values` the latter are empty, (n, 2, 0).
-        """
+    def placed(self, values: Array, by_values: bool = True) -> Placement:
+        """Return what the values determine; without `by_values` the velocities are those of the prior mean."""
         observations, parameters = self.problem.observations, self.problem.parameters
         cameras = parameters.build(values)
         times, path, rates = observations.times, self.path, self.rates
@@ -149,6 +161,17 @@ class Linearisation:
             path = interpolation(self.problem.knots, observations.trajectories, times)
             if by_values:
                 rates = slopes(self.problem.knots, observations.trajectories, times)
+        return Placement(cameras, times, path, rates)
+
+    def residuals(
+        self, values: Array, states: Array, placement: Placement | None = None, by_values: bool = True
+    ) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
+        """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values.
+
+        Without `by_values` the latter are empty, (n, 2, 0).
+        """
+        observations, parameters = self.problem.observations, self.problem.parameters
+        cameras, times, path, rates = placement or self.placed(values)
         world = positions(states, *path)
         velocities = positions(states, *rates) if by_values else np.zeros_like(world)
         count = len(observations)

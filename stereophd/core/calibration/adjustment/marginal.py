@@ -179,8 +179,9 @@ class MarginalPosterior:
         """Half of the terms that integrating out the knots adds, at their minimum near the given ones (k, 2, 3)."""
         count = self.linearisation.problem.parameters.size
         values, log_noise = unknowns[:count], float(unknowns[count:].sum())
+        placement = self.linearisation.placed(values, by_values=False)
         for _ in range(KNOT_STEPS):
-            bands, vector = self.linearisation.of_knots(values, states, log_noise)
+            bands, vector = self.linearisation.of_knots(values, states, log_noise, placement)
             factor = _factor(bands)
             step = cho_solve_banded((factor, True), vector, check_finite=False)
             if float(vector @ step) <= KNOTS_SETTLED:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 
 from stereophd.core.arrays import Array, Integers
@@ -113,35 +114,29 @@ def interpolation(knots: Knots, trajectories: Integers, times: Array) -> Interpo
 def _interpolated(knots: Knots, trajectories: Integers, times: Array, velocities: bool) -> Interpolation:
     motion, part = knots.motion, slice(3, 6) if velocities else slice(0, 3)
     between = motion.velocity_between if velocities else motion.between
-    knot = np.empty(len(times), dtype=np.int64)
+    knot, single = np.empty(len(times), dtype=np.int64), np.empty(len(times), dtype=np.bool_)
     weights, offsets = np.zeros((len(times), 4)), np.zeros((len(times), 3))
+    for j in np.unique(trajectories):
+        low, high = int(knots.first[j]), int(knots.first[j + 1])
+        rows = trajectories == j
+        found = np.searchsorted(knots.times[low:high], times[rows], side="right") - 1
+        knot[rows], single[rows] = low + np.clip(found, 0, max(high - low - 2, 0)), high - low == 1
 
-    def alone(rows: Integers, first: int, since: Array) -> None:
+    def alone(rows: NDArray[np.bool_], first: int, since: Array) -> None:
         """From one knot on, whose position is the weight `first`."""
-        flow = motion.flow(since)
+        flow = motion.flow(since[rows])
         weights[rows] = 0.0
         weights[rows, first] = 0.0 if velocities else 1.0
         weights[rows, first + 1] = flow.keep * motion.moves if velocities else flow.reach
         offsets[rows] = flow.drift[:, part]
 
-    for j in np.unique(trajectories):
-        low, high = int(knots.first[j]), int(knots.first[j + 1])
-        rows = np.flatnonzero(trajectories == j)
-        at = knots.times[low:high]
-        t = times[rows]
-        if high - low == 1:
-            knot[rows] = low
-            alone(rows, 0, t - at[0])
-            continue
-        left = np.clip(np.searchsorted(at, t, side="right") - 1, 0, high - low - 2)
-        knot[rows] = low + left
-        step = at[left + 1] - at[left]
-        elapsed = t - at[left]
-        weights[rows], offsets[rows] = between(elapsed, step)
-        s = elapsed / step
-        before, after = s < 0.0, s > 1.0
-        alone(rows[before], 0, (s * step)[before])
-        alone(rows[after], 2, ((s - 1.0) * step)[after])
+    elapsed, following = times - knots.times[knot], np.minimum(knot + 1, len(knots.times) - 1)
+    step = np.where(single, 1.0, knots.times[following] - knots.times[knot])
+    inside = ~single & (elapsed >= 0.0) & (elapsed <= step)
+    weights[inside], offsets[inside] = between(elapsed[inside], step[inside])
+    before = single | (elapsed < 0.0)
+    alone(before, 0, elapsed)
+    alone(~inside & ~before, 2, elapsed - step)
     return Interpolation(knot, weights, offsets)
 
 

@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
-from stereophd.core.calibration.adjustment.collapsed_stretches import collapsed
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.lone_detections import lone
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import Loss, Observations, Problem, true_times
+from stereophd.core.calibration.adjustment.rejected import collapsed, lone
 from stereophd.core.calibration.adjustment.shared_errors import shared_errors
 from stereophd.core.calibration.adjustment.solver import adjust, posterior_covariance
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -34,10 +33,10 @@ from stereophd.core.calibration.pairing.association import (
 )
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import offset_places
-from stereophd.core.calibration.pairing.meeting import meeting_points
+from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
-from stereophd.core.calibration.unknowns.gauge import enlarged, reduced
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.calibration.unknowns.scale import enlarged, reduced
 from stereophd.core.numerics.random_streams import SHARED_ERRORS_SEED
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
@@ -102,7 +101,7 @@ def tracked_fit(
 ) -> Fit | None:
     """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any.
 
-    `held` (m,) are values that stay; the filter gets the cameras enlarged by `ratio` (`calibration.unknowns.gauge`).
+    `held` (m,) are values that stay; the filter gets the cameras enlarged by `ratio` (`annealing.tracking_scale`).
     """
     cameras = task.parameters.build(values)
     scans = task.tracked_scans(cameras)

@@ -27,11 +27,11 @@ from stereophd.core.calibration.annealing.fits import (
     without_left_out,
 )
 from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
+from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio
 from stereophd.core.calibration.pairing.association import track_detections, with_cameras
-from stereophd.core.calibration.sampling.modes import Modes
-from stereophd.core.calibration.unknowns.gauge import KEPT_WITHIN, depth_ratio, enlarged
+from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.calibration.unknowns.scale import collapse
+from stereophd.core.calibration.unknowns.scale import collapse, enlarged
 from stereophd.wording import percent
 
 # Where one-camera tracks could be paired the cameras are nearly right: inflation begins here.

@@ -106,13 +106,12 @@ def hypothesis_spaces(parameters: ParameterSet, values: Array, rig: Rig) -> Arra
     The same as packing the cameras of `ParameterSet.build` row by row, for all rows at once where the quantities
     can be packed: thousands of hypotheses that move after an event would spend more time on that than on the event.
     """
-    if any(quantity.pack is None for quantity in parameters.quantities):
+    if not all(quantity.has_pack for quantity in parameters.quantities):
         return np.stack([make_rig(parameters.build(row), rig.baseline, rig.rectification).packed for row in values])
     packed = make_rig(parameters.cameras, rig.baseline, rig.rectification).packed
     spaces = np.repeat(packed[None], len(values), axis=0)
     for number, camera in enumerate(parameters.cameras):
         for quantity, index in parameters.unknown(camera.name):
-            assert quantity.pack is not None
             quantity.pack(spaces[:, number], camera, taken(values, index))
     return spaces
 

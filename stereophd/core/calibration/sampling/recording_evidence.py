@@ -25,10 +25,9 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.pairing.association import inflated
 from stereophd.core.calibration.sampling.likelihood import extent, log_density_of_scale
-from stereophd.core.calibration.unknowns.gauge import enlarged
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import TIMES
-from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, enlarged
 from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.base import DisparityFilter

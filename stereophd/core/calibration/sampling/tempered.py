@@ -16,8 +16,8 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.sampling.bridging import BridgeSampler
-from stereophd.core.calibration.sampling.modes import Modes
 from stereophd.core.calibration.settings import TemperedSettings
+from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 
 # Log-likelihoods (k,) of parameter values (k, m).

@@ -131,7 +131,7 @@ class ParameterSet:
     def same_events(self) -> bool:
         """Whether all values make the same events of a recording.
 
-        Detections of a rolling shutter that moves are turned by its motion (`stereophd.core.disparity.rolling`).
+        Detections of a rolling shutter that moves are turned by its motion (`stereophd.core.disparity.events`).
         """
         rolling = any(c.readout_s != 0.0 and (self.has_rates or not c.pose.is_static) for c in self.cameras)
         return self.only_moves and not rolling

@@ -13,7 +13,8 @@ velocities in an evidence, every object would favour a large one, by s^2.)
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import gammaln
@@ -21,6 +22,8 @@ from scipy.special import gammaln
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import Pose
 
 # Less probable under the prior than this are cameras that have fallen together. Two cameras 1 cm apart have a
 # probability of 8e-8 if their distance is unknown by 1.5 m.
@@ -123,3 +126,27 @@ def predicted(
         used = columns >= 0
         gradient[columns[used]] = sign * offset[used] / max(distance, 1e-300)
     return distance, gradient
+
+
+def can_be_enlarged(cameras: Sequence[Camera], reference: int) -> bool:
+    """Whether the reference stands still and no camera follows a known trajectory, whose scale is known."""
+    return cameras[reference].pose.is_static and all(camera.pose.path is None for camera in cameras)
+
+
+def enlarged(cameras: Sequence[Camera], reference: int, ratio: float) -> tuple[Camera, ...]:
+    """Return cameras whose distances from the reference camera, and velocities, are multiplied by a factor."""
+    if ratio == 1.0:
+        return tuple(cameras)
+    origin = cameras[reference].pose.center
+
+    def moved(pose: Pose) -> Pose:
+        center = origin + ratio * (pose.center - origin)
+        return Pose(pose.rotation, center, ratio * pose.velocity, pose.rotation_rate, pose.time_s)
+
+    return tuple(replace(camera, pose=moved(camera.pose)) for camera in cameras)
+
+
+def reduced(points: Array, cameras: Sequence[Camera], reference: int, ratio: float) -> Array:
+    """Return points (n, 3) before `enlarged` cameras as points before the cameras themselves."""
+    origin = cameras[reference].pose.center
+    return np.asarray(origin + (points - origin) / ratio) if ratio != 1.0 else points

@@ -13,7 +13,7 @@ object needs no such start.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -80,42 +80,76 @@ class Registration:
         return np.asarray(self.scale**2 * self.rotation @ covariances @ self.rotation.T)
 
 
-def register(time_s: Array, positions: Array, truth: Truth, max_gap_s: float, freedom: Freedom) -> Registration:
+@dataclass(frozen=True)
+class Residuals:
+    """How far estimates are from the truth, and what moves them; `register` says which estimates."""
+
+    rows: Integers  # (r,): Estimates that have a true object at their time
+    center: Array  # (3,): Middle of the moved estimates, about which they are turned and scaled
+    errors: Array  # (r, 3): True position less the moved estimate
+    weights: Array  # (r,): Cauchy weights
+    reach: float  # Twice the median distance
+    jacobian: Array  # (r, 3, 9): Of the moved estimates less the truth, in the order of `Freedom.columns`
+
+
+def register(
+    time_s: Array,
+    positions: Array,
+    truth: Truth,
+    max_gap_s: float,
+    freedom: Freedom,
+    start: Registration | None = None,
+) -> Registration:
     """Find the motion and the map of time that bring estimates nearest to the truth, within what `freedom` allows.
 
     Estimates at times (n,), s, never decreasing, have positions (n, 3); intervals of the truth longer than `max_gap_s`
-    are not interpolated over. Raises ValueError when fewer than six estimates have a true object at their time, or the
-    clocks cannot be reconciled.
+    are not interpolated over. Frames and clocks nearly agree, or `start` says how they do not. Raises ValueError when
+    fewer than six estimates have a true object at their time, or the clocks cannot be reconciled.
     """
     chosen = np.unique(np.linspace(0, len(time_s) - 1, min(len(time_s), MOST_ESTIMATES)).astype(np.int64))
     time_s, positions = time_s[chosen], positions[chosen]
     middle = float(np.median(time_s)) if len(time_s) else 0.0
     registration = Registration(np.eye(3), np.zeros(3), 1.0, middle, 0.0, 1.0, 0)
+    if start is not None:
+        shift = float(start.times(np.array(middle))) - middle
+        registration = replace(start, at_s=middle, shift_s=shift)
     columns = freedom.columns
     for number in range(MOST_STEPS):
-        rows, targets, velocities = _nearest(registration, time_s, positions, truth, max_gap_s)
-        if len(rows) < LEAST_ESTIMATES:
-            raise ValueError(f"expected {LEAST_ESTIMATES} or more estimates at times of the truth, found {len(rows)}")
-        moved = registration.positions(positions[rows])
-        center, errors = moved.mean(axis=0), targets - moved
-        distances = np.linalg.norm(errors, axis=1)
-        reach = max(2.0 * float(np.median(distances)), 1e-12)
-        weights = np.ones(len(rows)) if number < EQUAL_STEPS else 1.0 / (1.0 + (distances / reach) ** 2)
-        jacobian = _jacobian(moved - center, velocities, time_s[rows] - middle)[:, :, columns]
+        found = residuals(registration, time_s, positions, truth, max_gap_s)
+        if len(found.rows) < LEAST_ESTIMATES:
+            raise ValueError(
+                f"expected {LEAST_ESTIMATES} or more estimates at times of the truth, found {len(found.rows)}"
+            )
+        weights = np.ones(len(found.rows)) if number < EQUAL_STEPS else found.weights
+        jacobian = found.jacobian[:, :, columns]
         # all columns of one size, those of the rotation together: what the estimates leave open then stays as it is
         sizes = np.maximum(np.sqrt((jacobian**2).sum(axis=(0, 1))), 1e-300)
         sizes[columns < 3] = sizes[columns < 3].max(initial=1e-300)
         roots = np.sqrt(weights)
         solved = np.linalg.lstsq(
-            (roots[:, None, None] * jacobian / sizes).reshape(-1, len(columns)), (roots[:, None] * errors).ravel(), 1e-9
+            (roots[:, None, None] * jacobian / sizes).reshape(-1, len(columns)),
+            (roots[:, None] * found.errors).ravel(),
+            1e-9,
         )[0]
         step = np.zeros(9)
         step[columns] = solved / sizes
-        registration = _stepped(registration, step, center, len(rows))
+        registration = _stepped(registration, step, found.center, len(found.rows))
         change = np.abs(jacobian @ step[columns]).max()
-        if number >= EQUAL_STEPS and change <= TOLERANCE * reach:
+        if number >= EQUAL_STEPS and change <= TOLERANCE * found.reach:
             break
     return registration
+
+
+def residuals(registration: Registration, time_s: Array, positions: Array, truth: Truth, max_gap_s: float) -> Residuals:
+    """Return how far estimates (n, 3) at times (n,) are from the nearest true objects."""
+    rows, targets, velocities = _nearest(registration, time_s, positions, truth, max_gap_s)
+    moved = registration.positions(positions[rows])
+    center = moved.mean(axis=0) if len(rows) else np.zeros(3)
+    errors = targets - moved
+    distances = np.linalg.norm(errors, axis=1)
+    reach = max(2.0 * float(np.median(distances)) if len(rows) else 0.0, 1e-12)
+    jacobian = _jacobian(moved - center, velocities, time_s[rows] - registration.at_s)
+    return Residuals(rows, center, errors, 1.0 / (1.0 + (distances / reach) ** 2), reach, jacobian)
 
 
 def _nearest(

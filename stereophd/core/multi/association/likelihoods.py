@@ -11,7 +11,7 @@ tau_j follows from the detection's own row, no equation has to be solved. Two ef
 tau v_z / z of the correction (v_z / z is the relative speed towards the camera), and the effect of the row's noise on
 its time, (readout time of one row) dv of the noise. Both are far below a hundredth of a pixel for readouts of some 30
 ms. Static objects (d = 3) have not moved. Where the camera itself has moved meanwhile, the pixel has also changed by
-s_j d with a vector s_j that follows from the detection (`stereophd.core.disparity.rolling`), and H_j = [I_2 s_j | tau_j
+s_j d with a vector s_j that follows from the detection (`stereophd.core.disparity.events`), and H_j = [I_2 s_j | tau_j
 I_2 0]. Delays and the vectors s_j are the readings (m, 3) of the detections.
 """
 

@@ -100,8 +100,6 @@ def expected_births(
     born from a burst of clutter (`burst_of` the event), and the objects remain undetected.
     """
     before = before or Undetected(np.zeros(len(left)), np.ones(len(left)), np.zeros(len(left)))
-    if prior.per_frame is not None:
-        return 0.0 if burst else float(prior.per_frame), before
     counts, share = before.counts + prior.per_s * elapsed, before.initial_share
     if burst:
         return 0.0, Undetected(counts, share, before.peaks)

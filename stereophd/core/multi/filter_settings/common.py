@@ -54,11 +54,6 @@ class BirthPrior:
         "beyond clutter",
         default=None,
     )
-    per_frame: BirthRate | None = parameter(
-        "old form of per_s: expected number of new objects in each frame, for any frame rate and number of cameras; "
-        "replaces per_s and initial",
-        default=None,
-    )
     max_per_frame: Count = parameter(
         "maximum number of detections of a frame that no known object explains; a frame with more is a burst of "
         "clutter: it starts no tracks, and a warning reports how many frames were affected",
@@ -86,8 +81,6 @@ class BirthPrior:
     def __post_init__(self) -> None:
         if self.has_depth:
             check_depth(self.disparity, self.depth_range)
-        if self.per_frame is not None and self.initial is not None:
-            raise ValueError("expected per_s and initial, found per_frame and initial")
 
     @property
     def has_depth(self) -> bool:

@@ -59,10 +59,10 @@ class PmbSettings(FilterSettings):
         "hypotheses of a smaller share of their track are dropped", default=1e-3
     )
     exchange_above: Annotated[float, Interval(gt=0), NOT_NAN] = parameter(
-        "two tracks in one epipolar plane exchange the detections of a camera where this explains their last events "
+        "two tracks in one epipolar plane swap the detections of a camera where this explains their last events "
         "better by this many nats (log-odds); .inf: never",
         default=5.0,
-        advice="lower: crosswise pairs are corrected sooner, but more pairs that were right are exchanged.",
+        advice="lower: crosswise pairs are corrected sooner, but more pairs that were right are swapped.",
     )
     missed: Missed = parameter(
         MISSED, default="keep", advice="split for objects that are never hidden, keep where they hide behind others."

@@ -31,8 +31,6 @@ from stereophd.core.multi.association.likelihoods import FEW_COMPONENTS
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.births.undetected import peak_births, reduction_for_births, reduction_in_crowd
 from stereophd.core.multi.camera_hypotheses.batch_kernels import update_track_sets
-from stereophd.core.multi.crosswise.exchange import CrosswiseTest
-from stereophd.core.multi.crosswise.history import ClaimedDetections, History
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.pmb.hypotheses import (
     BY_DETECTIONS,
@@ -46,6 +44,8 @@ from stereophd.core.multi.pmb.update import associate_tracks
 from stereophd.core.multi.state.estimates import Info
 from stereophd.core.multi.state.inputs import Detections, EventNumbers, compiled_settings, with_newborns
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, empty_mixture
+from stereophd.core.multi.swaps.history import ClaimedDetections, History
+from stereophd.core.multi.swaps.swap_test import SwapTest
 from stereophd.core.numerics.compilation.compiled import compiled
 
 
@@ -73,10 +73,10 @@ class PmbFilter(DisparityFilter):
         return compiled_settings(PmbReduction, settings)
 
     @cached_property
-    def crosswise_test(self) -> CrosswiseTest:
+    def swap_test(self) -> SwapTest:
         """The test for pairs of tracks that are paired crosswise."""
         samples, settings = self.sets.turn(0), self.settings
-        return CrosswiseTest(self.rig, self.motion, samples, settings.birth, settings.exchange_above)
+        return SwapTest(self.rig, self.motion, samples, settings.birth, settings.exchange_above)
 
     @property
     def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
@@ -94,7 +94,7 @@ class PmbFilter(DisparityFilter):
 
     def compile_tests(self) -> None:
         """Compile the test for pairs of tracks that are paired crosswise."""
-        self.crosswise_test.compile()
+        self.swap_test.compile()
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
@@ -114,9 +114,7 @@ class PmbFilter(DisparityFilter):
                 event.camera, event.time_s, labels, detections, event.points, event.covariances, detected.readings
             )
             history = (history or History()).add(claimed)
-            reduced, history = self.crosswise_test.put_right(
-                reduced, history, event.camera, event.time_s, state.n_events
-            )
+            reduced, history = self.swap_test.put_right(reduced, history, event.camera, event.time_s, state.n_events)
         label = state.next_label + len(event.points)
         left_out, room = 0, self.reduction.max_components - len(event.points)
         if prediction.mixture.size > room:

@@ -19,7 +19,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.two_views.epipolar import essential_matrices, sampson_distances
 from stereophd.core.two_views.meeting import nearest_depths
-from stereophd.pipeline.checks.log.sample import CameraSample
+from stereophd.pipeline.checks.log.sample import CameraSample, by_interval
 
 # Of the detections of both cameras of a pair; None: not computed.
 Rays = tuple[Array | None, Array | None]
@@ -92,8 +92,12 @@ def candidates(
     most: int = MOST_DETECTIONS,
     shifts: int = SHIFTS,
     most_distances: int = MOST_DISTANCES,
+    places: Callable[[CameraSample, Array], Array] | None = None,
 ) -> Candidates | None:
-    """Return detections of A with those of B at the same and at shifted times; None if their periods share nothing."""
+    """Return detections of A with those of B at the same and at shifted times; None if their periods share nothing.
+
+    `places` says where B's detections are at a time, by default `pixels_at`.
+    """
     first, second = samples[a], samples[b]
     if len(first.pixels) == 0 or len(second.times) < 2:
         return None
@@ -107,7 +111,7 @@ def candidates(
     delays = first.camera.row_delays(first.pixels[chosen, 1])
     at, length = times[chosen] if delays is None else times[chosen] + delays, high - low
     shifted = [at] + [low + (at - low + length * (k + 1) / (shifts + 1)) % length for k in range(shifts)]
-    there = np.stack([pixels_at(second, times) for times in shifted])
+    there = np.stack([(places or pixels_at)(second, times) for times in shifted])
     most_there = max(1, int(np.isfinite(there[..., 0]).sum(axis=2).max()))
     return Candidates(a, b, chosen, at, first.pixels[chosen], there[:, :, :most_there])
 
@@ -130,6 +134,14 @@ def pixels_at(sample: CameraSample, times: Array) -> Array:
     width = max(now.shape[1], later.shape[1])
     alone = np.where(weights <= 0.5, _wide(now, width)[interval], _wide(later, width)[interval])
     return np.concatenate([moved, alone], axis=1)
+
+
+def pixels_near(sample: CameraSample, times: Array) -> Array:
+    """Return the detections (n, k, 2) of a camera in its frames next to times (n,), s; NaN where there are fewer."""
+    right = np.searchsorted(sample.times, times).clip(1, len(sample.times) - 1)
+    nearer = right - (times - sample.times[right - 1] <= sample.times[right] - times)
+    table = by_interval(sample.frame_of, sample.pixels, len(sample.times))
+    return np.asarray(table[nearer])
 
 
 def _wide(table: Array, width: int) -> Array:

@@ -30,6 +30,8 @@ NOISE_FACTOR = 4.0
 LEAST_OVERLAP = 0.05
 # Places that are named, and the radius in which their detections may be left out, px.
 MOST_SHOWN, PLACE_RADIUS_PX = 5, 2.0
+# Difference of the logarithms of what the coordinates of a principal point are scaled by in another resolution.
+SCALED_ALIKE = 0.2
 # Field of view of a lens, degrees.
 WIDEST_VIEW_DEG = 150.0
 
@@ -187,8 +189,10 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             "to be in millimetres",
             camera.fx, None, camera.name, "state the focal length in pixels", "focal_length_millimetres",
         )  # fmt: skip
+    # another resolution scales both alike; a cut image, or a long lens, has its principal point anywhere
     centre = np.array([camera.cx / camera.width, camera.cy / camera.height])
-    if (np.abs(centre - 0.5) > 0.25).any():
+    alike = (centre > 0.0).all() and abs(np.log(centre[0] / centre[1])) < SCALED_ALIKE
+    if alike and (np.abs(centre - 0.5) > 0.25).any():
         yield Finding(
             "camera.principal_point", "warning",
             f"{camera.name}: the principal point ({camera.cx:g}, {camera.cy:g}) is far from the centre of the image: "

@@ -45,6 +45,7 @@ class CameraSample:
     frames: Integers  # (f,) of int: Frame numbers
     first: Integers  # The detections of frame k are those from ``first[k]`` to ``first[k + 1]``
     pixels: Array  # (n, 2): Distorted pixels
+    boxes: bool = False  # Whether these are the middles of boxes
 
     @property
     def detections_per_frame(self) -> float:
@@ -88,10 +89,10 @@ class CameraSample:
         now = index[~linked & (self.frame_of < intervals)]
         later = index[~reached & (self.frame_of > 0)]
         return (
-            _by_interval(self.frame_of[carried], self.pixels[carried], intervals),
-            _by_interval(self.frame_of[carried], self.pixels[following[carried]], intervals),
-            _by_interval(self.frame_of[now], self.pixels[now], intervals),
-            _by_interval(self.frame_of[later] - 1, self.pixels[later], intervals),
+            by_interval(self.frame_of[carried], self.pixels[carried], intervals),
+            by_interval(self.frame_of[carried], self.pixels[following[carried]], intervals),
+            by_interval(self.frame_of[now], self.pixels[now], intervals),
+            by_interval(self.frame_of[later] - 1, self.pixels[later], intervals),
         )
 
     @property
@@ -170,7 +171,7 @@ class CameraSample:
         return tuple(found)
 
 
-def _by_interval(intervals: Integers, pixels: Array, count: int) -> Array:
+def by_interval(intervals: Integers, pixels: Array, count: int) -> Array:
     """Return pixels (n, 2) in rows by their interval, (count, most, 2), NaN where a row has fewer; n in order."""
     sizes = np.bincount(intervals, minlength=count)
     table = np.full((count, max(1, int(sizes.max(initial=0))), 2), np.nan)
@@ -202,6 +203,7 @@ def _of_camera(camera: Camera, frames: list[Frame]) -> CameraSample:
         np.array([frame.frame for frame in frames], dtype=np.int64),
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         np.concatenate([frame.pixels for frame in frames]) if frames else np.empty((0, 2)),
+        any(frame.sizes is not None for frame in frames),
     )
 
 

@@ -60,10 +60,11 @@ class PairFits:
             return max(self.lens_a, self.lens_b, key=lambda fit: fit.explained)
         return self.clock if cause == "clock" else self.pose
 
-    def is_suspicious(self, tracks: int) -> bool:
-        """Whether a cause explains the distances beyond doubt, given the number of pairs of tracks."""
+    def decisive(self, tracks: int) -> set[str]:
+        """Return the causes that explain the distances beyond doubt, given the number of pairs of tracks."""
         smooth = self.pose.explained >= POSE_EXPLAINED and self.pose.effect >= POSE_EFFECT
-        return self.clock.is_decisive or self.of("lens").is_decisive or (smooth and tracks >= POSE_TRACKS)
+        pose = {"pose"} if smooth and tracks >= POSE_TRACKS else set()
+        return pose | {cause for cause in ("clock", "lens") if self.of(cause).is_decisive}
 
 
 def explain(pair: Partners, first: Camera, second: Camera) -> PairFits:

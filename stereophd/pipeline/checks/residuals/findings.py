@@ -25,17 +25,26 @@ from stereophd.wording import percent
 PREFERENCE = 1.35
 # Cameras that explain this share of what the best one explains are named with it.
 ALIKE = 0.97
+# Lateness of one clock over that of a pair, from which it is what the pair shows.
+LEAST_CHANGE = 0.5
 CAUSES = {"clock": "clock_offset", "lens": "lens_inaccurate", "pose": "pose_inaccurate"}
 
 
 def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
-    """Yield a finding if the clock, lens or pose of a camera seems to be slightly off, else one for each pair."""
+    """Yield a finding if the clock, lens or pose of a camera seems to be slightly off, else one for each pair.
+
+    The middle of a box is not the image of one point of the object, which looks like an error of a pose: where
+    detections are boxes no pose is called off.
+    """
     motion = [track_velocities(sample) for sample in samples]
     pairs = [found for a, b in pairs_of(len(samples)) if (found := partners(samples, motion, a, b))]
     fits = [explain(pair, samples[pair.a].camera, samples[pair.b].camera) for pair in pairs]
-    suspicious = [(pair, fit) for pair, fit in zip(pairs, fits, strict=True) if fit.is_suspicious(pair.track_count)]
-    if suspicious:
-        yield _warning(samples, suspicious, list(zip(pairs, fits, strict=True)))
+    together = list(zip(pairs, fits, strict=True))
+    ignored = {"pose"} if any(sample.boxes for sample in samples) else set()
+    causes = [fit.decisive(pair.track_count) - ignored for pair, fit in together]
+    suspicious = [both for both, decisive in zip(together, causes, strict=True) if decisive]
+    if suspicious and (warning := _warning(samples, suspicious, together, set().union(*causes))) is not None:
+        yield warning
         return
     for pair in pairs:
         names = f"{samples[pair.a].camera.name} and {samples[pair.b].camera.name}"
@@ -52,8 +61,14 @@ def _warning(
     samples: list[CameraSample],
     suspicious: list[tuple[Partners, PairFits]],
     everything: list[tuple[Partners, PairFits]],
-) -> Finding:
-    """Return the finding that names the cause and the camera that explain most over all suspicious pairs."""
+    decisive: set[str],
+) -> Finding | None:
+    """Return the finding that names the cause and the camera that explain most over all suspicious pairs.
+
+    A cause is decisive for at least one pair, and undoing it must change something: pairs whose clocks contradict each
+    other leave every clock as it is. None where no cause is left.
+    """
+    lateness = _lateness(len(samples), everything)
     totals: dict[tuple[str, int], float] = {}
     count = [sum(c in (pair.a, pair.b) for pair, _ in everything) for c in range(len(samples))]
     for pair, fits in suspicious:
@@ -61,7 +76,12 @@ def _warning(
             for cause, explained in (
                 ("clock", fits.clock.explained), ("lens", lens.explained), ("pose", fits.pose.explained / PREFERENCE),
             ):  # fmt: skip
+                changes = cause != "clock" or abs(lateness[camera]) >= LEAST_CHANGE * abs(fits.clock.value)
+                if cause not in decisive or not changes:
+                    continue
                 totals[cause, camera] = totals.get((cause, camera), 0.0) + explained / count[camera]
+    if not totals:
+        return None
     (cause, _), best = max(totals.items(), key=lambda one: one[1])
     cameras = [c for (one, c), total in totals.items() if one == cause and total >= ALIKE * best]
     names = " or ".join(samples[c].camera.name for c in sorted(cameras))
@@ -69,7 +89,7 @@ def _warning(
     text = f"{names}: the distances of its rays from those of other cameras"
     value: float = max(fits.of(cause).effect for _, fits in suspicious)
     if cause == "clock":
-        late = _lateness(len(samples), everything)[cameras[0]]
+        late = lateness[cameras[0]]
         if len(cameras) > 1:  # of two cameras the log does not show which one
             late = abs(late)
         text += f" follow the speed of the objects: its clock seems to be off by {late:+.3g} s"

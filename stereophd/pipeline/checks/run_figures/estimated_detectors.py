@@ -5,12 +5,14 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
+import numpy as np
+
 from stereophd.pipeline.checks.finding import Finding
 
 # Correlation of successive residuals from which errors cannot pass for white noise.
 LASTING = 0.3
-# Relative standard error from which an estimated noise is unsure.
-UNSURE = 0.4
+# Relative standard error from which an estimated noise is unsure: two of them are a factor of 1.5.
+UNSURE = 0.2
 
 
 def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Finding]:
@@ -46,12 +48,15 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
             )
             remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
             yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")
-        elif _unsure(estimate) > UNSURE:
+        elif (error := _unsure(estimate)) > UNSURE:
             text = (
-                f"{name}: {estimate['residuals']:.0f} detections of tracks that two cameras saw are few to estimate "
-                f"the noise from: {noise} px is mainly what the rays and the usual noise of detectors say"
+                f"{name}: {estimate['residuals']:.0f} detections of tracks that two cameras saw are few: the estimated "
+                f"noise of {noise} px is known to a factor of {np.exp(2.0 * error):.1f}"
             )
-            yield Finding("detector.estimate", "warning", text, camera=name, cause="too_few_detections")
+            remedy = f"state cameras.{name}.detector.sigma_px if you know it, or take a longer log"
+            yield Finding(
+                "detector.estimate", "warning", text, round(error, 2), UNSURE, name, remedy, "too_few_detections"
+            )
 
 
 def _unsure(estimate: Mapping[str, Any]) -> float:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from stereophd.core.calibration.adjustment.collapsed_stretches import collapsed
 from stereophd.core.calibration.adjustment.problem import Observations
+from stereophd.core.calibration.adjustment.rejected import collapsed
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, adjusted_to, fit_until
 from stereophd.core.calibration.annealing.known_scale import rescaled

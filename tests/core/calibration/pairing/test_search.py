@@ -10,12 +10,13 @@ import pytest
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.starts import run_start
 from stereophd.core.calibration.annealing.task import PAIRING, WIDE, Task
-from stereophd.core.calibration.pairing.meeting import behind
+from stereophd.core.calibration.annealing.tracking_scale import depth_ratio
+from stereophd.core.calibration.pairing.refinement import behind
 from stereophd.core.calibration.pairing.search import distinct_pairings
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs
 from stereophd.core.calibration.settings import AnnealedSettings
-from stereophd.core.calibration.unknowns.gauge import depth_ratio, enlarged, reduced
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.calibration.unknowns.scale import enlarged, reduced
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.pmb.filter import PmbFilter

@@ -12,7 +12,7 @@ import pytest
 from stereophd.core.calibration.pairing.association import inflated
 from stereophd.core.calibration.sampling import bridging
 from stereophd.core.calibration.sampling.blocks import BlockPath, Stage, block_sampler
-from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeState
+from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeState
 from stereophd.core.calibration.sampling.likelihood import Evidence
 from stereophd.core.calibration.settings import SequentialSettings
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch

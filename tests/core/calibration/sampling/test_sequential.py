@@ -18,6 +18,7 @@ from stereophd.core.multi.phd.filter import PhdFilter
 from stereophd.core.numerics.resampling import systematic
 from stereophd.core.numerics.weights import step_generator
 from tests.core.calibration.problems import make_events, make_parameters, make_template, to_bytes
+from tests.core.multi.scenes import BIRTHS, with_births
 
 SEED = np.random.SeedSequence(11)
 
@@ -44,7 +45,7 @@ def textbook(
         likelihoods = np.empty(count)
         for k in range(count):
             rig = make_rig(parameters.build(values[k]), 1.0, "horizontal")
-            one = PhdFilter(rig, template.motion, template.sets, template.settings)
+            one = with_births(PhdFilter(rig, template.motion, template.sets, template.settings), BIRTHS)
             states[k], info = one.update(states[k], one.predict(states[k], event), event)
             likelihoods[k] = np.exp(info.log_likelihood)
         evidence += np.log(weights @ likelihoods)

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.sampling import bridging
-from stereophd.core.calibration.sampling.bridging import BridgeSampler, temperature_rise
-from stereophd.core.calibration.sampling.bridging_state import BridgeInfo, BridgeState
+from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeSampler, BridgeState, temperature_rise
 from stereophd.core.calibration.sampling.likelihood import Evidence
-from stereophd.core.calibration.sampling.modes import Modes
 from stereophd.core.calibration.sampling.tempered import LogLikelihood, TemperedPath, tempered_sampler
 from stereophd.core.calibration.settings import TemperedSettings
+from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
 from tests.core.calibration.problems import make_events, make_parameters, make_template, to_bytes

@@ -148,9 +148,8 @@ def test_pixels_are_those_of_the_camera(lens: str, mounted: bool) -> None:
         np.testing.assert_allclose(view.pixels, camera.at(time_s).project(points), atol=1e-9)
 
 
-@pytest.mark.parametrize("quantity", [q for q in quantities() if q.pack is not None], ids=lambda q: q.name)
+@pytest.mark.parametrize("quantity", [q for q in quantities() if q.has_pack], ids=lambda q: q.name)
 def test_packed_cameras_are_those_of_apply(quantity: Quantity) -> None:
-    assert quantity.pack is not None
     camera = make_camera(moving=False)
     values = np.stack([draw(quantity, camera, seed) for seed in range(3)])
     packed = np.repeat(camera.packed()[None], 3, axis=0)
@@ -169,8 +168,8 @@ def test_every_quantity_has_a_prior_and_unique_names(quantity: Quantity) -> None
 
 @members
 def test_the_entry_leads_back_to_the_camera(quantity: Quantity) -> None:
-    from stereophd.io.cameras.from_camera import camera_config
     from stereophd.io.cameras.models import CameraConfig
+    from stereophd.io.cameras.writing import camera_config
     from stereophd.pipeline.calibration.unknowns import with_quantities
 
     camera = camera_for(quantity)

@@ -31,7 +31,7 @@ def test_moments_are_those_of_depth_and_velocity(rectification: str, lens: str) 
     camera = make_camera((0.3, -0.4, 0.2), (5.0, -6.0, 7.0), LENSES[lens])
     space = make_space(camera, 1.3, rectification)
     event = make_event(camera, 0, 0.0, PIXELS)
-    prior = BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
+    prior = BirthPrior(disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
     means, covariances = birth_moments(event, space.packed(), prior, 6)
     for k in range(3):
         states = sampled(space, event.points[k], (7.0, 2.0), 1.5)
@@ -53,7 +53,7 @@ def test_static_births_have_no_velocity() -> None:
     means, covariances = birth_moments(
         event,
         make_space(camera).packed(),
-        BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.0),
+        BirthPrior(disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.0),
         3,
     )
     np.testing.assert_array_equal(means, np.column_stack([PIXELS, np.full(3, 7.0)]))
@@ -63,13 +63,13 @@ def test_static_births_have_no_velocity() -> None:
 @pytest.mark.parametrize("rectification", ["horizontal", "vertical"])
 def test_depth_range_is_two_deviations_of_disparity(rectification: str) -> None:
     space = make_space(make_camera(), 0.5, rectification)
-    mean, std = BirthPrior(per_frame=0.1, depth_range=(20.0, 150.0), velocity_std=1.0).disparity_moments(space.packed())
+    mean, std = BirthPrior(depth_range=(20.0, 150.0), velocity_std=1.0).disparity_moments(space.packed())
     focal = 898.9 if rectification == "horizontal" else 880.0
     assert mean + 2.0 * std == pytest.approx(focal * 0.5 / 20.0, rel=1e-12)
     assert mean - 2.0 * std == pytest.approx(focal * 0.5 / 150.0, rel=1e-12)
-    assert BirthPrior(
-        per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.0
-    ).disparity_moments(space.packed()) == (7.0, 3.0)
+    assert BirthPrior(disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.0).disparity_moments(
+        space.packed()
+    ) == (7.0, 3.0)
 
 
 def test_no_detections_no_births() -> None:
@@ -78,7 +78,7 @@ def test_no_detections_no_births() -> None:
     means, covariances = birth_moments(
         event,
         make_space(camera).packed(),
-        BirthPrior(per_frame=0.1, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.0),
+        BirthPrior(disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.0),
         6,
     )
     assert means.shape == (0, 6)
@@ -90,7 +90,7 @@ def test_a_region_is_a_prior_of_the_depths_along_a_ray() -> None:
     camera = make_camera()
     space = make_space(camera, 1.0)
     event = make_event(camera, 0, 0.0, PIXELS)
-    prior = BirthPrior(per_frame=0.1, depth_range=(1.0, 50.0), velocity_std=1.0)
+    prior = BirthPrior(depth_range=(1.0, 50.0), velocity_std=1.0)
     plain, _ = birth_moments(event, space.packed(), prior, 6)
     open_sides = [-np.inf, np.inf]
     slab = np.array([*open_sides, *open_sides, 10.0, 10.4, -np.inf, np.inf])

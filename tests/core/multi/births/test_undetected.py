@@ -61,13 +61,6 @@ def test_cameras_that_share_no_view_have_objects_of_their_own() -> None:
     assert found == pytest.approx(3 * (0.5 * 50.0 + 3.0), rel=0.03)
 
 
-def test_the_old_key_is_a_number_for_every_frame() -> None:
-    prior = replace(PRIOR, per_frame=0.2, initial=None)
-    assert first_detections(prior, np.ones((2, 2)), 10.0, 5.0, 0.9) == pytest.approx(0.2 * 0.9 * 100)
-    with pytest.raises(ValueError, match="per_frame and initial"):
-        replace(PRIOR, per_frame=0.2)
-
-
 @pytest.mark.parametrize(("n_detections", "expected"), [(13, (13 - 4) / 0.9), (2, LEAST_INITIAL)])
 def test_the_first_frame_says_how_many_objects_there_were(n_detections: int, expected: float) -> None:
     camera = make_camera(p_detect=0.9, clutter=4.0)

@@ -22,7 +22,7 @@ from stereophd.core.multi.camera_hypotheses.batch import BatchState, FilterBatch
 from stereophd.core.multi.phd.filter import PhdFilter
 from stereophd.core.multi.pmb.filter import PmbFilter
 from tests.core.calibration.problems import make_events, make_parameters, make_template
-from tests.core.multi.scenes import make_mixture
+from tests.core.multi.scenes import BIRTHS, make_mixture, with_births
 
 REGION = np.array([-60.0, 60.0, -50.0, 50.0, 20.0, 260.0, 10.0, 300.0])
 
@@ -35,7 +35,8 @@ def parameters() -> ParameterSet:
 def with_cameras(template: PhdFilter | PmbFilter, parameters: ParameterSet, values: Array) -> PhdFilter | PmbFilter:
     """The filter of one hypothesis."""
     rig = make_rig(parameters.build(values), 1.0, "horizontal", template.rig.region)
-    return type(template)(rig, template.motion, template.sets, template.settings)  # type: ignore[arg-type]
+    multi_filter = type(template)(rig, template.motion, template.sets, template.settings)  # type: ignore[arg-type]
+    return with_births(multi_filter, BIRTHS)
 
 
 @pytest.mark.parametrize(

@@ -64,9 +64,9 @@ def test_without_clutter_and_births_nothing_else_made_the_detection() -> None:
 
 def one_camera(**settings: object) -> PhdFilter:
     """A camera before still objects: everything is linear."""
-    birth = BirthPrior(per_frame=1e-12, disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.0)
+    birth = BirthPrior(disparity=DisparityPrior(mean_px=7.0, std_px=3.0), velocity_std=1.0)
     camera = make_camera(p_detect=P_DETECT, sigma=(1.0, 1.0))
-    return make_filter([camera], Static(), birth=birth, survival_per_s=1.0, **settings)
+    return make_filter([camera], Static(), birth=birth, births=1e-12, survival_per_s=1.0, **settings)
 
 
 def seen(multi_filter: PhdFilter, state: FilterState, pixels: np.ndarray, time_s: float = 0.0) -> FilterState:

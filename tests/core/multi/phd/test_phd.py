@@ -70,8 +70,8 @@ def test_eq_5_by_hand(size: int) -> None:
     """One component in view and one detection: three components, with weights from the formula."""
     motion = Static() if size == 3 else ConstantVelocity([0.0] * 3)
     camera = make_camera(p_detect=0.9, sigma=(1.5, 1.5), clutter=10.0)
-    birth = BirthPrior(per_frame=0.2, disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
-    multi_filter = make_filter([camera], motion, birth=birth, survival_per_s=0.9, merge_distance=0.0)
+    birth = BirthPrior(disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
+    multi_filter = make_filter([camera], motion, birth=birth, births=0.2, survival_per_s=0.9, merge_distance=0.0)
     mean = np.array([400.0, 300.0, 8.0, 0.0, 0.0, 0.0])[:size]
     covariance = np.diag([4.0, 9.0, 1.0, 1e-6, 1e-6, 1e-8])[:size, :size].copy()
     covariance[0, 2] = covariance[2, 0] = 0.5

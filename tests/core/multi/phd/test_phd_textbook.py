@@ -46,12 +46,11 @@ class LinearCase:
 
     def filter(self, method: str) -> PhdFilter:
         prior = BirthPrior(
-            per_frame=BIRTHS,
             disparity=DisparityPrior(mean_px=self.disparity[0], std_px=self.disparity[1]),
             velocity_std=self.velocity_std,
         )
         return make_filter(
-            [self.camera], self.motion, method, 128, prior, self.baseline, survival_per_s=SURVIVAL,
+            [self.camera], self.motion, method, 128, prior, BIRTHS, self.baseline, survival_per_s=SURVIVAL,
             prune_weight=1e-6, merge_distance=7.0, max_components=CAP, merge_rule="vo_ma", merge_moments="intensity",
         )  # fmt: skip
 

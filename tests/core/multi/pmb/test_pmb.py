@@ -28,7 +28,9 @@ from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
 from tests.core.disparity.cases import make_camera, random_covariance, state_in, weighted
 from tests.core.disparity.moves import sample_sets
 from tests.core.multi.phd.test_phd_textbook import (
-    BIRTHS,
+    BIRTHS as TEXTBOOK_BIRTHS,
+)  # fmt: skip
+from tests.core.multi.phd.test_phd_textbook import (
     CLUTTER,
     HEIGHT,
     P_DETECT,
@@ -40,10 +42,10 @@ from tests.core.multi.phd.test_phd_textbook import (
     detections,
     moving_case,
     static_case,
-)  # fmt: skip
+)
 from tests.core.multi.phd.textbook import Component
 from tests.core.multi.pmb.textbook_pmb import TextbookPmb
-from tests.core.multi.scenes import PRIOR, make_mixture
+from tests.core.multi.scenes import BIRTHS, PRIOR, make_mixture, with_births
 
 AREA = 800.0 * 600.0
 TRUTH = np.array([[5.0, 3.0, 100.0], [-10.0, -8.0, 140.0], [12.0, 6.0, 180.0]])
@@ -62,6 +64,7 @@ def make_pmb(
     method: str = "qmc",
     samples: int = 64,
     birth: BirthPrior = PRIOR,
+    births: float = BIRTHS,
     threads: int = 1,
     **options: object,
 ) -> PmbFilter:
@@ -71,7 +74,8 @@ def make_pmb(
     motion = ConstantVelocity([0.01] * 3, 6.0) if motion is None else motion
     sets = sample_sets(method, samples, motion, seed=7)
     values = {"survival_per_s": 0.99, "birth": birth, "extraction": Hysteresis(confirm=0.9, release=0.02), **options}
-    return PmbFilter(make_rig(cameras, 1.0, "horizontal"), motion, sets, PmbSettings(**values), threads)  # type: ignore[arg-type]
+    rig = make_rig(cameras, 1.0, "horizontal")
+    return with_births(PmbFilter(rig, motion, sets, PmbSettings(**values), threads), births)  # type: ignore[arg-type]
 
 
 def state_of(mixture: GaussianMixture, time_s: float = 0.0) -> FilterState:
@@ -134,7 +138,7 @@ def gaussian(residual: np.ndarray, covariance: np.ndarray) -> float:
 
 # One camera, static objects: prediction is the identity, and all can be written down.
 
-W, PD, LAMBDA, B = 0.8, 0.9, 3.0, PRIOR.per_frame
+W, PD, LAMBDA, B = 0.8, 0.9, 3.0, BIRTHS
 
 
 def by_hand() -> tuple[PmbFilter, FilterState]:
@@ -255,15 +259,14 @@ def assert_same(found: GaussianMixture, expected: list[Component], margin: float
 def naive(case: LinearCase) -> tuple[PmbFilter, TextbookPmb]:
     phd, textbook = case.filter("qmc"), case.textbook()
     birth = BirthPrior(
-        per_frame=BIRTHS,
         disparity=DisparityPrior(mean_px=case.disparity[0], std_px=case.disparity[1]),
         velocity_std=case.velocity_std,
     )
     settings = PmbSettings(
         survival_per_s=SURVIVAL, birth=birth, recycle_below=1e-3, prune_weight=1e-5, merge_distance=4.0, **ONE_GAUSSIAN
     )
-    return PmbFilter(phd.rig, phd.motion, phd.sets, settings), TextbookPmb(
-        textbook.transition, textbook.process, np.diag(SIGMA**2), SURVIVAL**STEP, P_DETECT, CLUTTER, BIRTHS,
+    return with_births(PmbFilter(phd.rig, phd.motion, phd.sets, settings), TEXTBOOK_BIRTHS), TextbookPmb(
+        textbook.transition, textbook.process, np.diag(SIGMA**2), SURVIVAL**STEP, P_DETECT, CLUTTER, TEXTBOOK_BIRTHS,
         WIDTH * HEIGHT, textbook.birth_mean, textbook.birth_covariance, 1e-3, 1e-5, 4.0,
     )  # fmt: skip
 

@@ -7,10 +7,10 @@ does not depend on the order in which they are applied, and the negative values 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,53 +60,66 @@ class CameraView:
     pixels: Array  # (n, 2): Raw pixels
 
 
-def all_of(components: tuple[str, ...]) -> Callable[[Camera], tuple[str, ...]]:
-    """Return the function that finds all components in any camera."""
-    return partial(_components, components)
+# What of ``cameras.yaml`` a quantity determines, as nested plain values.
+Entry = Mapping[str, Any]
 
 
-def _components(components: tuple[str, ...], camera: Camera) -> tuple[str, ...]:
-    return components
+class Quantity(ABC):
+    """One kind of unknown of a camera: a class in a file of its own, with one instance, ``QUANTITY``."""
 
-
-def without_path(components: tuple[str, ...]) -> Callable[[Camera], tuple[str, ...]]:
-    """Return the function that finds components in cameras that follow no known trajectory."""
-    return partial(_by_path, components, False)
-
-
-def on_path(components: tuple[str, ...]) -> Callable[[Camera], tuple[str, ...]]:
-    """Return the function that finds components in cameras that follow a known trajectory."""
-    return partial(_by_path, components, True)
-
-
-def _by_path(components: tuple[str, ...], follows: bool, camera: Camera) -> tuple[str, ...]:
-    return components if (camera.pose.path is not None) == follows else ()
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One kind of unknown of a camera."""
-
-    name: str  # The name of its file
-    components: tuple[str, ...]  # Names of its values, unique among all quantities
-    unit: str  # Unit of the values: ``length``, ``rad``, ``1``, ``px``, ``s``, ``length/s`` or ``rad/s``
-    prior: str  # Key of its standard deviation in ``calibration.priors``
-    description: str  # Description of that key
-    apply: Callable[[Camera, Array], Camera]  # (camera, values (k,)) -> the camera moved by them
-    difference: Callable[[Camera, Camera], Array]  # (camera, other) -> values (k,) that move `camera` to `other`
-    # (view, values (k,)) -> derivative (n, 2, k) of the raw pixels with respect to the values.
-    derivative: Callable[[CameraView, Array], Array]
-    # camera -> what of ``cameras.yaml`` it determines, as nested plain values.
-    entry: Callable[[Camera], Mapping[str, Any]]
-    affects: str  # What of an event depends on it
-    available: Callable[[Camera], tuple[str, ...]]  # camera -> components that this camera has
+    name: ClassVar[str]  # The name of its file
+    components: ClassVar[tuple[str, ...]]  # Names of its values, unique among all quantities
+    unit: ClassVar[str]  # Unit of the values: ``length``, ``rad``, ``1``, ``px``, ``s``, ``length/s`` or ``rad/s``
+    prior: ClassVar[str]  # Key of its standard deviation in ``calibration.priors``
+    description: ClassVar[str]  # Description of that key
+    affects: ClassVar[str]  # What of an event depends on it
+    # Whether only cameras that follow a known trajectory have it (True), only others (False), or all.
+    on_path: ClassVar[bool | None] = None
     # Whether the reference camera must not have it: it fixes the frame and the clock of the results.
-    of_the_frame: bool = False
-    named: bool = False  # Whether the prior names the components (``{k1: 0.1}``) instead of one value or one for each
-    prior_unit: float = 1.0  # The unit of that key in units of the values (degrees: pi / 180)
-    largest_std: float = LARGEST_LENGTH  # Largest value of that key: beyond what any set-up can mean
-    # (packed cameras (h, 28 or more), camera, values (h, k)): apply values to h packed copies of a camera in place.
-    pack: Callable[[Array, Camera, Array], None] | None = None
+    of_the_frame: ClassVar[bool] = False
+    named: ClassVar[bool] = False  # Whether the prior names the components (``{k1: 0.1}``): not one value, or one each
+    prior_unit: ClassVar[float] = 1.0  # The unit of that key in units of the values (degrees: pi / 180)
+    largest_std: ClassVar[float] = LARGEST_LENGTH  # Largest value of that key: beyond what any set-up can mean
+    has_pack: ClassVar[bool] = False  # Whether `pack` is defined
+
+    def __init_subclass__(cls) -> None:
+        cls.name = cls.__module__.rpartition(".")[2]
+
+    def available(self, camera: Camera) -> tuple[str, ...]:
+        """Return the components that a camera has."""
+        return self.components if self._is_of(camera) else ()
+
+    def apply(self, camera: Camera, values: Array) -> Camera:
+        """Return a camera moved by values (k,); the same where it does not have the quantity."""
+        return self._apply(camera, values) if self._is_of(camera) else camera
+
+    def difference(self, camera: Camera, other: Camera) -> Array:
+        """Return the values (k,) that move a camera to another; zeros where it does not have the quantity."""
+        return self._difference(camera, other) if self._is_of(camera) else np.zeros(len(self.components))
+
+    def entry(self, camera: Camera) -> Entry:
+        """Return what of ``cameras.yaml`` it determines."""
+        return self._entry(camera) if self._is_of(camera) else {}
+
+    @abstractmethod
+    def derivative(self, view: CameraView, values: Array) -> Array:
+        """Derivative (n, 2, k) of the raw pixels of a view, with respect to the values."""
+
+    def pack(self, spaces: Array, camera: Camera, values: Array) -> None:
+        """Apply values (h, k) to h packed copies (h, 28 or more) of a camera in place."""
+        raise NotImplementedError
+
+    @abstractmethod
+    def _apply(self, camera: Camera, values: Array) -> Camera: ...
+
+    @abstractmethod
+    def _difference(self, camera: Camera, other: Camera) -> Array: ...
+
+    @abstractmethod
+    def _entry(self, camera: Camera) -> Entry: ...
+
+    def _is_of(self, camera: Camera) -> bool:
+        return self.on_path in (None, camera.pose.path is not None)
 
     def key(self, component: str) -> str:
         """Return how a key of a report names one of the components."""

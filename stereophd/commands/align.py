@@ -1,0 +1,154 @@
+"""Bring cameras and tracks into a world frame: that of a control track, the floor, gravity, or one of the cameras."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stereophd.commands.options import AlignOptions
+from stereophd.config.loading import load_cameras
+from stereophd.core.alignment.cameras import moved_camera
+from stereophd.core.alignment.frames import GRAVITY, camera_frame, floor_frame, gravity_frame
+from stereophd.core.alignment.to_track import Alignment, align_to_track
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.metrics.truth.registration import Freedom
+from stereophd.errors import InputError, unknown_camera
+from stereophd.io.cameras.models import CamerasFile
+from stereophd.io.cameras.writing import plain_cameras, write_cameras
+from stereophd.io.outputs.atomic import OutputFolder
+from stereophd.io.outputs.json_text import write_json
+from stereophd.io.outputs.provenance import provenance, to_metadata
+from stereophd.options import takes
+from stereophd.pipeline.alignment.control import alignment_report, read_control
+from stereophd.pipeline.alignment.tables import write_moved
+from stereophd.pipeline.calibration.unknowns import with_quantities
+from stereophd.pipeline.evaluation.inputs import Tracks, read_tracks
+from stereophd.validated import NO_LENGTH
+
+CAMERAS_FILE, TRACKS_FILE, REPORT_FILE = "cameras.yaml", "tracks.parquet", "report.json"
+TABLES = (TRACKS_FILE, "scans.parquet", "associations.parquet")
+FLOOR, FALL = "floor", "gravity"
+METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}
+
+LOGGER = logging.getLogger("stereophd")
+
+
+@takes(AlignOptions)
+def align(
+    cameras: Sequence[Path | str], to: Path | str, out_dir: Path | str | None = None, *, options: AlignOptions
+) -> dict[str, Any]:
+    """Bring cameras, and the tracks made with them, into a world frame.
+
+    Parameters
+    ----------
+    cameras : sequence of path
+        Files ``cameras.yaml``, or the folders of `calibrate` or `track` that hold them. Tables beside a file
+        (``tracks.parquet``, ``scans.parquet``, ``associations.parquet``) are moved with it. Each is aligned by itself.
+    to : path or str
+        A control track (Parquet: ``time_s, x, y, z`` of one object, on a clock of its own; or ``time_s, latitude_deg,
+        longitude_deg, altitude_m``), ``floor``, ``gravity``, or the name of a camera.
+    out_dir : path, optional
+        Where ``cameras.yaml``, the tables and ``report.json`` are written, of several each into a folder of the name of
+        its own; nothing is written without it.
+
+    Returns
+    -------
+    dict
+        ``runs``: of each the similarity, the map of time, their standard deviations, and what is left over.
+
+    Raises
+    ------
+    InputError
+        A file is not usable, or the motion does not determine the frame: the message says what is missing.
+    """
+    sources = [Path(path) / CAMERAS_FILE if Path(path).is_dir() else Path(path) for path in cameras]
+    names = [path.parent.resolve().name if path.name == CAMERAS_FILE else path.stem for path in sources]
+    if len(set(names)) < len(names):
+        raise InputError(f"expected cameras in folders of different names, found {', '.join(names)}")
+    runs = []
+    for name, path in zip(names, sources, strict=True):
+        out = None if out_dir is None else Path(out_dir) / (name if len(sources) > 1 else "")
+        runs.append({"name": name, **_aligned(path, to, out, options)})
+    return {"report_version": 1, "runs": runs}
+
+
+def _aligned(path: Path, to: Path | str, out_dir: Path | None, options: AlignOptions) -> dict[str, Any]:
+    """Align the files of one run, and write them."""
+    file = load_cameras(path)
+    built = {name: camera.build(name) for name, camera in file.cameras.items()}
+    tracks_path = Path(options.tracks_path or path.with_name(TRACKS_FILE))
+    found, unit, origin = _alignment(path, to, options, file, built, tracks_path)
+    try:
+        moved = [moved_camera(camera, found.registration) for camera in built.values()]
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from None
+    configs = with_quantities(file.cameras, moved, f"{path}: a camera in the world frame")
+    report: dict[str, Any] = {"report_version": 1, "to": str(to) if str(to) in (FLOOR, FALL, *built) else "control"}
+    report |= {**alignment_report(found, unit), **({} if origin is None else {"origin": origin})}
+    if unit == NO_LENGTH:
+        report["scale_is_unknown"] = "no length is known: lengths are in units of the distance of two cameras"
+        LOGGER.warning("%s: %s", path, report["scale_is_unknown"])
+    tables = {name: tracks_path.with_name(name) for name in TABLES[1:]} | {TRACKS_FILE: tracks_path}
+    tables = {name: source for name, source in tables.items() if source.exists()}
+    inputs: dict[str, Path | str] = {"cameras": path, **{name.partition(".")[0]: tables[name] for name in tables}}
+    if Path(to).is_file():
+        inputs["control"] = to
+    record = provenance("align", {**report, "cameras": plain_cameras(configs)}, inputs=inputs, length_unit=unit)
+    report["provenance"] = record
+    if out_dir is not None:
+        with OutputFolder(out_dir, [CAMERAS_FILE, REPORT_FILE, *TABLES], options.force) as out:
+            write_cameras(out.path(CAMERAS_FILE), configs, unit, record)
+            for name, source in tables.items():
+                write_moved(source, out.path(name), found.registration, to_metadata(record))
+            write_json(out.path(REPORT_FILE), report)
+    return report
+
+
+def _alignment(
+    path: Path, to: Path | str, options: AlignOptions, file: CamerasFile, built: dict[str, Camera], tracks_path: Path
+) -> tuple[Alignment, str, dict[str, float] | None]:
+    """Return how the cameras lie in the world, the world's unit of length, and its geographic origin."""
+    unit = file.units.length
+    forward = options.forward or next(iter(built))
+    if forward not in built:
+        raise InputError(f"`forward`: {unknown_camera(forward, list(built))}")
+    if str(to) in built:
+        return camera_frame(built[str(to)].pose), unit, None
+    if not Path(to).is_file() and str(to) not in (FLOOR, FALL):
+        raise InputError(
+            f"`to`: expected a control track (Parquet), {FLOOR}, {FALL}, or a camera ({', '.join(built)}), found {to}"
+        )
+    control = read_control(Path(to)) if Path(to).is_file() else None
+    tracks = read_tracks(tracks_path)
+    if tracks.length_unit not in (None, unit):
+        raise InputError(f"{tracks_path}: expected lengths in {unit} as in {path}, found {tracks.length_unit}")
+    time_s, rows = confirmed_rows(tracks)
+    position, pose = tracks.position[rows], built[forward].pose
+    try:
+        if control is None and str(to) == FLOOR:
+            return floor_frame(position, pose), unit, None
+        if control is None:
+            unit = "m" if unit == NO_LENGTH else unit
+            return gravity_frame(time_s, position, tracks.track_id[rows], pose, GRAVITY / METRES[unit]), unit, None
+        # a control without a unit has that of the cameras
+        target = control.length_unit or ("m" if unit == NO_LENGTH else unit)
+        if options.same_scale and target != unit:
+            raise InputError(f"`same_scale`: expected cameras in {target} as {to}, found {unit}")
+        freedom = Freedom(True, not options.same_scale, not options.same_clock)
+        found = align_to_track(time_s, position, tracks.track_id[rows], control.track, freedom)
+        return found, target, control.origin
+    except ValueError as error:
+        raise InputError(f"{tracks_path}: `to` {to}: {error}") from None
+
+
+def confirmed_rows(tracks: Tracks) -> tuple[Any, Any]:
+    """Return times (n,) and rows (n,) of the confirmed estimates of tracks, in order of time."""
+    events = tracks.events
+    counts = events.row_end - events.row_start
+    rows = np.arange(int(counts.sum())) + np.repeat(events.row_start - (np.cumsum(counts) - counts), counts)
+    time_s = np.repeat(events.time_s, counts)
+    return time_s[tracks.confirmed[rows]], rows[tracks.confirmed[rows]]

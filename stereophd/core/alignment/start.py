@@ -1,0 +1,147 @@
+"""Which track follows a control track on a clock of its own, and roughly how the two lie to each other.
+
+Of every track and every offset of the clocks the best similarity has a closed form (S. Umeyama, "Least-squares
+estimation of transformation parameters between two point patterns", PAMI 1991), which needs no more than sums over the
+common times. These are correlations, found for all offsets at once by Fourier transforms. With the part u of the
+variance of the control that a similarity leaves, over a common time of T seconds, the gain is T log(1 / u): a short
+piece that fits by chance has a smaller gain than a long one that fits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereophd.core.arrays import Array, Booleans
+from stereophd.core.metrics.truth.interpolation import Truth
+from stereophd.core.metrics.truth.registration import Freedom, Registration
+
+# Cells of time: no finer than this part of both spans together, and no fewer common ones.
+MOST_CELLS, LEAST_CELLS = 16_384, 12
+# Least part of the variance that is left: rounding of the transforms.
+LEAST_UNEXPLAINED = 1e-10
+# Offsets further than this from the best one, s, are others.
+OTHER_OFFSET_S = 2.0
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Positions of one object over time."""
+
+    time_s: Array  # (n,), increasing
+    position: Array  # (n, 3)
+
+    def on_grid(self, start: float, step: float, count: int, max_gap_s: float) -> tuple[Array, Booleans]:
+        """Positions (count, 3) at equal steps of time, interpolated linearly, and where they are known."""
+        grid = start + step * np.arange(count)
+        values = np.column_stack([np.interp(grid, self.time_s, axis) for axis in self.position.T])
+        right = np.searchsorted(self.time_s, grid).clip(1, len(self.time_s) - 1)
+        near = self.time_s[right] - self.time_s[right - 1] <= max(max_gap_s, 2.0 * step)
+        return values, near & (grid >= self.time_s[0]) & (grid <= self.time_s[-1])
+
+
+@dataclass(frozen=True)
+class CurveFit:
+    """How well a curve fits the control at every offset of the clocks."""
+
+    curve: int  # Its number
+    offsets: Array  # (k,): What the control's clock shows more, s
+    gains: Array  # (k,): T log(1 / u), s
+    best: int  # The offset of the greatest gain
+    common_s: float  # Common time at that offset, s
+    registration: Registration  # At that offset
+
+    @property
+    def gain(self) -> float:
+        """The greatest gain, s."""
+        return float(self.gains[self.best])
+
+    @property
+    def unexplained(self) -> float:
+        """Part of the control's variance that is left at the best offset."""
+        return float(np.exp(-self.gain / self.common_s))
+
+    @property
+    def rival(self) -> tuple[float, float]:
+        """The greatest gain at another offset, and that offset, s; gain 0 if there is none."""
+        apart = np.flatnonzero(np.abs(self.offsets - self.offsets[self.best]) > OTHER_OFFSET_S)
+        if not len(apart):
+            return 0.0, 0.0
+        place = apart[self.gains[apart].argmax()]
+        return float(self.gains[place]), float(self.offsets[place])
+
+
+def fits_to(curves: list[Curve], control: Truth, max_gap_s: float, freedom: Freedom) -> list[CurveFit]:
+    """Fit curves to a control track at every offset of the clocks; those without enough common times are left out.
+
+    Where the clock is not free, the only offset is 0.
+    """
+    target = Curve(control.time_s, control.position)
+    out = []
+    for number, curve in enumerate(curves):
+        spans = [float(np.ptp(one.time_s)) for one in (curve, target)]
+        step = max(control.step_s, sum(spans) / MOST_CELLS)
+        counts = [int(span / step) + 1 for span in spans]
+        # a clock that is known: cells of both at the same times
+        starts = [float(one.time_s[0]) for one in (curve, target)]
+        starts[1] = starts[1] if freedom.clock else starts[0] + step * np.round((starts[1] - starts[0]) / step)
+        a, b = (
+            one.on_grid(start, step, count, max_gap_s)
+            for one, start, count in zip((curve, target), starts, counts, strict=True)
+        )
+        offsets: Array = starts[1] - starts[0] + step * np.arange(1 - counts[0], counts[1], dtype=np.float64)
+        used = np.ones(len(offsets), dtype=bool) if freedom.clock else np.abs(offsets) < 0.5 * step
+        fit = _fit(number, a, b, offsets, used, step, freedom.scale)
+        if fit is not None:
+            out.append(fit)
+    return out
+
+
+def _fit(
+    number: int,
+    a: tuple[Array, Booleans],
+    b: tuple[Array, Booleans],
+    offsets: Array,
+    used: Booleans,
+    step: float,
+    any_scale: bool,
+) -> CurveFit | None:
+    """CurveFit positions (p, 3) to (q, 3), each with a mask, at all p + q - 1 offsets; None if no offset will do."""
+    middles = [values[known].mean(axis=0) if known.any() else np.zeros(3) for values, known in (a, b)]
+    length = len(a[0]) + len(b[0]) - 1
+    spectra = []
+    for (values, known), middle in zip((a, b), middles, strict=True):
+        moved = values - middle
+        features = np.column_stack([np.ones(len(moved)), moved, (moved**2).sum(axis=1)]) * known[:, None]
+        spectra.append(np.fft.rfft(features, length, axis=0))
+    # sums over the common times of products of both features, with the offsets in increasing order
+    sums = np.fft.irfft(np.conj(spectra[0])[:, :, None] * spectra[1][:, None, :], length, axis=0)
+    sums = np.roll(sums, len(a[0]) - 1, axis=0)
+    count = np.round(sums[:, 0, 0])
+    safe = np.maximum(count, 1.0)
+    cross = sums[:, 1:4, 1:4] - sums[:, 1:4, 0, None] * sums[:, 0, None, 1:4] / safe[:, None, None]
+    spread_a = sums[:, 4, 0] - (sums[:, 1:4, 0] ** 2).sum(axis=1) / safe
+    spread_b = sums[:, 0, 4] - (sums[:, 0, 1:4] ** 2).sum(axis=1) / safe
+    used = used & (count >= LEAST_CELLS) & (np.minimum(spread_a, spread_b) > 0.0)
+    if not used.any():
+        return None
+    left, sizes, right = np.linalg.svd(np.swapaxes(cross[used], 1, 2))
+    signs = np.ones((len(sizes), 3))
+    signs[:, 2] = np.sign(np.linalg.det(left @ right))
+    agreement, spread_a, spread_b = (signs * sizes).sum(axis=1), spread_a[used], spread_b[used]
+    scales = agreement / spread_a if any_scale else np.ones(len(agreement))
+    unexplained = 1.0 + (scales**2 * spread_a - 2.0 * scales * agreement) / spread_b
+    gains = -np.log(np.maximum(unexplained, LEAST_UNEXPLAINED)) * count[used] * step
+    best = int(gains.argmax())
+    rotation, scale = left[best] * signs[best] @ right[best], float(scales[best])
+    if scale <= 0.0:
+        return None
+    place = np.flatnonzero(used)[best]
+    mean_a, mean_b = (
+        middle + total / count[place]
+        for middle, total in zip(middles, (sums[place, 1:4, 0], sums[place, 0, 1:4]), strict=True)
+    )
+    shift = float(offsets[place])
+    found = Registration(rotation, mean_b - scale * rotation @ mean_a, scale, 0.0, shift, 1.0, int(count[place]))
+    return CurveFit(number, offsets[used], gains, best, float(count[place] * step), found)

@@ -1,0 +1,99 @@
+"""Points in space of other programs, which become a truth: wide tables and long ones."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from stereophd.core.arrays import Array
+from stereophd.errors import InputError
+from stereophd.io.interchange.base import TruePoints
+from stereophd.io.interchange.documents.text_tables import (
+    first_lines,
+    numbers,
+    read_batches,
+    separator_of,
+    split_line,
+)
+
+#: Numbers of the points of one object; the second object's are beyond.
+POINTS_OF_A_GROUP = 1000
+# Header of a column of a wide table: the point and the axis.
+_COORDINATE = re.compile(r"(?P<point>.+?)_(?P<axis>[xyz])", re.IGNORECASE)
+
+
+def read_columns(path: Path, columns: Sequence[str]) -> Array:
+    """Return columns of a table with a header as numbers (n, columns); InputError for one that it lacks."""
+    import pyarrow as pa
+
+    header = (first_lines(path, 1) or [""])[0]
+    if missing := [name for name in columns if name not in split_line(header)]:
+        raise InputError(f"{path}: expected a column {missing[0]}, found {header[:200] or 'an empty file'}")
+    kinds = dict.fromkeys(columns, pa.float64())
+    batches = read_batches(path, separator_of(header), kinds, str(path), split_line(header), skip=1)
+    rows = [np.stack([numbers(batch, name) for name in columns], axis=1) for batch in batches]
+    return np.concatenate([np.empty((0, len(columns))), *rows])
+
+
+def wide_truth(path: Path, frame_column: str | None = None) -> TruePoints:
+    """Return the points of a table with a row for each frame, and columns such as ``pt1_X``, ``pt1_Y``, ``pt1_Z``.
+
+    The frame is the number in `frame_column`, else the number of the row. Raises InputError for a table without such
+    columns.
+    """
+    header = split_line((first_lines(path, 1) or [""])[0])
+    axes: dict[str, dict[str, str]] = {}
+    for name in header:
+        if match := _COORDINATE.fullmatch(name):
+            axes.setdefault(match["point"], {})[match["axis"].lower()] = name
+    points = [by_axis for by_axis in axes.values() if len(by_axis) == 3]
+    if not points:
+        raise InputError(f"{path}: expected columns such as pt1_X, pt1_Y, pt1_Z, found {', '.join(header)[:200]}")
+    has_frames = frame_column in header
+    columns = [by_axis[axis] for by_axis in points for axis in "xyz"] + ([str(frame_column)] if has_frames else [])
+    rows = read_columns(path, columns)
+    return stacked(rows[:, : 3 * len(points)], rows[:, -1] if has_frames else None)
+
+
+def stacked(rows: Array, frames: Array | None = None) -> TruePoints:
+    """Return the points of rows (n, 3 points), one row for each frame (its number, or those given); NaN is left out."""
+    positions = rows.reshape(len(rows), -1, 3)
+    row, point = np.nonzero(np.isfinite(positions).all(axis=2))
+    number = np.arange(len(rows), dtype=np.float64) if frames is None else frames
+    return TruePoints(point.astype(np.int64), positions[row, point], frame=number[row])
+
+
+def long_truth(path: Path, names: Mapping[str, Sequence[str]]) -> TruePoints:
+    """Return the points of a table with a row for each point.
+
+    `names` has, for each of ``x``, ``y``, ``z``, ``object``, ``group`` and ``frame`` or ``time``, the columns that may
+    hold it. A table without objects has one; those of a group count on from `POINTS_OF_A_GROUP` times its number.
+    Raises InputError for a table that lacks another.
+    """
+    header = split_line((first_lines(path, 1) or [""])[0])
+    by_lower = {name.lower(): name for name in reversed(header)}
+    columns = {
+        key: next(by_lower[name] for name in usual if name in by_lower)
+        for key, usual in names.items()
+        if any(name in by_lower for name in usual)
+    }
+    for key in ("x", "y", "z"):
+        if key not in columns:
+            raise InputError(f"{path}: expected a column {names[key][0]}, found {', '.join(header)[:200] or 'none'}")
+    if not {"frame", "time"} & columns.keys():
+        raise InputError(f"{path}: expected a column of times or frames, found {', '.join(header)[:200]}")
+    rows = dict(zip(columns, read_columns(path, list(columns.values())).T, strict=True))
+    position = np.stack([rows["x"], rows["y"], rows["z"]], axis=1)
+    seen = np.isfinite(position).all(axis=1)
+    none = np.zeros(len(seen))
+    label = (rows.get("object", none) + POINTS_OF_A_GROUP * rows.get("group", none))[seen].astype(np.int64)
+    has_time = "time" in rows
+    return TruePoints(
+        label,
+        position[seen],
+        time_s=rows["time"][seen] if has_time else None,
+        frame=None if has_time else rows["frame"][seen],
+    )

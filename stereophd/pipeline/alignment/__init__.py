@@ -1,0 +1,1 @@
+"""Cameras and tracks in a world frame: control files, and what moves the files of a run."""

@@ -1,0 +1,216 @@
+"""Method annealed of `calibrate`: its starts, kept while the run is unfinished, on processes, and its `Outcome`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from stereophd.config.calibration import CalibrationConfig, LengthScale, SpeedScale
+from stereophd.core.arrays import Array
+from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
+from stereophd.core.calibration.annealing.known_scale import rescaled
+from stereophd.core.calibration.annealing.method import (
+    Calibrated,
+    Choices,
+    KnownMeasure,
+    calibrated,
+    why_none_succeeded,
+)
+from stereophd.core.calibration.annealing.starts import (
+    agreeing_with_best,
+    best_of,
+    distinct,
+    enough,
+    modes_of,
+    run_start,
+    start_values,
+)
+from stereophd.core.calibration.annealing.task import Fit, Start, Task
+from stereophd.core.calibration.pairing.clock_search import offset_places
+from stereophd.core.calibration.unknowns.observability import laplace_draws
+from stereophd.core.motion.base import Motion
+from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
+from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task
+from stereophd.pipeline.calibration.sampled import smc_outcome
+from stereophd.pipeline.workers.processes import on_processes
+
+# Draws that represent a Laplace posterior.
+LAPLACE_DRAWS = 1000
+
+
+def annealed_outcome(run: CalibrationRun) -> Outcome:
+    """Method annealed, with the posterior that the section names."""
+    problem, section = run.problem, run.section
+    task = annealed_task(run.loaded, section, problem)
+    starts = _all_starts(run, task)
+    best = best_of(starts)
+    details: dict[str, Any] = {
+        "starts": [_start_report(task, start, best) for start in starts],
+        "agreeing_starts": agreeing_with_best(starts),
+        "stages": [list(stage.names) for stage in task.stages],
+    }
+    if (offset_places(problem.parameters) >= 0).any():
+        details["clocks"] = _clock_report(task)
+    size = problem.parameters.size
+    if best is None:
+        nothing = np.full((size, size), np.nan)
+        reason = why_none_succeeded(starts)
+        return Outcome(
+            problem.parameters, nothing[0], nothing, np.empty((0, size)), np.empty(0), (), reason, details=details
+        )
+    result = calibrated(task, starts, choices_of(section))
+    details |= _result_report(result, best)
+    if section.posterior == "smc":
+        scale = result.task.scale
+        found = distinct(starts)
+        fits = [mode.fit if scale is None else rescaled(task, mode.fit, scale) for mode in found if mode.fit]
+        modes = modes_of(fits, [mode.score for mode in found])
+        return smc_outcome(run, scale, modes, result, details)
+    parameters, adjustment = result.task.parameters, result.fit.adjustment
+    draws = laplace_draws(
+        parameters, problem.reference, adjustment.values, adjustment.covariance, LAPLACE_DRAWS,
+        np.random.default_rng(POSTERIOR_DRAWS.seed(run.seed)),
+    )  # fmt: skip
+    weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
+    return Outcome(
+        parameters, adjustment.values, adjustment.covariance, draws, weights, result.history, "", result.doubt,
+        result.fit, result.remarks, result.moves, details,
+    )  # fmt: skip
+
+
+def choices_of(section: CalibrationConfig) -> Choices:
+    """Return what of a section decides between starts and result."""
+    known = None
+    if isinstance(section.scale, SpeedScale):
+        known = KnownMeasure("speed", section.scale.speed, section.scale.std)
+    elif isinstance(section.scale, LengthScale):
+        known = KnownMeasure("length", section.scale.length, section.scale.std)
+    return Choices(section.select, section.model, known, section.posterior == "smc")
+
+
+def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
+    """Run starts until enough agree."""
+    count, agreeing = task.most_starts, task.settings.agreeing_starts
+    values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.seed), count)
+    seeds = CALIBRATION_PAIRING.seed(run.seed).spawn(count)
+    starts: list[Start] = run.unfinished.read("starts", list[Start], {Motion: task.filter.motion}) or []
+    if enough(starts, agreeing):
+        return starts
+    for start in _run_starts(task, values, seeds, len(starts), run.jobs):
+        starts.append(start)
+        run.unfinished.keep("starts", starts)
+        run.report_progress(len(starts), count)
+        if enough(starts, agreeing):
+            break
+    return starts
+
+
+def _run_starts(
+    task: Task, values: Array, seeds: list[np.random.SeedSequence], done: int, jobs: int
+) -> Iterator[Start]:
+    """Outcomes of the starts that are not done yet, in order."""
+    numbers = range(done, len(values))
+    if jobs == 1 or len(numbers) < 2:
+        for number in numbers:
+            yield run_start(task, number, values[number], seeds[number])
+        return
+    # No more ahead than there are workers: starts that are not needed are not begun.
+    arguments = ((task, number, values[number], seeds[number]) for number in numbers)
+    yield from on_processes(_run_start, arguments, jobs)
+
+
+def _run_start(arguments: tuple[Task, int, Array, np.random.SeedSequence]) -> Start:
+    return run_start(*arguments)
+
+
+def _clock_report(task: Task) -> dict[str, Any]:
+    """Offsets of unknown clocks by the speed profiles of one-camera tracks, and what motion does not show."""
+    out: dict[str, Any] = {}
+    for camera, place, offset, score in zip(
+        task.parameters.cameras, offset_places(task.parameters), task.clocks.offsets, task.clocks.scores, strict=True
+    ):
+        if place >= 0:
+            shown = bool(score > 0.0)
+            out[camera.name] = {"shown_by_motion": shown, "offset_s": float(offset) if shown else None, "score": score}
+    return out
+
+
+def _start_report(task: Task, start: Start, best: Start | None) -> dict[str, Any]:
+    nothing: list[float] = []
+    values = nothing if start.fit is None else start.fit.adjustment.values.tolist()
+    return {
+        "start": start.number,
+        "began_from": start.origin,
+        "outcome": start.outcome,
+        "best": start is best,
+        "passes": len(start.passes),
+        "explained": start.explained,
+        "log_evidence": _number(start.log_evidence),
+        "log_prior": _number(start.log_prior),
+        "values": dict(zip(task.parameters.names, values, strict=False)),
+    }
+
+
+def _result_report(result: Calibrated, best: Start) -> dict[str, Any]:
+    """What the report holds of the way from the best start to the answer."""
+    report: dict[str, Any] = {
+        "motion_noise_factor": result.answer.noise_factor,
+        "noise_factors": dict(
+            zip((camera.name for camera in result.task.parameters.cameras), result.noise.tolist(), strict=True)
+        ),
+        "freed": list(result.freed),
+        "stated": _statements(result),
+        "fit": _fit_report(best, result.fit),
+    }
+    if (comparison := result.answer.comparison) is not None:
+        report["selection"] = {
+            "chosen": list(comparison.sets[comparison.chosen].names),
+            "sets": [
+                {"unknowns": list(unknowns.names), "held_out_loss": float(total),
+                 "above_all": float(total - comparison.totals[-1]), "above_all_std_error": float(error)}
+                for unknowns, total, error in zip(
+                    comparison.sets, comparison.totals, comparison.errors, strict=True
+                )
+            ],
+        }  # fmt: skip
+    if result.pairs_of_known_length is not None:
+        report["known_lengths"] = result.pairs_of_known_length
+    if (why := next((remark.text for remark in result.remarks if remark.topic == "scale"), None)) is not None:
+        report["scale_warning"] = why
+    return report
+
+
+def _statements(result: Calibrated) -> list[dict[str, Any]]:
+    """What the data say of each statement: the offset that fits, its evidence, and how far it moves tracks."""
+    return [
+        {
+            "unknowns": {
+                enlarged.parameters.names[place]: {"value": float(value), "std": float(std)}
+                for place, value, std in zip(suspicion.group.places, suspicion.values, suspicion.stds, strict=True)
+            },
+            "log_evidence": suspicion.log_evidence,
+            "contradicted": suspicion.is_contradicted,
+            "moves_stds": suspicion.moves,
+            "expected_move_stds": suspicion.expected_move,
+        }
+        for enlarged, suspicion in result.suspicions
+    ]
+
+
+def _fit_report(best: Start, fit: Fit) -> dict[str, Any]:
+    inliers = fit.adjustment.distances[fit.adjustment.distances < np.inf]
+    return {
+        "trajectories": fit.knots.count,
+        "detections": len(fit.detections),
+        "explained": best.explained,
+        "rms_residual_sigmas": float(np.sqrt(np.minimum(inliers, LEFT_OUT).mean() / 2.0)),
+        "log_evidence": best.log_evidence,
+        "log_prior": best.log_prior,
+        "converged": fit.adjustment.converged,
+    }
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,267 @@
+"""The problem of a calibration, its run and its outcome; the filters of its configuration."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stereophd.config.calibration import BaselineScale, CalibrationConfig
+from stereophd.config.model import Config
+from stereophd.core.arrays import Array
+from stereophd.core.calibration.adjustment.recording import Recording, Scans
+from stereophd.core.calibration.adjustment.track_moves import TrackMoves
+from stereophd.core.calibration.annealing.method import HistoryRow, Remark
+from stereophd.core.calibration.annealing.task import Fit, Task
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
+from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages, stages_named
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.filter_settings.common import FilterSettings
+from stereophd.core.multi.filter_settings.phd import PhdSettings
+from stereophd.core.multi.filter_settings.pmb import PmbSettings
+from stereophd.core.multi.phd.filter import PhdFilter
+from stereophd.core.multi.pmb.filter import PmbFilter
+from stereophd.core.numerics.samples import MomentsSettings
+from stereophd.core.single.settings import SingleSettings
+from stereophd.errors import InputError, unknown_camera
+from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
+from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.sizes import Size
+from stereophd.pipeline.runs.unfinished import UnfinishedRun
+from stereophd.pipeline.stream import covered, open_stream
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+
+@dataclass(frozen=True)
+class CalibrationProblem:
+    """The unknowns of a calibration and the data that constrain them."""
+
+    parameters: ParameterSet
+    reference: int  # Index of the reference camera
+    recording: Recording  # The log
+    scale: ScaleMeasurement | None  # A known baseline
+    counts: dict[str, int]  # Counts of the log, as in ``report.json``
+
+    def frames(self, most: int | None = None) -> NDArray[np.int64]:
+        """Return the frames of the recording, at most about `most`."""
+        return np.arange(len(self.recording.cameras)) if most is None else tracked_frames(self.recording, most)
+
+    def scans(self, most: int | None = None) -> Scans:
+        """Return the events by the cameras of the prior mean, at most about `most`."""
+        return Scans.of(self.recording, self.parameters.cameras, self.frames(most))
+
+
+@dataclass(frozen=True)
+class CalibrationRun:
+    """A problem with its configuration, and how it is worked on."""
+
+    loaded: LoadedConfig
+    problem: CalibrationProblem
+    unfinished: UnfinishedRun
+    jobs: int = 1  # Processes, or threads of particles
+    progress: Progress | None = None  # Called with (done, total)
+
+    @property
+    def section(self) -> CalibrationConfig:
+        """The ``calibration`` section."""
+        return calibration_section(self.loaded)
+
+    @property
+    def seed(self) -> int:
+        """Seed of the configuration."""
+        return self.loaded.config.seed
+
+    def report_progress(self, done: int, total: int) -> None:
+        """Tell how much is done."""
+        if self.progress is not None:
+            self.progress(done, total)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The result of a method."""
+
+    parameters: ParameterSet  # The unknowns of the result: those of the problem, and what was contradicted and freed
+    # `values`, `covariance`: arrays (m,), (m, m): Mean (or optimum) and covariance; NaN where nothing agrees with the
+    # data.
+    values: Array
+    covariance: Array
+    # `particles`, `log_weights`: arrays (k, m), (k,): Posterior as particles.
+    particles: Array
+    log_weights: Array
+    history: tuple[HistoryRow, ...]
+    reason: str = ""  # Why nothing was found; empty if something was
+    doubt: str = ""  # Why the posterior is not to be trusted; empty if it may be
+    fit: Fit | None = None  # Trajectories and residuals, of method annealed
+    remarks: tuple[Remark, ...] = ()  # What has to be said of the answer
+    moves: TrackMoves | None = None  # How tracks move with the values, of method annealed
+    details: dict[str, Any] = field(default_factory=dict)  # For the report
+
+
+def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurement | None:
+    """Return a known baseline as a measurement; None if another length is known, or none.
+
+    Raises InputError for a name that no camera has, or one camera twice.
+    """
+    scale = calibration_section(loaded).scale
+    if not isinstance(scale, BaselineScale):
+        return None
+    names = [camera.name for camera in parameters.cameras]
+    first, second = scale.cameras
+    where = f"{loaded.path}: calibration.scale.cameras"
+    for name in (first, second):
+        if name not in names:
+            raise InputError(f"{where}: {unknown_camera(name, names)}")
+    if first == second:
+        raise InputError(f"{where}: expected two cameras, found {first} twice")
+    return ScaleMeasurement("baseline", scale.distance, scale.std, (names.index(first), names.index(second)))
+
+
+def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProblem:
+    """Read a log, and check that it can constrain the unknown cameras.
+
+    Raises InputError as `build_parameters` does, and when the log is not usable, or an unknown camera saw nothing, or
+    not while another did.
+    """
+    parameters, reference = build_parameters(loaded)
+    scale = build_scale(loaded, parameters)
+    stream = open_stream(loaded.config, parameters.cameras, log_path)
+    frames = covered(parameters.cameras, stream.frames, stream.source)
+    recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
+    _check_overlap(parameters, recording, log_path)
+    counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
+    _check_method(loaded, parameters)
+    return CalibrationProblem(parameters, reference, recording, scale, counts)
+
+
+def _check_method(loaded: LoadedConfig, parameters: ParameterSet) -> None:
+    """Refuse the paper's plain filter for unknowns that its conditional filters share."""
+    section = calibration_section(loaded)
+    moving = any(not camera.pose.is_static for camera in parameters.cameras)
+    plain = section.method == "sequential" and section.sequential.moves == "none"
+    if plain and (moving or not parameters.only_poses):
+        names = ", ".join(quantity.name for quantity in parameters.quantities)
+        raise InputError(
+            f"{loaded.path}: calibration.sequential.moves: expected rerun for cameras that move or have unknowns "
+            f"besides their pose ({names}), found none"
+        )
+
+
+def pmb_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...]) -> PmbFilter:
+    """Return the PMB filter of a configuration; of a PHD configuration, one with the same births and survival."""
+    config = loaded.config
+    settings = _filter_section(loaded)
+    if not isinstance(settings, PmbSettings):
+        settings = PmbSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
+    built = build_filter(config.model_copy(update={"filter": settings}), cameras, loaded.path)
+    assert isinstance(built, PmbFilter)
+    return built
+
+
+def phd_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...], samples: int | None = None) -> PhdFilter:
+    """Return the PHD filter of a configuration, with `samples` pseudo-random samples (default: the configuration's).
+
+    For a PMB configuration it is the paper's filter, with the same births and survival.
+    """
+    config: Config = loaded.config
+    settings = _filter_section(loaded)
+    if not isinstance(settings, PhdSettings):
+        settings = PhdSettings(survival_per_s=settings.survival_per_s, birth=settings.birth, merge_moments="intensity")
+    update: dict[str, object] = {"filter": settings}
+    if samples is not None:
+        update["moments"] = MomentsSettings(method="particle", samples=samples)
+    built = build_filter(config.model_copy(update=update), cameras, loaded.path)
+    assert isinstance(built, PhdFilter)
+    return built
+
+
+def _filter_section(loaded: LoadedConfig) -> FilterSettings:
+    if loaded.config.filter is None:
+        raise InputError(f"{loaded.path}: filter: expected a filter section for calibrate, found none")
+    if isinstance(loaded.config.filter, SingleSettings):
+        raise InputError(
+            f"{loaded.path}: filter.kind: expected phd or pmb for calibrate, found {loaded.config.filter.kind}"
+        )
+    return loaded.config.filter
+
+
+def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | str) -> None:
+    """Refuse a log in which an unknown camera shares no time with another."""
+    spans: dict[int, tuple[float, float]] = {}
+    seen = np.diff(recording.first) > 0
+    for number in range(len(parameters.cameras)):
+        times = recording.times[seen & (recording.cameras == number)]
+        if len(times):
+            spans[number] = (float(times[0]), float(times[-1]))
+    for number, camera in enumerate(parameters.cameras):
+        if not parameters.unknown(camera.name):
+            continue
+        if number not in spans:
+            raise InputError(f"{path}: expected detections of camera {camera.name}, which is unknown, found none")
+        start, end = spans[number]
+        others = [span for other, span in spans.items() if other != number]
+        if not any(span[0] <= end and span[1] >= start for span in others):
+            raise InputError(
+                f"{path}: expected camera {camera.name} to overlap with another in time, found it alone from "
+                f"{start:g} to {end:g} s"
+            )
+
+
+def tracked_frames(recording: Recording, most: int) -> NDArray[np.int64]:
+    """Return every n-th frame of each camera, so that at most about `most` remain."""
+    return recording.every(max(math.ceil(len(recording.cameras) / most), 1))
+
+
+def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: CalibrationProblem) -> Task:
+    """Return what every start of method annealed works on."""
+    settings = section.annealed
+    return Task.of(
+        problem.parameters,
+        problem.reference,
+        pmb_filter(loaded, problem.parameters.cameras),
+        problem.recording,
+        tracked_frames(problem.recording, settings.max_events),
+        problem.scale,
+        settings,
+        build_stages(loaded, problem.parameters),
+    )
+
+
+def build_stages(loaded: LoadedConfig, parameters: ParameterSet) -> tuple[UnknownSet, ...]:
+    """Return the stages in which unknowns are freed; raises InputError when one names what is no unknown."""
+    stages = calibration_section(loaded).stages
+    if stages == "auto":
+        return default_stages(parameters)
+    try:
+        return stages_named(parameters, stages)
+    except ValueError as error:
+        raise InputError(f"{loaded.path}: calibration.stages: {error}") from None
+
+
+# Memory of a hypothesis for each detection of a frame (13 kB in one run of 256 hypotheses), and of a detection
+# (assumed).
+_HYPOTHESIS_BYTES, _DETECTION_BYTES = 8e3, 1e3
+
+
+def size_of_calibration(section: CalibrationConfig, frames: float, detections: float) -> Size:
+    """Estimate memory, not disk (outputs are small), from frames and detections of the log, of all cameras together."""
+    hypotheses = 0
+    if section.method == "sequential":
+        settings = section.sequential
+        hypotheses = settings.particles
+        if settings.moves == "rerun":
+            hypotheses = max(settings.particles, settings.first_particles)
+    elif section.posterior == "smc":
+        hypotheses = section.smc.particles
+    each = _HYPOTHESIS_BYTES * (1.0 + detections / max(frames, 1.0))
+    cause = f"{frames:.3g} frames, {detections:.3g} detections"
+    cause += f", {hypotheses:.3g} camera hypotheses" if hypotheses else ""
+    return Size(detections * _DETECTION_BYTES + hypotheses * each, 0.0, cause)

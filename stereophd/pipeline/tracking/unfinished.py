@@ -1,0 +1,201 @@
+"""What a run of `track` keeps while it is unfinished, and how another process continues it.
+
+About once a minute a run keeps its state (`TrackingState`), and before it what it has written: the rows of its tables,
+or, where the records are used again once they are complete (smoothing, pieces), the records themselves. A process that
+continues replays the rows or records, passes over the events of the log that the state knows, and goes on from there:
+the outputs are those of an undisturbed run.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Generic
+
+import pyarrow as pa
+
+from stereophd.core.disparity.events import Event
+from stereophd.io.outputs.saved import GrowingFile, decode, decoder, encode
+from stereophd.io.tables.kept_tables import KeptTable
+from stereophd.pipeline.runs.unfinished import UnfinishedRun
+from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes, RunState, State, run_estimator
+from stereophd.pipeline.tracking.outputs import Writing
+from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
+from stereophd.pipeline.tracking.single import SingleTrackerState
+
+STATE, RECORDS = "state", "records"
+
+# Records of a part: few enough that a reader of a span of time decodes little beside it.
+RECORDS_AT_ONCE = 256
+
+
+@dataclass
+class TrackingState(Generic[State]):
+    """Where a run continues."""
+
+    run: RunState[State]
+    writing: Writing | None = None  # Of the tables; None where records are kept
+    lasting: LastingTracks | None = None  # Where short tracks are left out
+    # Growing file -> bytes of it that count.
+    lengths: dict[str, int] = field(default_factory=dict)
+
+
+def state_type(state: Any) -> Any:
+    """Return the type of an estimator's state, as a reader has to name it."""
+    if isinstance(state, SingleTrackerState):
+        kind: Any = SingleTrackerState
+        return kind[type(state.estimator)]
+    return type(state)
+
+
+def bare(record: Record) -> dict[str, Any]:
+    """Return the fields of a record without what only the loop and the smoother need."""
+    info = replace(record.info, detected=record.info.detected[:0], claims=None)
+    return {**record.__dict__, "info": info, "event": None}
+
+
+@dataclass(frozen=True)
+class RecordPart:
+    """A part of the records in a growing file."""
+
+    first_s: float  # Times of its first and its last record, s
+    last_s: float
+
+
+class RecordFile:
+    """Records in a growing file, in order of time."""
+
+    def __init__(self, file: GrowingFile) -> None:
+        self._file = file
+        #: What has been written.
+        self.parts: list[RecordPart] = []
+        self._waiting: list[dict[str, Any]] = []
+
+    def add(self, record: Record) -> None:
+        """Keep a record."""
+        self._waiting.append(bare(record))
+        if len(self._waiting) >= RECORDS_AT_ONCE:
+            self._write()
+
+    def _write(self) -> None:
+        if self._waiting:
+            self._file.append(encode(self._waiting))
+            self.parts.append(RecordPart(self._waiting[0]["time_s"], self._waiting[-1]["time_s"]))
+            self._waiting = []
+
+    def flush(self) -> int:
+        """Bring all records to the disk; return the number of bytes of the file that count then."""
+        self._write()
+        return self._file.flush()
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+
+def read_records(
+    unfinished: UnfinishedRun,
+    name: str,
+    length: int,
+    parts: Sequence[RecordPart] | None = None,
+    from_s: float = -math.inf,
+    until_s: float = math.inf,
+) -> Iterator[Record]:
+    """Yield the records of a growing file, as far as `length` counts, from one time to before another, s.
+
+    With `parts`, what was written, parts of other times are passed over.
+    """
+    read = decoder(list[Record])
+    for number, content in enumerate(unfinished.frames(name, length)):
+        if parts is not None and (parts[number].last_s < from_s or parts[number].first_s >= until_s):
+            continue
+        for record in decode(content, read, unfinished.growing(name)):
+            if from_s <= record.time_s < until_s:
+                yield record
+
+
+class UnfinishedTracking:
+    """What one run of `track` keeps: its records if `keeps_records`, otherwise the rows of its tables.
+
+    Nothing is written before there is something to keep.
+    """
+
+    def __init__(self, unfinished: UnfinishedRun, estimator: Estimator[Any], keeps_records: bool) -> None:
+        self.keeps_records = keeps_records
+        self._unfinished = unfinished
+        self._estimator = estimator
+        self._tables: dict[str, KeptTable] = {}
+        self._records: RecordFile | None = None
+        #: Figures of the tables, kept up to date by what writes them.
+        self.writing = Writing()
+        self._lasting: LastingTracks | None = None
+        self._saved: TrackingState[Any] | None = None
+
+    def load(self) -> None:
+        """Read the last state that was kept, if any; raises InputError if it is damaged, or of another run."""
+        kind: Any = TrackingState
+        self._saved = self._unfinished.read(STATE, kind[state_type(self._estimator.init())])
+        if self._saved is not None and self._saved.writing is not None:
+            self.writing = self._saved.writing
+
+    def table(self, place: Path, schema: pa.Schema, metadata: Mapping[bytes, bytes]) -> KeptTable:
+        """Return a table of this run, with the rows that were kept."""
+        name = place.name
+        if self._saved is None:
+            earlier: Iterable[bytes] = ()
+            kept = self._unfinished.grow(name)
+        else:
+            earlier = self._unfinished.frames(name, self._saved.lengths[name])
+            kept = self._unfinished.grow(name, self._saved.lengths[name])
+        self._tables[name] = KeptTable(place, schema, metadata, kept, earlier)
+        return self._tables[name]
+
+    def records(self, events: Iterable[Event], times: ReportTimes, keep_events: bool) -> Iterator[Record]:
+        """Run the estimator on all events of a log, from the last state on, and yield its records.
+
+        The parameters are those of `stereophd.pipeline.tracking.loop.run_estimator`. Records that were kept, if any
+        are, come first, then those that follow. Where tables are kept, what writes a record must have written it before
+        the next one is asked for, or it waits in `lasting`.
+        """
+        rest = iter(events)
+        run = RunState(self._estimator.init()) if self._saved is None else self._saved.run
+        if self.keeps_records:
+            yield from self._kept_records(rest, keep_events)
+        else:
+            for _ in range(run.events):
+                next(rest)
+        for record in run_estimator(self._estimator, rest, times, keep_events, run):
+            if self._records is not None:
+                self._records.add(record)
+            yield record
+            self._unfinished.keep(STATE, lambda: self._state(run))
+        if self._records is not None:
+            self._records.close()
+
+    def _kept_records(self, events: Iterator[Event], keep_events: bool) -> Iterator[Record]:
+        length = None if self._saved is None else self._saved.lengths[RECORDS]
+        if length is not None:
+            for record in read_records(self._unfinished, RECORDS, length):
+                event = next(events) if record.is_event else None
+                yield replace(record, event=event if keep_events else None)
+        self._records = RecordFile(self._unfinished.grow(RECORDS, length))
+
+    def lasting(self, records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
+        """Yield records without short tracks, as `stereophd.pipeline.tracking.run_figures.lifetimes.lasting` does."""
+        kept = None if self._saved is None else self._saved.lasting
+        lasting = LastingTracks(min_length_s) if kept is None else kept
+        if not self.keeps_records:
+            self._lasting = lasting
+        return lasting.records(records)
+
+    def _state(self, run: RunState[Any]) -> TrackingState[Any]:
+        """Return what is to be kept of a run; what it has written is on the disk then."""
+        if self._records is not None:
+            lengths = {RECORDS: self._records.flush()}
+        else:
+            lengths = {name: table.keep() for name, table in self._tables.items()}
+        last = None if run.last is None else Record(**bare(run.last))
+        writing = None if self.keeps_records else self.writing
+        return TrackingState(replace(run, last=last), writing, self._lasting, lengths)

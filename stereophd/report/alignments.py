@@ -1,0 +1,37 @@
+"""Reports of `align` as text for a terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from stereophd.report.summaries import number
+
+
+def alignments_text(report: Mapping[str, Any]) -> str:
+    """Return a paragraph for each run."""
+    return "\n\n".join("\n".join(_lines(run)) for run in report["runs"])
+
+
+def _lines(run: Mapping[str, Any]) -> list[str]:
+    unit, clock = run["length_unit"], run["clock"]
+    lines = [
+        f"{run['name']} to {run['to']}",
+        f"  scale        {run['scale']:.6g} +- {number(run['scale_std'])}",
+        f"  rotation     {_vector(run['rotation_vector_deg'])} +- {_vector(run['rotation_std_deg'])} deg",
+        f"  translation  {_vector(run['translation'])} +- {_vector(run['translation_std'])} {unit}",
+        f"  clock        {clock['shift_s']:+.4f} +- {number(clock['shift_std_s'])} s at {clock['at_s']:.3f} s, "
+        f"rate {clock['rate']:.7g} +- {number(clock['rate_std'])}",
+    ]
+    if "residual" in run:
+        left, tracks = run["residual"], ", ".join(map(str, run["tracks"][:8]))
+        more = " and others" if len(run["tracks"]) > 8 else ""
+        lines.append(f"  left over    {number(left['median'])} {unit} (median), {number(left['p90'])} {unit} (90 %)")
+        lines.append(f"  tracks       {tracks}{more}")
+    if "scale_is_unknown" in run:
+        lines.append(f"  {run['scale_is_unknown']}")
+    return lines
+
+
+def _vector(values: list[float]) -> str:
+    return "[" + ", ".join(number(value, 4) for value in values) + "]"
