@@ -241,17 +241,16 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     count = len(task.parameters.cameras)
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     for number in range(MOST_ROUNDS):
-        independent = with_independent_errors(task, fit)
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
-        estimate = noise_factors(
-            problem_of(task, independent), independent.adjustment, np.random.default_rng(NOISE_SEED)
-        )
+        answer = state(task, fit, choices)
+        # joint optima with little noise follow the detections, and show still less
+        shown = answer.fit if answer.is_marginal else with_independent_errors(task, fit)
+        estimate = noise_factors(problem_of(task, shown), shown.adjustment, np.random.default_rng(NOISE_SEED))
         if estimate.differs.any() and not last:
             factors = np.where(estimate.differs, estimate.factors, 1.0)
             task, noise = task.with_noise(factors), noise * factors
             fit = adjusted_anew(task, fit)
             continue
-        answer = state(task, fit, choices)
         enlarged, suspicions = suspected(task, answer)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
         if wrong is None or last:
