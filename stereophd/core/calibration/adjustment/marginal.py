@@ -65,6 +65,9 @@ NOISE_STD = 0.5
 # Length at which the steps settle, longest step, and longest step left of a search that has converged, all in posterior
 # standard deviations; most steps, and how many of them the quasi-Newton steps remember.
 SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS, REMEMBERED = 0.05, 20.0, 1.0, 100, 6
+# A search has settled as well where as many steps as are remembered lower the objective by less than this together: no
+# detection tells their points apart. It follows curved valleys of scenes that hold little, step by small step.
+STALLED = 0.5
 # A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says.
 DECREASE, LEAST_SHARE = 1e-4, 1.0 / 64.0
 # Squared distance from which a detection is left out by the loss.
@@ -298,7 +301,7 @@ def _factor(bands: Array) -> Array:
 
 def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
     """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
-    length, pairs = 0.0, list[tuple[Array, Array]]()
+    length, pairs, objectives = 0.0, list[tuple[Array, Array]](), [at.objective]
     gradient, root = posterior.gradient(at)
     for _ in range(MOST_STEPS):
         step = -_times_inverse(gradient, root, pairs)
@@ -314,6 +317,9 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
         if found is None:
             pairs = []  # what was remembered of the curvature misleads
             continue
+        objectives.append(found.objective)
+        if len(objectives) > REMEMBERED and objectives[-1 - REMEMBERED] - found.objective < STALLED:
+            return found, length
         before, before_gradient = at, gradient
         at, (gradient, root) = found, posterior.gradient(found)
         pair = (at.unknowns - before.unknowns, gradient - before_gradient)

@@ -64,5 +64,5 @@ def noise_factors(problem: Problem, adjustment: Adjustment, rng: np.random.Gener
     count = len(problem.parameters.cameras)
     squares = np.bincount(observations.cameras, weights * adjustment.distances, count)
     known = np.maximum(np.bincount(observations.cameras, redundancy, count), 0.0)
-    coordinates = 2.0 * np.bincount(observations.cameras, weights, count)
+    coordinates = 2.0 * np.bincount(observations.cameras, weights, count).astype(np.float64)
     return NoiseFactors(np.sqrt((PRIOR_REDUNDANCY + squares) / (PRIOR_REDUNDANCY + known)), known, coordinates)

@@ -20,6 +20,7 @@ from stereophd.core.calibration.adjustment.selection import Comparison, compare
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
+from stereophd.core.calibration.annealing.control import ControlTrack, World, with_control
 from stereophd.core.calibration.annealing.fits import (
     adjusted_to,
     fit_until,
@@ -70,13 +71,14 @@ class Choices:
     model: str = LENSES  # What may be given up of what is stated.
     known: KnownMeasure | None = None
     is_sampled: bool = False  # Whether a sampler states the posterior afterwards.
+    control: ControlTrack | None = None
 
 
 @dataclass(frozen=True)
 class Remark:
     """Something about the answer that has to be said."""
 
-    topic: str  # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale` or `starts`
+    topic: str  # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `starts` or `control`
     text: str
     is_reservation: bool = False  # Whether the data determine the cameras partly at most.
 
@@ -121,6 +123,7 @@ class Calibrated:
     moves: TrackMoves
     doubt: str  # Why the answer is not to be trusted; empty if it may be.
     remarks: tuple[Remark, ...]
+    world: World | None = None  # That of the control track
 
 
 def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
@@ -141,6 +144,12 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     if has_known_length(task, choices):
         assert choices.known is not None
         fit, pairs = with_lengths(task, fit, choices.known.value, choices.known.std)
+    world = None
+    if choices.control is not None:
+        try:
+            fit, world = with_control(task, fit, choices.control)
+        except ValueError as error:
+            remarks += (Remark("control", f"the control track was not used: {error}", is_reservation=True),)
     values = fit.adjustment.values
     early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
     doubt = doubt or answer.doubt or early
@@ -150,7 +159,18 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     history, moves = history_of(task, answer.fit, fit), track_moves(problem_of(task, fit), fit.adjustment)
     remarks += prior_remarks(task, values)
     return Calibrated(
-        task, fit, history, answer, believed.noise, believed.suspicions, believed.freed, pairs, moves, doubt, remarks
+        task,
+        fit,
+        history,
+        answer,
+        believed.noise,
+        believed.suspicions,
+        believed.freed,
+        pairs,
+        moves,
+        doubt,
+        remarks,
+        world,
     )
 
 
