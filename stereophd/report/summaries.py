@@ -240,7 +240,10 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
             residuals = sum(camera["residuals"] for camera in cameras.values())
             yield f"they explain {share(explained / detections)} of {detections:,} detections"
             if residuals:
-                yield f"residual {number((squares / residuals) ** 0.5, 2)} px"
+                ratios = [(c["residuals"], c["residual_ratio"]) for c in cameras.values() if c.get("residual_ratio")]
+                beside = (sum(n * ratio**2 for n, ratio in ratios) / residuals) ** 0.5
+                of_noise = f", {beside:.2f} times what the noise leads to expect" if ratios else ""
+                yield f"residual {number((squares / residuals) ** 0.5, 2)} px{of_noise}"
     if evaluation is not None:
         ospa = evaluation["ospa"]
         scale = f" {unit}" if ospa["base"] == "euclidean" else ""
