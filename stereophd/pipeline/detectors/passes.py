@@ -27,7 +27,7 @@ from stereophd.pipeline.tracking.loop import FORGET_EVERY, run_estimator
 
 # Frames of a log that are looked at, stretches of it that a filter runs over, events and detections of them all: more
 # add little, and the time stays bounded for logs of any length.
-MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 2400, 12_000
+MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 1500, 12_000
 # Frames of each camera in a stretch, at least: in fewer no track is settled.
 LEAST_FRAMES = 10
 # Passes end when no value changes by more than this share (probabilities of detection: of the misses) or this part
