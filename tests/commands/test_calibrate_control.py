@@ -9,7 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd import Camera, Detector, InputError, Lens, Pose, calibrate, make_config, read_cameras, write_log
+from stereophd import Camera, Detector, InputError, Lens, Pose, make_config, read_cameras, write_log
+from stereophd.commands.calibrate import calibrate
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.io.cameras.writing import camera_config, plain_cameras
 

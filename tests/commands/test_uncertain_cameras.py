@@ -8,8 +8,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd import InputError, evaluate, load_config, read_cameras, track
+from stereophd import InputError, load_config, read_cameras
+from stereophd.commands.evaluate import evaluate
 from stereophd.commands.evaluate_cameras import Posterior, in_frame
+from stereophd.commands.track import track
 from stereophd.config.loading import load_cameras
 from stereophd.core.alignment.cameras import moved_camera
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty, CommonPart
