@@ -34,6 +34,7 @@ from stereophd.cli import (
     report,
     simulate,
     track,
+    watch,
 )
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import PlainCommand, Session
@@ -65,6 +66,7 @@ for _name, _command, _purpose in (
     ("check", check.check_command, "Check whether a log fits cameras and settings."),
     ("simulate", simulate.simulate_command, "Simulate scenes and their detection logs."),
     ("track", track.track_command, "Estimate 3-D tracks from detection logs."),
+    ("watch", watch.watch_command, "Show a run that is still going on in a browser."),
     ("calibrate", calibrate.calibrate_command, "Estimate cameras from the log of moving objects."),
     ("align", align.align_command, "Bring cameras and tracks into a world frame."),
     ("evaluate", evaluate.evaluate_command, "Score tracks against the truth."),

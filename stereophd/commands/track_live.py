@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,7 +23,7 @@ from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.streams.messages import Message
-from stereophd.io.streams.rows import JsonLines, RowSink, document_of
+from stereophd.io.streams.rows import JsonLines, Publisher, RowSink, document_of
 from stereophd.io.streams.sources import Arrivals
 from stereophd.pipeline.build import report_times
 from stereophd.pipeline.live.frames import FrameChecks
@@ -36,6 +38,8 @@ if TYPE_CHECKING:
     from stereophd.core.geometry.camera import Camera
 
 LOG_FILE = "detections.parquet"
+# Time between two reports of how a run goes, s.
+STATUS_EVERY_S = 2.0
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 
 
@@ -92,6 +96,7 @@ class _Session:
         self.run = LiveRun(tracking.estimator, times, self.checks, config.live, self._keep)
         self._rows, self._stream = rows, stream
         self._most_std = config.report.max_position_std
+        self._told_s = -math.inf
         self._knock: Knock | None = None
         self._recalibration: Recalibration | None = None
 
@@ -111,6 +116,18 @@ class _Session:
                 if not live.is_revised:
                     self.run.counts.add_latency(live.arrived_s)
                 self._look_after_cameras(live.record)
+                if time.monotonic() > self._told_s + STATUS_EVERY_S:
+                    self._told_s = time.monotonic()
+                    self._tell_status()
+
+    def _tell_status(self) -> None:
+        """Tell those who watch how the run goes."""
+        counts, residuals = self.checks.counts, self.run.residuals
+        status = {"event": "status", "frames": counts["frames"], "late": self.run.counts.late}
+        status |= {"too_late": counts["too_late"], "residuals": residuals, "latency_ms": _latencies(self.run)}
+        for sink in self._rows:
+            if isinstance(sink, Publisher):
+                sink.tell(status)
 
     def _keep(self, message: Message) -> None:
         """Write a frame before it is worked: a killed run has lost none."""
@@ -183,12 +200,12 @@ def _document(live: LiveRecord, max_position_std: float | None) -> dict[str, Any
 
 
 def _summary(run: LiveRun) -> dict[str, Any]:
+    return {"late_frames": run.counts.late, "revised_events": run.counts.revised, "latency_ms": _latencies(run)}
+
+
+def _latencies(run: LiveRun) -> dict[str, float]:
     latencies = run.counts.latency_percentiles_ms(PERCENTILES)
-    return {
-        "late_frames": run.counts.late,
-        "revised_events": run.counts.revised,
-        "latency_ms": {f"p{p:g}": value for p, value in zip(PERCENTILES, latencies, strict=True)},
-    }
+    return {f"p{p:g}": value for p, value in zip(PERCENTILES, latencies, strict=True)}
 
 
 def _write_files(loaded: LoadedConfig, recording: Path, outputs: LiveOutputs) -> None:

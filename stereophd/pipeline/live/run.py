@@ -86,6 +86,11 @@ class LiveRun:
         self._newest = np.full(len(self._cameras), -np.inf)
         self._passed_over: set[int] = set()
 
+    @property
+    def residuals(self) -> dict[str, float]:
+        """Residuals of each camera in the deviations that its noise and the tracks lead to expect, at least 1."""
+        return {name: math.sqrt(looks.spread) for name, looks in self._run.knocks.cameras.items()}
+
     def pass_over(self, name: str) -> None:
         """Track no more frames of a camera, for the present."""
         self._passed_over |= {index for index, camera in enumerate(self._cameras) if camera.name == name}
