@@ -40,7 +40,6 @@ if TYPE_CHECKING:
 LOG_FILE = "detections.parquet"
 # Time between two reports of how a run goes, s.
 STATUS_EVERY_S = 2.0
-PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 
 
 @dataclass(frozen=True)
@@ -57,9 +56,10 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
     """Track frames as they arrive, by a configuration with a ``filter`` section of several objects and cameras.
 
     Arrivals come from a source as in `stereophd.io.streams.sources`, whose name serves messages; an interrupt ends them
-    like the end of the stream. Returns counts of frames, late, revised and bad ones, and ``latency_ms``: percentiles of
-    the time from the arrival of a frame to its row. Raises InputError if the configuration is for whole logs only, if a
-    frame is bad and ``input.on_bad_row`` is ``error``, or if an output cannot be written.
+    like the end of the stream. Returns counts of frames, late, revised and bad ones, percentiles: ``latency_ms``, of
+    the time from the arrival of a frame to its row, and ``processor_ms``, of the processor time of a frame. Raises
+    InputError if the configuration is for whole logs only, if a frame is bad and ``input.on_bad_row`` is ``error``, or
+    if an output cannot be written.
     """
     _check(loaded)
     if outputs.recording is not None and outputs.recording.exists():
@@ -107,6 +107,7 @@ class _Session:
 
     def work(self, arrivals: Arrivals, source: str) -> None:
         """Work all arrivals."""
+        processor_s = time.thread_time()
         with contextlib.suppress(KeyboardInterrupt):
             for live in self.run.records(arrivals, source):
                 if self._rows and live.record.reported:
@@ -114,7 +115,8 @@ class _Session:
                     for sink in self._rows:
                         sink.add(document)
                 if not live.is_revised:
-                    self.run.counts.add_latency(live.arrived_s)
+                    before_s, processor_s = processor_s, time.thread_time()
+                    self.run.counts.add_row(live.arrived_s, processor_s - before_s)
                 self._look_after_cameras(live.record)
                 if time.monotonic() > self._told_s + STATUS_EVERY_S:
                     self._told_s = time.monotonic()
@@ -124,7 +126,11 @@ class _Session:
         """Tell those who watch how the run goes."""
         counts, residuals = self.checks.counts, self.run.residuals
         status = {"event": "status", "frames": counts["frames"], "late": self.run.counts.late}
-        status |= {"too_late": counts["too_late"], "residuals": residuals, "latency_ms": _latencies(self.run)}
+        status |= {
+            "too_late": counts["too_late"],
+            "residuals": residuals,
+            "latency_ms": self.run.counts.latency.percentiles_ms(),
+        }
         for sink in self._rows:
             if isinstance(sink, Publisher):
                 sink.tell(status)
@@ -200,12 +206,13 @@ def _document(live: LiveRecord, max_position_std: float | None) -> dict[str, Any
 
 
 def _summary(run: LiveRun) -> dict[str, Any]:
-    return {"late_frames": run.counts.late, "revised_events": run.counts.revised, "latency_ms": _latencies(run)}
-
-
-def _latencies(run: LiveRun) -> dict[str, float]:
-    latencies = run.counts.latency_percentiles_ms(PERCENTILES)
-    return {f"p{p:g}": value for p, value in zip(PERCENTILES, latencies, strict=True)}
+    counts = run.counts
+    return {
+        "late_frames": counts.late,
+        "revised_events": counts.revised,
+        "latency_ms": counts.latency.percentiles_ms(),
+        "processor_ms": counts.processor.percentiles_ms(),
+    }
 
 
 def _write_files(loaded: LoadedConfig, recording: Path, outputs: LiveOutputs) -> None:

@@ -1,6 +1,6 @@
 """A page that shows a live run in a browser, from a small server on this machine.
 
-The server subscribes to what `track --publish` sends, and passes it on as server-sent events, at most `FRAMES_PER_S`
+The server subscribes to what a live run publishes, and passes it on as server-sent events, at most `FRAMES_PER_S`
 pictures a second. It answers only those who know the token of its address.
 """
 
