@@ -5,18 +5,15 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import typer
 
 from stereophd.cli.options import Session
 from stereophd.cli.unused_options import refuse
 from stereophd.commands.options import LiveOptions
+from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-    from stereophd.io.streams.sources import Arrivals
+from stereophd.io.streams.sources import Arrivals
 
 WHOLE_LOGS = ("jobs", "dask", "threads", "pieces_s", "overlap_s", "resume", "plots")
 

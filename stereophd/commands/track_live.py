@@ -15,10 +15,11 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 from stereophd.commands.recalibrate import Recalibration, with_pose
-from stereophd.config.loading import variant
+from stereophd.config.loading import LoadedConfig, variant
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
@@ -32,10 +33,6 @@ from stereophd.pipeline.live.run import LiveRecord, LiveRun, warm_up_messages, w
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run import TrackingRun, build_tracking, estimated_cameras
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-    from stereophd.core.geometry.camera import Camera
 
 LOG_FILE = "detections.parquet"
 # Time between two reports of how a run goes, s.

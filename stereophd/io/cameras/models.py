@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from itertools import pairwise
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from annotated_types import Interval
 from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
+from stereophd.core.arrays import Array
+from stereophd.core.calibration.unknowns.quantities.registry import component_names
 from stereophd.core.geometry.camera import BOX_NOISE, Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.lenses import lens_models
@@ -228,8 +231,34 @@ class CameraConfig(Model):
         return Pose.in_steps(pose, [(each.from_s, each.build()) for each in self.poses]) if self.poses else pose
 
 
+# ``camera.component`` -> its covariances with the values before it and with itself: rows of a lower triangle.
+CovarianceRows = dict[str, list[Annotated[float, FINITE]]]
+
+
+def covariance_of(rows: CovarianceRows, cameras: tuple[str, ...]) -> Array:
+    """Return the covariance (m, m) of such rows; ValueError if they are no covariance of components of the cameras."""
+    matrix = np.zeros((len(rows), len(rows)))
+    for number, (name, row) in enumerate(rows.items()):
+        camera, _, component = name.rpartition(".")
+        if camera not in cameras or component not in component_names():
+            raise ValueError(f"covariance: expected CAMERA.COMPONENT, such as {cameras[0]}.center_x, found {name}")
+        if len(row) != number + 1 or not row[-1] > 0.0:
+            raise ValueError(f"covariance.{name}: expected {number + 1} numbers, the last above 0, found {row}")
+        matrix[number, : number + 1] = matrix[: number + 1, number] = row
+    std = np.sqrt(np.diag(matrix))
+    if len(rows) and np.linalg.eigvalsh(matrix / np.outer(std, std))[0] < -1e-6:
+        raise ValueError("covariance: expected a matrix without negative eigenvalues, found one with them")
+    return matrix
+
+
 class CamerasFile(Model):
     """A ``cameras.yaml`` file: the cameras, and the unit that their centres are in."""
 
     units: Units
     cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)]
+    covariance: CovarianceRows | None = None
+
+    @model_validator(mode="after")
+    def _has_covariance(self) -> Self:
+        covariance_of(self.covariance or {}, tuple(self.cameras))
+        return self
