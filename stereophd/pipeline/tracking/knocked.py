@@ -120,7 +120,7 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     if predicted is None:
         return test, None
     most_known = max(MOST_TRACKS, MOST_PAIRS // len(event.points))
-    ids, points, covariances = (each[:most_known] for each in predicted)
+    ids, points, covariances = predicted[0][:most_known], predicted[1][:most_known], predicted[2][:most_known]
     noise = covariances + event.covariances.mean(axis=0)
     residuals = event.points[None] - points[:, None]
     squares = np.einsum("nmi,nij,nmj->nm", residuals, np.linalg.inv(noise), residuals)
