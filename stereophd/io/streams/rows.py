@@ -40,7 +40,8 @@ def document_of(time_s: float, camera: str, frame: int, estimates: Estimates, is
     """Return the document of a record: its event, and the objects then with the columns of ``tracks.parquet``.
 
     ``position_covariance`` holds the upper triangle (xx, xy, xz, yy, yz, zz) of the covariance of the position; the
-    whole covariance is in the tables. Bodies have their extents too. A revised document replaces the earlier one of the same camera and frame.
+    whole covariance is in the tables. Bodies have their extents too. A revised document replaces the earlier one of
+    the same camera and frame.
     """
     tracks: list[dict[str, Any]] = []
     for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
