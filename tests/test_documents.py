@@ -94,7 +94,9 @@ def command_lines() -> list[tuple[str, str]]:
     """Return the lines with `stereophd` in the shell blocks of the documents, continued lines joined."""
     found = []
     for name in OF_THE_PRESENT:
-        for block in re.findall(r"^```(?:sh|bash|yaml|)\n(.*?)^```", text(name), re.MULTILINE | re.DOTALL):
+        for language, block in re.findall(r"^```(\w*)\n(.*?)^```", text(name), re.MULTILINE | re.DOTALL):
+            if language not in ("sh", "bash", "yaml", ""):
+                continue
             for line in re.sub(r"\\\n\s*", " ", block).splitlines():
                 match = re.match(r"^(?:\$ |- run: )?(stereophd .*)$", line.strip())
                 if match:
