@@ -6,7 +6,7 @@ DEMO := out/quickstart
 PYTHON ?= $(shell for p in python3 python python3.11 python3.12 python3.13; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo "$$p"; break; }; done)
 
-.PHONY: help demo test lint site release fuzz format bench results schema reference venv clean
+.PHONY: help demo test lint site release audit fuzz format bench results schema reference venv clean
 
 help:
 	@echo "make demo   simulate, track and evaluate a small scene, with pictures, in $(DEMO)"
@@ -14,11 +14,12 @@ help:
 	@echo "make lint   ruff, mypy and the import contracts"
 	@echo "make site   the documentation as a site, in out/site"
 	@echo "make release  wheel and sdist in out/dist, checked, installed and used in an empty environment"
+	@echo "make audit  known vulnerabilities of the locked versions, where the network answers"
 	@echo "make fuzz   damaged files and odd options of every command, for an hour (MINUTES=600), then configurations"
 	@echo "make bench  speed benchmarks (minutes)"
 	@echo "make results  measure the tables of docs/results anew (20 minutes)"
 	@echo "make schema write configs/schema.json anew"
-	@echo "make reference write docs/reference/configuration/ the index of decisions and the notebooks anew"
+	@echo "make reference write docs/reference/configuration/, the index of decisions and the notebooks anew"
 	@echo "make clean  remove $(VENV) and out"
 
 demo: $(VENV)/.installed-plot
@@ -41,6 +42,9 @@ release: $(VENV)/.installed-all
 	$(BIN)/python -m build --outdir out/dist .
 	$(BIN)/python -m twine check --strict out/dist/*
 	$(BIN)/python .ci/try_wheel.py out/dist
+
+audit: $(BIN)/python
+	$(BIN)/python .ci/audit.py .ci/audit
 
 # Damaged files of every format and odd options of every command, then random configurations: make fuzz MINUTES=600
 MINUTES ?= 60

@@ -9,7 +9,8 @@ and over an earlier run. A case is held if
 
 - the exit code is 2 and the earlier files lie there as they were, or it is 0 and the files are those of a whole run;
 - there is one clear message on stderr, and no traceback;
-- the next run (`--force`, or `--resume` of what is kept) gives the files of a whole run, and nothing else is left.
+- the next run (`--force`, or `--resume` of what is kept) gives the files of a whole run, and nothing else is left. It
+  is made where the one whose call failed left anything.
 
 Prints a table. Exit code 1 if a case was not held. Needs a C compiler and a Unix system.
 """
@@ -174,6 +175,8 @@ def tried(
     if found != (whole if code == 0 else earlier):
         changed = [name for name in found.keys() | whole.keys() if found.get(name) != earlier.get(name)]
         return what, f"exit code {code}, and there lie {sorted(found)}; changed: {sorted(changed)}"
+    if files(place) in (earlier, dict(whole)) and not any(place.rglob(f"{PREFIX}*")):
+        return what, ""  # nothing tells the next run of this one
     code, said, _, _ = forked(library, case.next_run(place), place, 0)
     if code:
         return what, f"the next run ends with {code}: {said[-300:]}"

@@ -42,7 +42,7 @@ from stereophd.pipeline.cameras_covariance import rows_of
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.checks.run_figures.losses import check_losses
-from stereophd.pipeline.checks.run_figures.tracking import check_tracking
+from stereophd.pipeline.checks.run_figures.tracking import check_noise, check_tracking
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, finished_report
@@ -240,5 +240,6 @@ def _track(
         for found in check_log(loaded, log_path, thorough=False, cameras=cameras)
         if found.name.startswith(WITH_CAMERAS)
     ]
+    noise = check_noise(summary, cameras, stream.has_noise)
     losses = check_losses(summary, stream.counts)
-    return summary, (*findings, *check_tracking(summary, stream.counts, cameras), *losses)
+    return summary, (*findings, *check_tracking(summary, stream.counts, cameras), *noise, *losses)

@@ -20,6 +20,7 @@ from stereophd.config.loading import variant
 from stereophd.core.calibration.unknowns.observability import DETERMINED
 from stereophd.errors import InputError
 from stereophd.io.streams.messages import Message
+from stereophd.pipeline.live.recording import write_log
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.workers.worker_process import WorkerProcess
@@ -35,7 +36,7 @@ ROTATION_STD_DEG, CENTER_STD = 2.0, 0.05
 
 
 @dataclass(frozen=True)
-class Task:
+class OneCamera:
     """What the process solves."""
 
     loaded: LoadedConfig
@@ -76,7 +77,7 @@ class Recalibration:
         elif self._thread is None and self._tries and time_s >= self._tries[0]:
             self._tries = [later for later in self._tries if later > time_s]
             lines = tuple(message.to_line() for message in self._frames)
-            task = Task(self._loaded, self.knock.camera, self._prior, lines)
+            task = OneCamera(self._loaded, self.knock.camera, self._prior, lines)
             self._thread = threading.Thread(target=self._solve, args=(task,), daemon=True)
             self._thread.start()
         return found
@@ -86,7 +87,7 @@ class Recalibration:
         """Whether all tries have failed."""
         return self._thread is None and not self._tries
 
-    def _solve(self, task: Task) -> None:
+    def _solve(self, task: OneCamera) -> None:
         worker = WorkerProcess(1)
         try:
             self._found = worker.call(solve_camera, task)
@@ -97,10 +98,9 @@ class Recalibration:
             worker.close()
 
 
-def solve_camera(task: Task) -> dict[str, Any]:
+def solve_camera(task: OneCamera) -> dict[str, Any]:
     """Calibrate one camera from frames; return the status, and the pose where the frames determine it."""
     from stereophd.commands.calibrate import CAMERAS_FILE, calibrate
-    from stereophd.commands.track_live import write_log
 
     reference = next(name for name in task.loaded.cameras if name != task.camera)
     section = {"method": "annealed", "model": "as_stated", "reference": reference, "priors": {task.camera: task.prior}}

@@ -52,6 +52,8 @@ LEAST_HIDDEN = 0.05
 # Share of the false boxes that are the first of a false object, such as a poster or a mirror image, which one camera
 # goes on to see, where other cameras see nothing; and the probability that it does.
 STAYING_SHARE, FALSE_DETECTED = 0.05, 0.8
+# A track is no longer reported where a body is less than this part as probable as a false object.
+FALSE_RELEASE = 0.1
 # Rounds over the associations of the cameras of one instant.
 ROUNDS = 1
 # Detections that tracks claim with more than these odds against clutter give birth to nothing: it would be pruned.
@@ -367,6 +369,9 @@ class BodyFilter:
         hypotheses, levels = state.hypotheses, self.settings.extraction
         existence = hypotheses.existence(len(state.labels))
         shown = existence >= np.where(state.reported, levels.release, levels.confirm)
+        # a false object is known to be there: it does not fade
+        false = np.bincount(hypotheses.owners, hypotheses.weights, len(existence)) - existence
+        shown &= existence >= FALSE_RELEASE * false
         listed = shown | (existence >= levels.tentative)
         identities = state.track_ids.copy()
         new = np.flatnonzero(listed & (identities < 0))

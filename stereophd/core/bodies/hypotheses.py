@@ -13,6 +13,8 @@ from stereophd.core.multi.filter_settings.pmb import PmbSettings
 
 # Most hypotheses of one track, from one instant to the next and while an instant is open.
 MOST_HYPOTHESES, MOST_OPEN = 5, 10
+# Part of `least_share` for hypotheses of false objects: a box that fits a body well leaves them little at first.
+FALSE_SHARE = 0.01
 # Probability of a body, as part of that of a false object, below which no evidence drives it.
 LEAST_BODY = 0.01
 
@@ -62,9 +64,9 @@ def reduce_hypotheses(
     """
     owners, weights, n_tracks = hypotheses.owners, hypotheses.weights, len(reported)
     existence = np.bincount(owners, weights, n_tracks).astype(np.float64)
-    kept = weights > np.maximum(settings.least_share * existence[owners], 0.0)
-    # what one camera goes on to see may be a body that the others miss for a reason that lasts
     is_body = hypotheses.views < 0
+    kept = weights > settings.least_share * np.where(is_body, 1.0, FALSE_SHARE) * existence[owners]
+    # what one camera goes on to see may be a body that the others miss for a reason that lasts
     best = np.zeros(n_tracks)
     np.maximum.at(best, owners[is_body], weights[is_body])
     kept |= is_body & (weights == best[owners]) & (weights > 0.0)

@@ -64,7 +64,7 @@ from stereophd.core.calibration.unknowns.scale import log_scale
 NOISE_STD = 0.5
 # Length at which the steps settle, longest step, and longest step left of a search that has converged, all in posterior
 # standard deviations; most steps, and how many of them the quasi-Newton steps remember.
-SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS, REMEMBERED = 0.05, 20.0, 1.0, 100, 6
+SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS, REMEMBERED = 0.05, 20.0, 1.0, 200, 6
 # A search has settled as well where as many steps as are remembered lower the objective by less than this together: no
 # detection tells their points apart. It follows curved valleys of scenes that hold little, step by small step.
 STALLED = 0.5
