@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import posixpath
 import re
 import shlex
+import sys
 import tomllib
+import types
 from pathlib import Path
 
 import pytest
@@ -68,6 +71,24 @@ def test_addresses_are_one() -> None:
     assert tomllib.loads(text("pyproject.toml"))["project"]["urls"]["Documentation"] == SITE
     assert f"url: {SITE}" in text("CITATION.cff")
     assert f"home: {SITE}" in text("recipe/meta.yaml")
+
+
+def test_the_readme_of_the_index_has_addresses_that_the_site_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    interface = types.SimpleNamespace(MetadataHookInterface=object)  # hatchling is there only while it builds
+    monkeypatch.setitem(sys.modules, "hatchling.metadata.plugin.interface", interface)
+    spec = importlib.util.spec_from_file_location("index_readme", DOCS / "index_readme.py")
+    assert spec is not None
+    assert spec.loader is not None
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+    shown = hook.with_addresses(text("README.md"), SITE, "SOURCE")
+    addresses = LINK.findall(shown)
+    assert [address for address in addresses if not address.startswith((SITE, "SOURCE/blob/main/"))] == []
+    assert f"{SITE}figures/demo.gif" in addresses
+    for address in addresses:
+        place = address.split("#")[0].removeprefix(SITE).rstrip("/")
+        found = [DOCS / place, DOCS / f"{place}.md", DOCS / place / "index.md"]
+        assert address.startswith("SOURCE") or any(path.exists() for path in found), address
 
 
 def test_pages_that_messages_name_exist() -> None:
