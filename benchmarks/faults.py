@@ -7,7 +7,8 @@ all do; the next run removes what is left over and gives the bytes of an undistu
 is documented; no traceback is printed; no process is left alive. Exit code 1 if a case was not held. Needs psutil and a
 Unix system.
 
-`benchmarks/kills.py` kills runs in the middle of their work, many times, and resumes them.
+`benchmarks/kills.py` kills runs in the middle of their work, many times, and resumes them, and
+`benchmarks/failing_calls.py` lets each call fail that writes.
 """
 
 from __future__ import annotations
@@ -23,41 +24,35 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
+from small_runs import SmallRun, small_runs
 
-CONFIGS = Path(__file__).resolve().parent.parent / "configs"
-CONFIG = CONFIGS / "quickstart.yaml"
-EXPERIMENT = CONFIGS / "paper" / "figure4.yaml"
 PREFIX = ".stereophd-partial-"
 GIVE_UP_S = 300
 
 
-@dataclass(frozen=True)
-class Command:
-    """A command and the files that it leaves."""
+def start(words: list[str], limit: Callable[[], None] | None = None) -> subprocess.Popen[str]:
+    """Start the command line with these words."""
+    command = [sys.executable, "-m", "stereophd", *words]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limit, start_new_session=True
+    )
 
-    words: tuple[str, ...]
-    resumes: bool = False
 
-    def start(self, out: Path, *more: str, limit: Callable[[], None] | None = None) -> subprocess.Popen[str]:
-        """Start it with an output folder."""
-        words = [sys.executable, "-m", "stereophd", *self.words, "--out", str(out), "-q", *more]
-        return subprocess.Popen(
-            words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limit, start_new_session=True
-        )
+def finished(words: list[str]) -> tuple[int, str]:
+    """Run the command line to its end; return exit code and messages."""
+    process = start(words)
+    _, said = process.communicate(timeout=GIVE_UP_S)
+    return process.returncode, said
 
-    def run(self, out: Path, *more: str) -> tuple[int, str]:
-        """Run it to its end; return exit code and messages."""
-        process = self.start(out, *more)
-        _, said = process.communicate(timeout=GIVE_UP_S)
-        return process.returncode, said
 
-    def resuming(self, out: Path) -> list[str]:
-        """Return the option with which it continues what an unfinished run has kept, if it has."""
-        return ["--resume"] if self.resumes and any(out.glob("partial-*")) else []
+def fresh(place: Path) -> Path:
+    """Return the place of an output, without what a run left there."""
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir(parents=True)
+    return place
 
 
 def files(folder: Path) -> dict[str, bytes]:
@@ -74,13 +69,16 @@ def alive(group: Sequence[psutil.Process]) -> int:
 
 def final(found: dict[str, bytes]) -> dict[str, bytes]:
     """Return the files in their final places."""
-    return {name: text for name, text in found.items() if not name.startswith((PREFIX, "partial-"))}
+    return {
+        name: text
+        for name, text in found.items()
+        if not any(part.startswith((PREFIX, "partial-")) for part in Path(name).parts)
+    }
 
 
-def disturb(command: Command, whole: dict[str, bytes], length: float, out: Path, numbers: Sequence[int]) -> str:
+def disturb(case: SmallRun, whole: dict[str, bytes], length: float, place: Path, numbers: Sequence[int]) -> str:
     """Send signals at a random moment of a run, then run again; return what was wrong, or nothing."""
-    shutil.rmtree(out, ignore_errors=True)
-    process = command.start(out)
+    process = start(case.command(fresh(place)))
     time.sleep(random.uniform(0.0, length))
     group = [psutil.Process(process.pid)] if process.poll() is None else []
     group += group[0].children(recursive=True) if group else []
@@ -96,47 +94,45 @@ def disturb(command: Command, whole: dict[str, bytes], length: float, out: Path,
         wrong.append("traceback")
     if alive(group):
         wrong.append("processes left alive")
-    found = final(files(out))
+    found = final(files(place))
     if found and found != final(whole):
         wrong.append("partial output")
-    code, said = command.run(out, *(["--force"] if found else command.resuming(out)))
+    code, said = finished(case.next_run(place))
     if code != 0:
         wrong.append(f"the next run ends with {code}: {said[-200:]}")
-    elif files(out) != whole:
-        wrong.append("the next run gives other bytes")
-    if [path for path in out.parent.iterdir() if path.name.startswith(PREFIX)]:
-        wrong.append("temporary files left behind")
+    elif files(place) != whole:
+        wrong.append("the next run gives other files")
     return ", ".join(wrong)
 
 
-def no_room(command: Command, whole: dict[str, bytes], out: Path) -> str:
+def no_room(case: SmallRun, whole: dict[str, bytes], place: Path) -> str:
     """Let writing fail beyond a random size of a file, over an earlier run; return what was wrong."""
-    shutil.rmtree(out, ignore_errors=True)
-    command.run(out)
+    finished(case.command(fresh(place)))
     most = random.randrange(1, 2 * max(map(len, whole.values())))
-    process = command.start(out, "--force", limit=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)))
+    process = start(case.command(place, "--force"), lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)))
     _, said = process.communicate(timeout=GIVE_UP_S)
     if process.returncode not in (0, 2):
         return f"exit code {process.returncode}: {said[-200:]}"
-    if final(files(out)) != final(whole):
+    if final(files(place)) != final(whole):
         return "the earlier run is damaged"
     # an experiment keeps its finished runs, which the next one takes up
-    code, said = command.run(out, "--force", *command.resuming(out))
+    kept = case.next_run(place)
+    code, said = finished([*kept, "--force"] if "--force" not in kept else kept)
     if code != 0:
         return f"the next run ends with {code}: {said[-200:]}"
-    return "" if files(out) == whole else "the next run gives other bytes"
+    return "" if files(place) == whole else "the next run gives other files"
 
 
-def twice(command: Command, whole: dict[str, bytes], out: Path) -> str:
-    """Start two runs into one folder; return what was wrong."""
-    shutil.rmtree(out, ignore_errors=True)
-    both = [command.start(out, "--force") for _ in range(2)]
+def twice(case: SmallRun, whole: dict[str, bytes], place: Path) -> str:
+    """Start two runs of one output; return what was wrong."""
+    fresh(place)
+    both = [start(case.command(place)) for _ in range(2)]
     codes = []
     for process in both:
         process.communicate(timeout=GIVE_UP_S)
         codes.append(process.returncode)
     wrong = [] if sorted(codes) == [0, 2] else [f"exit codes {codes}"]
-    if files(out) != whole:
+    if files(place) != whole:
         wrong.append("other files than those of one run")
     return ", ".join(wrong)
 
@@ -163,42 +159,31 @@ def main() -> int:
     not_held = 0
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        scene = folder / "scene"
-        simulate = Command(("simulate", str(CONFIG)))
-        code, said = simulate.run(scene)
-        assert code == 0, said
-        commands = {
-            "simulate": simulate,
-            "simulate --runs 4 --jobs 2": Command((*simulate.words, "--runs", "4", "--jobs", "2")),
-            "track": Command(("track", str(CONFIG), str(scene / "detections.parquet"))),
-            "experiment --jobs 2": Command(
-                ("experiment", str(EXPERIMENT), "--jobs", "2", "--set", "experiment.runs=20"), resumes=True
-            ),
-        }
         print("| case | tried | held |\n|---|---|---|", flush=True)
-        for title, command in commands.items():
+        for title, case in small_runs(folder / "inputs").items():
             if options.only.split(":")[0] not in title:
                 continue
-            command.run(folder / "warm")
-            start = time.monotonic()
-            code, said = command.run(folder / title / "whole")
-            length = time.monotonic() - start
+            place = folder / "place"
+            finished(case.command(fresh(place)))
+            start_s = time.monotonic()
+            code, said = finished(case.command(fresh(place)))
+            length = time.monotonic() - start_s
             assert code == 0, said
-            whole, out = files(folder / title / "whole"), folder / title / "out"
+            whole = files(place)
             cases: dict[str, Callable[[], str]] = {}
-            for case, numbers in {
+            for disturbance, numbers in {
                 "kill -9": [signal.SIGKILL],
                 "Ctrl-C": [signal.SIGINT],
                 "Ctrl-C twice": [signal.SIGINT, signal.SIGINT],
                 "SIGTERM, then Ctrl-C": [signal.SIGTERM, signal.SIGINT],
             }.items():
-                cases[f"{case} at random moments"] = lambda n=numbers: disturb(command, whole, length, out, n)  # type: ignore[misc]  # noqa: B023
-            cases["no room on the disk, over an earlier run"] = lambda: no_room(command, whole, out)  # noqa: B023
-            cases["two runs into one folder at once"] = lambda: twice(command, whole, out)  # noqa: B023
-            for case, attempt in cases.items():
-                if options.only not in f"{title}: {case}":
+                cases[f"{disturbance} at random moments"] = lambda n=numbers: disturb(case, whole, length, place, n)  # type: ignore[misc]  # noqa: B023
+            cases["no room on the disk, over an earlier run"] = lambda: no_room(case, whole, place)  # noqa: B023
+            cases["two runs into one folder at once"] = lambda: twice(case, whole, place)  # noqa: B023
+            for disturbance, attempt in cases.items():
+                if options.only not in f"{title}: {disturbance}":
                     continue
-                not_held += attempts(f"`{title}`: {case}", attempt, options.times)
+                not_held += attempts(f"`{title}`: {disturbance}", attempt, options.times)
     return int(not_held > 0)
 
 

@@ -30,10 +30,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
-from faults import CONFIGS, EXPERIMENT, PREFIX, alive, files
-
-CALIBRATION = CONFIGS / "paper" / "calibration.yaml"
-QUICKSTART = CONFIGS / "quickstart.yaml"
+from faults import PREFIX, alive, files
+from small_runs import CALIBRATION, EXPERIMENT, QUICKSTART, SmallRun, small_runs
 
 # Most kills in a row before a run may come to its end.
 MOST_KILLS = 3
@@ -157,6 +155,19 @@ def killed_and_resumed(
     return kills, kept, f"left behind: {', '.join(left)}" if left else ""
 
 
+def _of_words(small: SmallRun) -> Case:
+    """Return the run of a command line; its output, file or folder, lies in the folder that is looked at."""
+
+    def work(out: Path, again: bool) -> None:
+        from stereophd.cli.app import run
+
+        out.mkdir(parents=True, exist_ok=True)
+        if code := run(small.next_run(out) if again else small.command(out)):
+            raise RuntimeError(f"exit code {code}")
+
+    return Case(work)
+
+
 def cases(folder: Path) -> dict[str, Case]:
     """Return the runs, on small scenes."""
     from stereophd.commands.batches import track_logs
@@ -187,6 +198,7 @@ def cases(folder: Path) -> dict[str, Case]:
     film = folder / "calibration" / "detections.parquet"
     figure = load_config(EXPERIMENT, ["experiment.runs=20"])
     many = load_config(QUICKSTART, ["simulate.duration_s=10"])
+    others = ("evaluate", "evaluate-cameras", "import", "export csv", "export colmap", "report", "init")
     return {
         "track": Case(lambda out, again: track(loaded, logs[0], out, resume=again)),
         "track --associations": Case(lambda out, again: track(three, logs[0], out, resume=again)),
@@ -211,6 +223,7 @@ def cases(folder: Path) -> dict[str, Case]:
             lambda out, again: simulate(many, out, runs=4, jobs=2, force=again),
             alone=lambda out, again: simulate(many, out, runs=4),
         ),
+        **{title: _of_words(run) for title, run in small_runs(folder / "small").items() if title in others},
     }
 
 

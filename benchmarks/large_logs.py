@@ -1,8 +1,9 @@
-"""Logs larger than any set-up: a hundred cameras, cameras of 10 kHz. Does `track` end, in which time and memory?
+"""Logs larger than any set-up: 100 cameras, also for an hour; 2,000 objects; 10 kHz. Which time and memory has `track`?
 
     python benchmarks/large_logs.py [--limit 900] [--only WORD]
 
-The logs are simulated from `configs/quickstart.yaml`. Each run of `track` is a process of its own, with default
+The logs are simulated from `configs/quickstart.yaml`, those of many objects as in `many_objects.py`. `long_log.py
+--detections 5000000` has the longest one. Each run of `track` is a process of its own, with default
 settings. Prints a table of processor time and peak memory, start-up included. Exit code 1 if a run did not end within
 the limit of processor time, or failed. Needs a Unix system.
 """
@@ -21,6 +22,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from many_objects import room
 
 QUICKSTART = Path(__file__).resolve().parent.parent / "configs" / "quickstart.yaml"
 
@@ -28,8 +30,8 @@ QUICKSTART = Path(__file__).resolve().parent.parent / "configs" / "quickstart.ya
 CENTER, RADIUS = np.array([0.0, -1.5, 7.5]), 9.0
 
 
-def ring(count: int) -> dict[str, Any]:
-    """Return cameras (20 Hz, phases spread over a frame) on a circle about the objects, which all of them see."""
+def ring(count: int, rate_hz: float = 20.0, duration_s: float = 2.0) -> dict[str, Any]:
+    """Return cameras (phases spread over a frame) on a circle about the objects, which all of them see."""
     document = yaml.safe_load(QUICKSTART.read_text(encoding="utf-8"))
     left = document["cameras"]["left"]
     cameras = {}
@@ -39,9 +41,9 @@ def ring(count: int) -> dict[str, Any]:
         # turned about the vertical axis, so that z points at the centre of the circle
         turn_deg = float(np.rad2deg(np.arctan2(-np.sin(angle), np.cos(angle))))
         pose = {"center": center.tolist(), "rotation_vector_deg": [0.0, turn_deg, 0.0]}
-        cameras[f"c{k:03d}"] = {**left, "pose": pose, "phase_s": k / count / left["frame_rate_hz"]}
+        cameras[f"c{k:03d}"] = {**left, "pose": pose, "phase_s": k / count / rate_hz, "frame_rate_hz": rate_hz}
     document["cameras"] = cameras
-    document["simulate"]["duration_s"] = 2.0
+    document["simulate"]["duration_s"] = duration_s
     return dict(document)
 
 
@@ -73,7 +75,12 @@ def main() -> int:
     parser.add_argument("--only", default="")
     options = parser.parse_args()
     failed = 0
-    scenes = {"100 cameras, 2 s": ring(100), "two of three cameras at 10 kHz, 1 s": fast()}
+    scenes = {
+        "100 cameras, 2 s": ring(100),
+        "100 cameras at 0.2 Hz, 1 h": ring(100, 0.2, 3600.0),
+        "two of three cameras at 10 kHz, 1 s": fast(),
+        "2,000 objects, four cameras, 2 s": room(2000, 160),
+    }
     print("| log | frames | processor time, s | peak memory, MB | estimates | not checked |\n|---|---|---|---|---|---|")
     with tempfile.TemporaryDirectory() as name:
         for title, document in scenes.items():

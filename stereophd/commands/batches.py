@@ -14,7 +14,7 @@ from stereophd.commands.calibrate import calibrate
 from stereophd.commands.evaluate import PER_SCAN_NAME, PLOT_NAMES, REPORT_NAME, evaluate
 from stereophd.commands.options import CalibrateOptions, EvaluateOptions, TrackOptions
 from stereophd.commands.track import FILES, track
-from stereophd.config.loading import LoadedConfig, takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import tidy
 from stereophd.io.outputs.provenance import provenance
@@ -46,7 +46,6 @@ SCORE_COLUMNS = {
 }
 
 
-@takes_config
 @takes(TrackOptions)
 def track_logs(
     loaded: LoadedConfig,
@@ -89,7 +88,6 @@ def track_logs(
     return run_batch(batch, out_dir, options.jobs, options.dask, options.force, options.resume, progress)
 
 
-@takes_config
 @takes(CalibrateOptions)
 def calibrate_logs(
     loaded: LoadedConfig,

@@ -11,7 +11,7 @@ import logging
 from pathlib import Path
 
 from stereophd.commands.options import ExperimentOptions
-from stereophd.config.loading import LoadedConfig, takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
 from stereophd.experiments.engine.execution import execute
 from stereophd.experiments.engine.parts import PartStore
@@ -40,7 +40,6 @@ FILES = (RUNS_FILE, SUMMARY_FILE, TIMING_FILE, *FIGURE_FILES)
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(ExperimentOptions)
 def experiment(
     loaded: LoadedConfig, out_dir: Path | str, *, options: ExperimentOptions, progress: Progress | None = None

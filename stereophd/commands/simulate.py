@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.commands.options import SimulateOptions
-from stereophd.config.loading import LoadedConfig, takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.config.simulate import SimulateConfig
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OBJECTS
@@ -45,7 +45,6 @@ FILES = (DETECTIONS_FILE, TRUTH_FILE, CAMERAS_FILE, GUESS_FILE)
 PROGRESS_EVERY = 500
 
 
-@takes_config
 @takes(SimulateOptions)
 def simulate(
     loaded: LoadedConfig, out_dir: Path | str, *, options: SimulateOptions, progress: Progress | None = None

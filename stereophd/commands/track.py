@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.commands.options import TrackOptions
-from stereophd.config.loading import LoadedConfig, takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.compilation.kernel_cache import is_kept
 from stereophd.io.cameras.writing import write_cameras
@@ -23,6 +23,7 @@ from stereophd.io.outputs.atomic import OutputFolder, output_lock
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.options import takes
+from stereophd.pipeline.cameras_covariance import stated_uncertainty
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
@@ -59,7 +60,6 @@ REPORT_VERSION = 1
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(TrackOptions)
 def track(
     loaded: LoadedConfig,
@@ -168,7 +168,10 @@ class _Outputs:
             described = with_detectors(loaded.cameras, tracking.cameras)
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
         metadata = to_metadata(self.record)
-        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, kept, tracking.boxes)
+        uncertainty = stated_uncertainty(tracking.cameras, loaded.config.cameras_covariance)
+        summary = write_tracks(
+            records, out, metadata, tracking.cameras, loaded.config.report, kept, tracking.boxes, uncertainty
+        )
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))

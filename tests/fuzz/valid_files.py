@@ -24,7 +24,7 @@ from tests.io.formats.conftest import rig
 from tests.io.formats.test_boxes import write_sequence
 from tests.io.formats.test_caliscope import write_session
 from tests.io.formats.test_dltdv import scene, write_coefficients, write_points
-from tests.io.formats.test_laboratory import write_braidz, write_openptv
+from tests.io.formats.test_laboratory import write_braidz, write_openptv, write_tank
 from tests.io.formats.test_pose import SINGLE
 
 CONFIGS = Path(__file__).resolve().parents[2] / "configs"
@@ -68,8 +68,10 @@ USES = {
     "init": Use("run", "init OUT --log log.parquet --cameras cameras.yaml", 1),
     "evaluate": Use(
         "run", "evaluate tracked/tracks.parquet truth.parquet --cutoff 1 --cameras cameras.yaml --log log.parquet "
-        "--seen-by 1 --within 1 --out OUT --no-plots",
+        "--seen-by 1 --seen-within 1 --out OUT --no-plots",
     ),
+    "align to a track": Use("control", "align cameras.yaml --to control.parquet --tracks tracks.parquet --out OUT"),
+    "align to a camera": Use("run", "align cameras.yaml --to left --out OUT"),
     "evaluate cameras": Use("run", "evaluate-cameras cameras.yaml guess.yaml --out OUT"),
     "report": Use("run", "report tracked scores --log log.parquet --truth truth.parquet --out OUT.html"),
     "export csv": Use("run", "export csv tracked/tracks.parquet --out OUT.csv"),
@@ -86,7 +88,7 @@ USES = {
     "import caliscope": Use("caliscope", "import caliscope session --out OUT", 12),
     "import coco": Use("coco", "import coco labels.json --fps 2 --out OUT", 12),
     "import colmap": Use("colmap", "import colmap model --out OUT"),
-    "import deeplabcut": Use("deeplabcut", "import deeplabcut top.csv --fps 2 --least-score 0.5 --out OUT"),
+    "import deeplabcut": Use("deeplabcut", "import deeplabcut top.csv --fps 2 --min-score 0.5 --out OUT"),
     "import deeplabcut hdf5": Use("deeplabcut", "import deeplabcut topDLC_net.h5 --fps 2 --out OUT"),
     "import dlt": Use("dlt", "import dlt rig.csv --image-size 640x480 --length-unit m --out OUT"),
     "import dltdv": Use(
@@ -98,6 +100,8 @@ USES = {
     "import opencv xml": Use("opencv", "import opencv rig.xml --out OUT"),
     "import opencv json": Use("opencv", "import opencv left.json right.json --out OUT"),
     "import opencv npz": Use("opencv", "import opencv rig.npz --out OUT"),
+    "import openptv through glass": Use("tank", "import openptv parameters/ptv.par --fps 50 --out OUT"),
+    "import myptv": Use("myptv", "import myptv blobs_left --fps 50 --truth trajectories --out OUT", 12),
     "import openptv": Use("openptv", "import openptv parameters/ptv.par --fps 50 --out OUT", 12),
     "import sleap": Use("sleap", "import sleap top.analysis.h5 --fps 2 --out OUT"),
     "foreign cameras of a configuration": Use("opencv", "info rig.yml"),
@@ -133,6 +137,21 @@ def write_run(folder: Path) -> None:
         for (time, name, frame), seen in frames.items()
     ]
     (folder / "frames.jsonl").write_text("\n".join(lines) + "\n")
+
+
+def write_control(folder: Path) -> None:
+    """Write cameras, tracks and the truth of an object on curves: a control track."""
+    changes = ["simulate.duration_s=3", "simulate.acceleration_std=6", "motion.acceleration_std=6"]
+    changes += ["motion.max_speed=20", "simulate.objects.count=1", "simulate.objects.births_per_s=0"]
+    loaded = load_config(CONFIGS / "quickstart.yaml", [*changes, "simulate.objects.stay_in_view=none"])
+    simulate(loaded, folder / "scene")
+    track(loaded, folder / "scene" / "detections.parquet", folder / "tracked")
+    truth = pq.read_table(folder / "scene" / "truth.parquet", columns=["time_s", "x", "y", "z"])
+    pq.write_table(truth, folder / "control.parquet")
+    (folder / "scene" / "cameras.yaml").rename(folder / "cameras.yaml")
+    (folder / "tracked" / "tracks.parquet").rename(folder / "tracks.parquet")
+    shutil.rmtree(folder / "scene")
+    shutil.rmtree(folder / "tracked")
 
 
 def write_coco(folder: Path) -> None:
@@ -214,16 +233,39 @@ def write_braid(folder: Path) -> None:
     write_braidz(folder / "fly.braidz", 0.0)
 
 
+def write_myptv(folder: Path) -> None:
+    (folder / "blobs_left").write_text("181.10\t377.85\t3\t3\t144\t0\n205.60\t75.03\t2\t3\t120\t2\n")
+    rows = "3\t6.5\t17.5\t-3.5\t49\t36\t0.020\t0.0\n3\t6.6\t17.5\t-3.5\t49\t36\t0.020\t2.0\n"
+    (folder / "trajectories").write_text(rows)
+
+
+def write_glass(folder: Path) -> None:
+    write_tank(folder)
+
+
 def write_ptv(folder: Path) -> None:
     write_openptv(folder)
 
 
 WRITERS: dict[str, Callable[[Path], None]] = {
-    "run": write_run, "anipose": _exported("anipose", "rig.toml"), "braid": write_braid, "caliscope": write_caliscope,
-    "coco": write_coco, "colmap": _exported("colmap", "model"), "deeplabcut": write_deeplabcut,
-    "dlt": _exported("dlt", "rig.csv", (0.0,)), "dltdv": write_dltdv, "kalibr": write_kalibr, "mot": write_mot,
-    "opencv": write_opencv, "openptv": write_ptv, "sleap": write_sleap,
-}  # fmt: skip
+    "anipose": _exported("anipose", "rig.toml"),
+    "braid": write_braid,
+    "caliscope": write_caliscope,
+    "coco": write_coco,
+    "colmap": _exported("colmap", "model"),
+    "control": write_control,
+    "deeplabcut": write_deeplabcut,
+    "dlt": _exported("dlt", "rig.csv", (0.0,)),
+    "dltdv": write_dltdv,
+    "kalibr": write_kalibr,
+    "mot": write_mot,
+    "myptv": write_myptv,
+    "opencv": write_opencv,
+    "openptv": write_ptv,
+    "run": write_run,
+    "sleap": write_sleap,
+    "tank": write_glass,
+}
 
 
 def write_all(folder: Path) -> Path:

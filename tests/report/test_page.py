@@ -21,7 +21,7 @@ from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 from stereophd.pipeline.inspection.runs import Run, read_runs
 from stereophd.report.page.columns import Paths, chosen, paths_of, thinned
-from stereophd.report.page.document import page
+from stereophd.report.page.document import page, script_hash
 from stereophd.report.summaries import number, run_tables, verdict
 from tests.commands.test_track import SCENE
 
@@ -49,6 +49,8 @@ try {
   found.time = document.getElementById("now").textContent;
   document.getElementById("theme").click(); await wait(400);
   found.theme = document.documentElement.dataset.theme;
+  // plots are drawn when they come near the window, and all of them for the paper
+  dispatchEvent(new Event("beforeprint")); await wait(200); dispatchEvent(new Event("afterprint")); await wait(200);
   const widths = () => ["lives", "ospa"].map((id) => document.getElementById(id)._fullLayout.width);
   const screen = widths(), theme = found.theme;
   dispatchEvent(new Event("beforeprint")); await wait(200);
@@ -59,10 +61,13 @@ try {
   found.plots = [...document.querySelectorAll(".plot")].filter((plot) => plot.data).map((plot) => plot.id);
   found.uploads = document.querySelectorAll("[data-title*=Share], [data-title*=Cloud]").length;
 } catch (error) { problems.push(String(error.stack)); }
+found.injected = "injected" in window;
 found.problems = problems;
 const out = document.createElement("pre");
 out.id = "found"; out.textContent = JSON.stringify(found); document.body.append(out);
 }, 500);</script>"""
+
+INJECTED = '<script>window.injected = true</script><img src="x:y" onerror="window.injected = true">'
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +210,10 @@ def test_tables_are_rounded_and_have_units(folders: Path) -> None:
 def test_page_works_in_a_browser(folders: Path, tmp_path: Path) -> None:
     report([folders / name for name in ("pmb", "score", "sim")], tmp_path / "page.html")
     text = (tmp_path / "page.html").read_text(encoding="utf-8")
-    watched = text.replace("<style>", f"{COLLECT}<style>", 1).replace("</body>", f"{TRY}</body>")
+    watched = text.replace("<style>", f"{COLLECT}<style>", 1).replace("</body>", f"{INJECTED}{TRY}</body>")
+    # the policy allows the scripts of the page, now also those of this test, and no other
+    ours = " ".join(script_hash(script[len("<script>") : -len("</script>")]) for script in (COLLECT, TRY))
+    watched = watched.replace("script-src ", f"script-src {ours} ", 1)
     (tmp_path / "watched.html").write_text(watched, encoding="utf-8")
     command = [
         str(BROWSER), "--headless=new", "--no-sandbox", "--disable-dev-shm-usage", "--use-angle=swiftshader",
@@ -223,6 +231,7 @@ def test_page_works_in_a_browser(folders: Path, tmp_path: Path) -> None:
     assert found["pictures_differ"]
     assert found["time"] == "5.85 s"
     assert found["uploads"] == 0
+    assert not found["injected"]
     assert found["theme"] == "dark"
     assert found["paper"] == {"widths": [680, 680], "theme": "light"}
     assert found["restored"]

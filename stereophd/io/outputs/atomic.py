@@ -26,6 +26,7 @@ from stereophd.io.outputs.disk import (
     current_umask,
     signals_deferred,
     sync,
+    sync_names,
     write_error,
 )
 from stereophd.io.outputs.locks import LOCK_NAME, lock_file, output_lock
@@ -70,7 +71,7 @@ def atomic_write(path: Path | str, replace: bool = True) -> Iterator[Path]:
         with signals_deferred():
             temporary.chmod(0o666 & ~current_umask())
             (os.replace if replace else _put)(temporary, target)
-            sync(target.parent)
+            sync_names(target.parent)
     except OSError as error:
         if temporary is None or error.errno in USER_ERRNOS:
             raise write_error(error, target) from error

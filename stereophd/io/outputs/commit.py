@@ -26,7 +26,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from stereophd.errors import InputError
-from stereophd.io.outputs.disk import TEMPORARY_PREFIX, UNFINISHED_PREFIX, sync
+from stereophd.io.outputs.disk import TEMPORARY_PREFIX, UNFINISHED_PREFIX, sync, sync_names
 from stereophd.io.outputs.locks import LOCK_NAME
 
 NEW, OLD = "new", "old"
@@ -100,7 +100,7 @@ def _exchange_folder(staged: Path, place: Path) -> bool:
             shutil.rmtree(beside, ignore_errors=True)
             raise
         return False
-    sync(place.parent)
+    sync_names(place.parent)
     shutil.rmtree(beside, ignore_errors=True)
     return True
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import logging
 import os
 import signal
 import threading
@@ -13,6 +14,8 @@ from types import FrameType
 from typing import BinaryIO
 
 from stereophd.errors import InputError
+
+LOGGER = logging.getLogger(__name__)
 
 # Temporary names start so; what a killed process left behind is recognised as ours.
 TEMPORARY_PREFIX = ".stereophd-partial-"
@@ -54,6 +57,19 @@ def sync(path: Path) -> None:
             raise
     finally:
         os.close(descriptor)
+
+
+def sync_names(folder: Path) -> None:
+    """Flush a folder after files have got their final names in it: they are there, whatever the disk says.
+
+    An error is a warning, and none if the folder may not be read.
+    """
+    try:
+        sync(folder)
+    except PermissionError:
+        pass
+    except OSError as error:
+        LOGGER.warning("%s: %s: the outputs are in place, but may not survive a power failure", folder, error.strerror)
 
 
 @contextlib.contextmanager

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import json
 import os
 import pickle
@@ -15,8 +16,8 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import IO, Any
 
-# How often a worker looks for the process that started it, s.
-WATCH_EVERY_S = 0.5
+# How often a worker looks for the process that started it where the system does not end it, s; the call for that.
+WATCH_EVERY_S, PR_SET_PDEATHSIG = 0.5, 1
 
 # Numbers of threads that libraries read when they are loaded.
 THREADS = (
@@ -99,14 +100,28 @@ def main(parent: int) -> None:
 
 
 def end_with(parent: int) -> None:
-    """Watch the process `parent` that started this one, and end when it is gone."""
+    """End this process when `parent`, which started it, is gone: by the system (Linux), else by looking for it.
+
+    The system also ends it with the thread that started it. It needs no lock of Python, which a long computation holds.
+    """
 
     def watch() -> None:
         while os.getppid() == parent:
             time.sleep(WATCH_EVERY_S)
         os._exit(1)
 
-    threading.Thread(target=watch, name="watch the parent", daemon=True).start()
+    if not _is_ended_by_system():
+        threading.Thread(target=watch, name="watch the parent", daemon=True).start()
+    elif os.getppid() != parent:
+        os._exit(1)
+
+
+def _is_ended_by_system() -> bool:
+    """Whether the system has been told to kill this process with the one that started it."""
+    try:
+        return bool(ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL) == 0)
+    except (AttributeError, OSError, TypeError):
+        return False
 
 
 def _outcome(call: bytes) -> bytes:

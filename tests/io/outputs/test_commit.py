@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import os
 from pathlib import Path
@@ -87,6 +88,29 @@ def test_each_failing_move_leaves_the_old_files_or_the_new_ones(
     assert counter[0] < failing, "expected fewer moves"
     if ways == "moves":  # back from beside, the staged folder, old entries, the change of the name, new entries
         assert failed == 2 + (3 if before else 0) + 1 + 3
+
+
+@pytest.mark.parametrize("before", [{}, OLD], ids=["empty", "earlier run"])
+def test_each_failing_flush_leaves_the_old_files_or_the_new_ones(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, before: dict[str, str], ways: str
+) -> None:
+    """What is in its place when the disk refuses to confirm it is a run that has succeeded."""
+    for failing in range(1, MOST_CALLS):
+        out, counter = tmp_path / f"{failing}" / "out", [0]
+        write(out, before)
+
+        def fails_once(descriptor: int, failing: int = failing, counter: list[int] = counter) -> None:
+            counter[0] += 1
+            if counter[0] == failing:
+                raise OSError(errno.EIO, "Input/output error")
+
+        monkeypatch.setattr(os, "fsync", fails_once)
+        expected = before
+        with contextlib.suppress(InputError):
+            run(out, force=True)
+            expected = NEW
+        assert contents(out) == expected, failing
+        assert {path.name for path in out.parent.glob("*")} <= {"out"}
 
 
 def test_a_disk_that_refuses_every_move_loses_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
