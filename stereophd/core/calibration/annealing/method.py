@@ -41,7 +41,9 @@ from stereophd.core.numerics.random_streams import NOISE_SEED
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 25
 # Most times that the answer is stated anew under a better model.
-MOST_ROUNDS = 8
+MOST_ROUNDS = 12
+# Factor on a noise that hides itself, and how often.
+LOOSENED, MOST_LOOSENED = 4.0, 2
 # A refit with other noise or other unknowns keeps at least this part of the detections, or the association stays.
 LEAST_KEPT = 0.8
 # What may be given up of what is stated: nothing, lenses that are stated as none, everything.
@@ -260,15 +262,17 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict."""
     count = len(task.parameters.cameras)
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
+    loosened = np.zeros(count, dtype=np.int64)
     for number in range(MOST_ROUNDS):
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
         # joint optima with little noise follow the detections, and show still less
         shown = answer.fit if answer.is_marginal else with_independent_errors(task, fit)
         estimate = noise_factors(problem_of(task, shown), shown.adjustment, np.random.default_rng(NOISE_SEED))
-        if estimate.differs.any() and not last:
-            factors = np.where(estimate.differs, estimate.factors, 1.0)
-            task, noise = task.with_noise(factors), noise * factors
+        hides = estimate.hides & (loosened < MOST_LOOSENED)
+        if (estimate.differs | hides).any() and not last:
+            factors = np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
+            task, noise, loosened = task.with_noise(factors), noise * factors, loosened + hides
             fit = adjusted_anew(task, fit)
             continue
         enlarged, suspicions = suspected(task, answer)
