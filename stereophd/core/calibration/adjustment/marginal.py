@@ -178,19 +178,25 @@ class MarginalPosterior:
             value_vector=np.append(found.value_vector, found.energy - log_noise / std**2),
         )
 
-    def volume(self, unknowns: Array, states: Array) -> float:
-        """Half of the terms that integrating out the knots adds, at their minimum near the given ones (k, 2, 3)."""
+    def volume(self, unknowns: Array, states: Array) -> tuple[float, Array]:
+        """Half of the terms that integrating out the knots adds, at their minimum near the given ones (k, 2, 3).
+
+        Also the knots there.
+        """
         count = self.linearisation.problem.parameters.size
         values, log_noise = unknowns[:count], float(unknowns[count:].sum())
         placement = self.linearisation.placed(values, by_values=False)
+        falls = [np.inf, np.inf]
         for _ in range(KNOT_STEPS):
             bands, vector = self.linearisation.of_knots(values, states, log_noise, placement)
             factor = _factor(bands)
             step = cho_solve_banded((factor, True), vector, check_finite=False)
-            if float(vector @ step) <= KNOTS_SETTLED:
+            falls.append(float(vector @ step))
+            # what one camera alone sees may drift away from it for ever, each step as long as the one before
+            if falls[-1] <= KNOTS_SETTLED or falls[-1] >= falls[-3]:
                 break
             states = states + step.reshape(states.shape)
-        return self._volume(unknowns, factor)
+        return self._volume(unknowns, factor), states
 
     def _volume(self, unknowns: Array, factor: Array) -> float:
         problem = self.linearisation.problem
@@ -236,11 +242,13 @@ class MarginalPosterior:
         root = np.linalg.cholesky(self.covariance(at))
         following = (eliminated[:, :-1] @ root).T.reshape(-1, *at.states.shape)
 
-        def moved(k: int, step: float) -> float:
-            unknowns = at.unknowns + step * root[:, k]
-            return self.volume(unknowns, at.states - step * following[k])
+        def difference(k: int) -> float:
+            step, straight = DIFFERENCE * root[:, k], DIFFERENCE * following[k]
+            ahead, states = self.volume(at.unknowns + step, at.states - straight)
+            bend = states - (at.states - straight)  # on both sides alike
+            return ahead - self.volume(at.unknowns - step, at.states + straight + bend)[0]
 
-        volumes = [moved(k, DIFFERENCE) - moved(k, -DIFFERENCE) for k in range(self.size)]
+        volumes = [difference(k) for k in range(self.size)]
         by_volume = solve_triangular(root, np.array(volumes) / (2.0 * DIFFERENCE), trans="T", lower=True)
         # the knots are at the minimum but for a trace, whose effect is removed to first order
         by_cost = at.equations.coupling.T @ eliminated[:, -1] - at.equations.value_vector

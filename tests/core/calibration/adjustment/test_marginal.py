@@ -71,7 +71,7 @@ def test_the_marginal_posterior_does_not_tell_the_scale(factor: float) -> None:
         unknowns_there = np.append(values, 0.2)
         equations = posterior.equations(unknowns_there, knots)
         cost = equations.cost - (((values - parameters.prior_mean) / parameters.prior_std) ** 2).sum()
-        return 0.5 * cost + posterior.volume(unknowns_there, knots)
+        return 0.5 * cost + posterior.volume(unknowns_there, knots)[0]
 
     stretched = drawn.copy()
     for camera in parameters.build(drawn)[1:]:
