@@ -6,7 +6,7 @@ DEMO := out/quickstart
 PYTHON ?= $(shell for p in python3 python python3.11 python3.12 python3.13; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo "$$p"; break; }; done)
 
-.PHONY: help demo test lint site release audit fuzz format bench schema reference venv clean
+.PHONY: help demo test lint site release audit fuzz format bench results schema reference venv clean
 
 help:
 	@echo "make demo   simulate, track and evaluate a small scene, with pictures, in $(DEMO)"
@@ -17,8 +17,9 @@ help:
 	@echo "make audit  known vulnerabilities of the locked versions, where the network answers"
 	@echo "make fuzz   damaged files and odd options of every command, for an hour (MINUTES=600), then configurations"
 	@echo "make bench  speed benchmarks (minutes)"
+	@echo "make results  measure the tables of docs/results anew (20 minutes)"
 	@echo "make schema write configs/schema.json anew"
-	@echo "make reference write docs/reference/configuration/ and the index of decisions anew"
+	@echo "make reference write docs/reference/configuration/, the index of decisions and the notebooks anew"
 	@echo "make clean  remove $(VENV) and out"
 
 demo: $(VENV)/.installed-plot
@@ -65,9 +66,13 @@ bench: $(VENV)/.installed-all
 		echo "benchmarks/$$run"; $(BIN)/python benchmarks/$$run || failed=1; echo; \
 	done; exit $$failed
 
+results: $(VENV)/.installed-all
+	$(BIN)/python docs/make_results.py
+
 reference: $(VENV)/.installed-plot
 	$(BIN)/python docs/make_configuration.py
 	$(BIN)/python docs/make_decisions.py
+	$(BIN)/python docs/make_notebooks.py
 
 schema: $(VENV)/.installed-plot
 	schema=$$($(BIN)/stereophd config schema) && printf '%s\n' "$$schema" > configs/schema.json

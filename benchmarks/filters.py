@@ -34,11 +34,12 @@ from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS, align_
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import simulate_frames
+from stereophd.experiments.engine.base import frames_in_order
 from stereophd.experiments.kinds.multi_object import KIND, points_of_estimates, scene_truth
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene
-from stereophd.pipeline.stream import EventStream, frames_in_order
+from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.run import reported_records
 
 CONFIG = Path(__file__).parents[1] / "configs" / "paper" / "multi_object.yaml"

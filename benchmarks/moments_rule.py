@@ -17,7 +17,7 @@ from dataclasses import replace
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
@@ -59,9 +59,8 @@ def draw(rng: np.random.Generator, spaces: list[DisparitySpace]) -> tuple[Array,
 
 def carried(mean: Array, covariance: Array, spaces: list[DisparitySpace], sets: SampleSets, turn: int) -> tuple:  # type: ignore[type-arg]
     """Status, mean and covariance of a Gaussian in the other camera."""
-    moved = move(
-        mean[None], covariance[None], spaces[0].packed()[None], np.ones(1), spaces[1].packed(), MOTION, sets, turn
-    )
+    sources = Sources(mean[None], covariance[None], spaces[0].packed()[None], MOTION.arrays(np.ones(1)))
+    moved = move(sources, spaces[1].packed(), sets, turn)
     return moved.status[0], moved.means[0], moved.covariances[0]
 
 
@@ -83,7 +82,7 @@ def cost(sets: SampleSets, mean: Array, covariance: Array, spaces: list[Disparit
     best = np.inf
     for _ in range(20):
         start = time.perf_counter()
-        move(means, covariances, homes, np.ones(200), destination, MOTION, sets, 0)
+        move(Sources(means, covariances, homes, MOTION.arrays(np.ones(200))), destination, sets, 0)
         best = min(best, time.perf_counter() - start)
     return best
 

@@ -39,7 +39,7 @@ from numpy.typing import NDArray
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
-from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.disparity.trips import moving_trips, view_mask
@@ -289,9 +289,8 @@ def _disagreement(multi_filter: DisparityFilter, workloads: list[Workload]) -> f
     """
     worst = 0.0
     for w in workloads:
-        moved = move(
-            w.means, w.covariances, w.homes, w.dts, w.destination, multi_filter.motion, multi_filter.sets, w.turn
-        )  # fmt: skip
+        sources = Sources(w.means, w.covariances, w.homes, multi_filter.motion.arrays(w.dts))
+        moved = move(sources, w.destination, multi_filter.sets, w.turn)
         means, _, _ = numpy_moments(w, multi_filter)
         whole = moved.status == IN_VIEW
         std = np.sqrt(np.diagonal(moved.covariances[whole], axis1=1, axis2=2))

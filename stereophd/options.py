@@ -37,7 +37,6 @@ class Declaration:
     flag: str  # name of the option on the command line; "": that of the field
     least: float | None
     parse: Parser | None  # flag, words -> value: the option is repeatable
-    shell_default: Any  # default on the command line, where it is another
     use: str  # "": the option acts in every use of its command; else the only use in which it acts
 
     def flag_of(self, name: str) -> str:
@@ -53,11 +52,10 @@ def option(
     flag: str = "",
     least: float | None = None,
     parse: Parser | None = None,
-    shell_default: Any = None,
     use: str = "",
 ) -> Any:
     """Declare a field of `options`; the parameters are those of `Declaration`, and its default."""
-    declared = Declaration(meaning, metavar, flag, least, parse, shell_default, use)
+    declared = Declaration(meaning, metavar, flag, least, parse, use)
     return field(default=default, metadata={"option": declared})
 
 

@@ -2,21 +2,26 @@
 
 from __future__ import annotations
 
+import importlib
+import json
 import os
 import platform
 import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 import stereophd
 from stereophd import Camera, Clock, Detector, InputError, Lens, Pose
 
 ROOT = Path(__file__).resolve().parent.parent
+QUICKSTART = ROOT / "configs" / "quickstart.yaml"
 PAGE = (ROOT / "docs" / "reference" / "api.md").read_text()
 BLOCKS = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
 
@@ -48,26 +53,121 @@ def test_python_m_stereophd() -> None:
     assert result.stdout == f"stereophd {stereophd.__version__}\n"
 
 
-def test_a_filter_over_arrays_takes_fifteen_lines() -> None:
-    assert "make_filter" in BLOCKS[0]
-    assert len([line for line in BLOCKS[0].splitlines() if line.strip()]) <= 15
+def test_from_a_data_frame_to_a_plot_takes_ten_lines() -> None:
+    assert "run.plot()" in BLOCKS[0]
+    assert len([line for line in BLOCKS[0].splitlines() if line.strip()]) <= 10
 
 
-def test_the_examples_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., object]:
+    """Return a `stereophd.demo` that copies one demonstration, so that several pages need not run it again."""
+    folder = tmp_path_factory.mktemp("demonstration")
+    stereophd.demo(folder)
+    return lambda out, force=False: shutil.copytree(folder, out)
+
+
+def test_the_examples_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], demo: Callable[..., object]
+) -> None:
     for name in ("pandas", "duckdb"):
         pytest.importorskip(name, reason=f"{name} is in the extra dev")
     shutil.copytree(ROOT / "sample_data", tmp_path / "sample_data")
     monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(stereophd, "demo", demo, raising=False)
     names: dict[str, object] = {}
     outputs = []
     for number, block in enumerate(BLOCKS):
         exec(compile(block, f"docs/reference/api.md, block {number + 1}", "exec"), names)
         outputs.append(capsys.readouterr().out)
-    last = outputs[0].splitlines()[-1]
+    assert "3 tracks" in outputs[0]
+    assert "mean OSPA" in outputs[1]
+    assert "no_such_log.parquet" in outputs[3]
+    last = outputs[4].splitlines()[-1]
     assert f"`{last}`" in PAGE
-    assert "80 detections, 80 frames" in outputs[2]
-    assert "3 tracks" in outputs[3]
-    assert "no_such_log.parquet" in outputs[4]
+    assert "expected number of objects: 1." in outputs[5]
+
+
+@pytest.mark.parametrize("script", sorted((ROOT / "docs" / "notebooks").glob("*.py")), ids=lambda path: path.stem)
+def test_the_notebooks_run_and_are_those_of_the_scripts(
+    script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, demo: Callable[..., object]
+) -> None:
+    """Each is a page of the site: its commands must work. This takes some seconds, because they simulate and track."""
+    pytest.importorskip("pandas")
+    monkeypatch.syspath_prepend(ROOT / "docs")
+    make_notebooks = importlib.import_module("make_notebooks")
+    cells = make_notebooks.cells(script.read_text())
+    notebook = json.loads(script.with_suffix(".ipynb").read_text())
+    assert [(cell["cell_type"], cell["source"]) for cell in notebook["cells"]] == cells
+    page = script.with_suffix(".md").read_text()
+    assert all(source in page for _, source in cells)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(stereophd, "demo", demo, raising=False)
+    names: dict[str, object] = {}
+    shown = [make_notebooks.shown(make_notebooks.run(source, names)[1]) for kind, source in cells if kind == "code"]
+    assert any(text or picture for text, picture in shown)
+
+
+@pytest.fixture(scope="module")
+def run() -> stereophd.Outputs:
+    return stereophd.track(ROOT / "sample_data" / "hall", ROOT / "sample_data" / "hall.yaml")
+
+
+class TestOutputs:
+    HALL = ROOT / "sample_data" / "hall"
+
+    def test_are_those_of_the_command(self, run: stereophd.Outputs, tmp_path: Path) -> None:
+        """The same tables, from a path, from a table in memory and from cameras in memory; written only if asked."""
+        log = pq.read_table(self.HALL / "detections.parquet")
+        cameras = stereophd.read_cameras(self.HALL / "cameras.yaml")
+        out = tmp_path / "out"
+        given = stereophd.track(log, ROOT / "sample_data" / "hall.yaml", cameras, out=out)
+        assert run.tracks.equals(given.tracks)
+        assert run.scans.equals(pq.read_table(out / "scans.parquet"))
+        assert list(tmp_path.iterdir()) == [out]
+        assert run.covariances.shape == (len(run.tracks), 6, 6)
+        assert len(run.report["tracks"]) == 3
+
+    def test_vanish_with_the_object_and_not_before(self) -> None:
+        scene = stereophd.simulate(QUICKSTART, overrides=["simulate.duration_s=0.5"])
+        run = stereophd.track(scene, QUICKSTART, scene)
+        folders = [scene.folder, run.folder]
+        del scene
+        assert all(folder.exists() for folder in folders)  # the run names the log of the scene
+        del run
+        assert not any(folder.exists() for folder in folders)
+
+    def test_show_a_summary_and_a_page_in_a_notebook(self, run: stereophd.Outputs) -> None:
+        assert "3 tracks in" in run._repr_html_()
+        assert repr(run) == "Outputs(report.json, scans.parquet, tracks.parquet)"
+        pytest.importorskip("plotly")
+        page = stereophd.report_page(run, self.HALL)
+        assert page._repr_html_().startswith("<iframe srcdoc=")
+
+    def test_a_truth_in_memory_is_that_of_the_file(self, run: stereophd.Outputs) -> None:
+        path = self.HALL / "truth.parquet"
+        scores = [stereophd.evaluate(run, truth, cutoff=1.0).report for truth in (path, pq.read_table(path), self.HALL)]
+        assert scores[0]["ospa"] == scores[1]["ospa"] == scores[2]["ospa"]
+
+    @pytest.mark.parametrize(
+        ("call", "message"),
+        [
+            (lambda run: stereophd.track(3), "detections: expected a path, outputs or a table, found int"),
+            (lambda run: stereophd.track(run.scans, 3), "found no u_px, v_px"),
+            (lambda run: stereophd.track(ROOT, cameras=3), "cameras: expected a path, outputs or `Camera` objects"),
+            (lambda run: stereophd.track(ROOT, run, job=3), "`job`: expected one of force, jobs"),
+            (lambda run: stereophd.evaluate(run, {"x": [1]}), "missing columns time_s"),
+            (lambda run: stereophd.evaluate(run, 3), "truth: expected a path, outputs or a table, found int"),
+            (lambda run: stereophd.report_page(3), "expected a path or outputs, found int"),
+            (lambda run: run.table("nothing"), "expected the table nothing, found scans, tracks"),
+            (lambda run: run.plot("front"), "plot: expected one of top, side, timelines, residuals, found front"),
+            (lambda run: run.cameras, "cameras.yaml"),
+        ],
+    )
+    def test_what_is_wrong_is_an_input_error(
+        self, run: stereophd.Outputs, call: Callable[[stereophd.Outputs], object], message: str
+    ) -> None:
+        with pytest.raises(InputError, match=re.escape(message)):
+            call(run)
 
 
 def moving_camera() -> Camera:
@@ -156,15 +256,17 @@ def test_the_portable_target_is_set_for_numba_and_blas() -> None:
         assert found.stdout.strip() == str(expected)
 
 
-def test_a_command_takes_a_path_for_a_configuration(tmp_path: Path) -> None:
+def test_a_configuration_is_a_path_values_or_loaded() -> None:
     folder = ROOT / "sample_data"
-    report = stereophd.check(folder / "hall.yaml", folder / "hall" / "detections.parquet")
     loaded = stereophd.load_config(folder / "hall.yaml")
-    assert report == stereophd.check(loaded, folder / "hall" / "detections.parquet")
+    first, *others = (stereophd.check(folder / "hall", config) for config in (folder / "hall.yaml", loaded))
+    assert [first.report] == [other.report for other in others]
+    values = {**loaded.tree.data}
+    assert stereophd.check(folder / "hall", values).report["checks"] == first.report["checks"]
 
 
-@pytest.mark.parametrize("command", ["track", "simulate", "calibrate", "check", "experiment", "track_logs"])
-def test_a_configuration_of_another_type_is_an_input_error(command: str, tmp_path: Path) -> None:
-    arguments = (3, "log.parquet", tmp_path) if command not in ("check", "simulate", "experiment") else (3, tmp_path)
+@pytest.mark.parametrize("command", ["track", "simulate", "calibrate", "check", "experiment"])
+def test_a_configuration_of_another_type_is_an_input_error(command: str) -> None:
+    arguments = (3,) if command in ("simulate", "experiment") else ("log.parquet", 3)
     with pytest.raises(stereophd.InputError, match=r"expected a path, a mapping or what .* returns, found int"):
         getattr(stereophd, command)(*arguments)

@@ -120,6 +120,13 @@ def test_pages_for_readers_are_not_diaries(name: str) -> None:
     assert [line for line in text(name).splitlines() if diary.search(line)] == []
 
 
+def test_the_tables_of_results_are_those_that_the_script_writes() -> None:
+    marks = [mark for name in PAGES for mark in re.findall(r"<!-- results (\w+) -->", text(name))]
+    made = re.search(r"^TABLES: .*?^}", text("docs/make_results.py"), re.MULTILINE | re.DOTALL)
+    assert made is not None
+    assert sorted(marks) == sorted(re.findall(r'^    "(\w+)":', made[0], re.MULTILINE))
+
+
 def test_the_glossary_is_sorted_and_complete() -> None:
     terms = re.findall(r"^\*\*(.+?)\*\*", text("docs/reference/glossary.md"), re.MULTILINE)
     assert terms == sorted(terms, key=str.lower)

@@ -20,7 +20,7 @@ from matplotlib.patches import Ellipse
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.moved import PARTLY_IN_VIEW, Moved
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
@@ -88,9 +88,8 @@ def _carry(
     motion: ConstantVelocity, p_detect: float = 1.0, samples: int = SAMPLES,
 ) -> Moved:  # fmt: skip
     sets = draw_sample_sets(method, samples, 12, np.random.SeedSequence(1))
-    return move(
-        mean[None], covariance[None], home.packed()[None], np.array([dt]), to.packed(), motion, sets, 0, p_detect
-    )
+    sources = Sources(mean[None], covariance[None], home.packed()[None], motion.arrays(np.array([dt])))
+    return move(sources, to.packed(), sets, 0, p_detect)
 
 
 def _cloud(

@@ -36,9 +36,10 @@ from stereophd.cli import (
     track,
 )
 from stereophd.cli.flags import with_flags
-from stereophd.cli.options import PlainCommand, Session
+from stereophd.cli.options import PlainCommand, PlainGroup, Session
 from stereophd.cli.parameters import command
 from stereophd.errors import GateError, InputError, StereophdError
+from stereophd.site import SITE
 
 EXIT_USAGE = 2
 EXIT_INTERNAL = 3
@@ -49,32 +50,81 @@ _ClickException = next(kind for kind in typer.BadParameter.__mro__ if kind.__nam
 
 app = typer.Typer(
     name="stereophd",
+    cls=PlainGroup,
     help="3-D tracks from the detection logs of several cameras.",
+    epilog=f"""Start here:
+  stereophd demo out
+Your own recording:
+  stereophd import csv points.csv --cameras calib.yml --fps 60 --out rec
+  stereophd init study --log rec/detections.parquet
+  stereophd track study/config.yaml rec/detections.parquet --out study/tracks
+  stereophd report rec study/tracks --out report.html
+Documentation: {SITE}""",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     # Plain help: rich's panels would double the time that --help takes.
     rich_markup_mode=None,
     context_settings={"help_option_names": ["--help", "-h"]},
 )
-# In the order of the work; one line for each command, short enough for a terminal of 80 columns.
-for _name, _command, _purpose in (
-    ("demo", demo.demo_command, "Simulate, track and score a small scene: start here."),
-    ("import", importing.import_command, "Convert detections and cameras of another program."),
-    ("init", init.init_command, "Write a configuration with values estimated from a log."),
-    ("info", info.info_command, "Describe a log, a table, cameras or an output folder."),
-    ("check", check.check_command, "Check whether a log fits cameras and settings."),
-    ("simulate", simulate.simulate_command, "Simulate scenes and their detection logs."),
-    ("track", track.track_command, "Estimate 3-D tracks from detection logs."),
-    ("calibrate", calibrate.calibrate_command, "Estimate cameras from the log of moving objects."),
-    ("align", align.align_command, "Bring cameras and tracks into a world frame."),
-    ("evaluate", evaluate.evaluate_command, "Score tracks against the truth."),
-    ("evaluate-cameras", evaluate.evaluate_cameras_command, "Score calibrated cameras against true ones."),
-    ("report", report.report_command, "Write one page (HTML) about runs and their scores."),
-    ("export", export.export_command, "Write tracks or cameras as a file of another program."),
-    ("experiment", experiment.experiment_command, "Compare methods over many runs of a scenario."),
-    ("compile", compile.compile_command, "Compile the kernels ahead, for containers and CI jobs."),
-):
-    app.command(_name, cls=PlainCommand, short_help=_purpose)(command(_command))
+# In the order of the work: the command, one line short enough for a terminal of 80 columns, and examples.
+for _name, _command, _purpose, *_examples in (
+    ("demo", demo.demo_command, "Simulate, track and score a small scene: start here.", "demo out"),
+    (
+        "import", importing.import_command, "Convert detections and cameras of another program.",
+        "import csv points.csv --cameras calib.yml --fps 60 --out rec",
+        "import dltdv xy.csv dlt.csv --fps 60 --image-size 1280x720 --out rec",
+    ),
+    (
+        "init", init.init_command, "Write a configuration with values estimated from a log.",
+        "init study --log rec/detections.parquet",
+    ),
+    ("info", info.info_command, "Describe a log, a table, cameras or an output folder.", "info study/tracks"),
+    (
+        "check", check.check_command, "Check whether a log fits cameras and settings.",
+        "check study/config.yaml rec/detections.parquet --strict",
+    ),
+    (
+        "simulate", simulate.simulate_command, "Simulate scenes and their detection logs.",
+        "simulate out/config.yaml --seed 3 --out scene",
+    ),
+    (
+        "track", track.track_command, "Estimate 3-D tracks from detection logs.",
+        "track study/config.yaml rec/detections.parquet --smooth --out tracks",
+        "track study/config.yaml 'day1/*.parquet' --jobs 4 --out tracks",
+    ),
+    (
+        "calibrate", calibrate.calibrate_command, "Estimate cameras from the log of moving objects.",
+        "calibrate config.yaml log.parquet --cameras guess.yaml --out found",
+    ),
+    ("align", align.align_command, "Bring cameras and tracks into a world frame.", "align found --to floor --out up"),
+    (
+        "evaluate", evaluate.evaluate_command, "Score tracks against the truth.",
+        "evaluate tracks/tracks.parquet truth.parquet --cutoff 1 --out scores",
+        "evaluate tracks.parquet truth.parquet --fail-above ospa.mean=0.05",
+    ),
+    (
+        "evaluate-cameras", evaluate.evaluate_cameras_command, "Score calibrated cameras against true ones.",
+        "evaluate-cameras found/cameras.yaml scene/cameras.yaml",
+    ),
+    (
+        "report", report.report_command, "Write one page (HTML) about runs and their scores.",
+        "report rec tracks scores --out report.html",
+    ),
+    (
+        "export", export.export_command, "Write tracks or cameras as a file of another program.",
+        "export trc tracks --rate 60 --out tracks.trc",
+    ),
+    (
+        "experiment", experiment.experiment_command, "Compare methods over many runs of a scenario.",
+        "experiment sweep.yaml --jobs 4 --out sweep",
+    ),
+    (
+        "compile", compile.compile_command, "Compile the kernels ahead, for containers and CI jobs.",
+        "compile --jobs 2",
+    ),
+):  # fmt: skip
+    _shown = "\n".join(["Examples:" if len(_examples) > 1 else "Example:", *(f"  stereophd {x}" for x in _examples)])
+    app.command(_name, cls=PlainCommand, short_help=_purpose, epilog=_shown)(command(_command))
 app.add_typer(config.app, name="config", help="Show or check a configuration, or print its JSON schema.")
 
 
@@ -178,7 +228,7 @@ def _explain_usage(error: Exception, session: Session) -> int:
         print(context.get_help(), file=sys.stderr)
         return EXIT_USAGE
     name = "stereophd" if context is None else context.command_path
-    message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
+    message = error.format_message().rstrip(".").replace("Value error, ", "")  # type: ignore[attr-defined]
     message = f"{message} (see '{name} --help')"
     _report_error(f"error: {message}", "usage", EXIT_USAGE, session, message)
     return EXIT_USAGE

@@ -23,7 +23,7 @@ class Command(StrEnum):
     EXPERIMENT = "experiment"
 
 
-@app.command("show", cls=options.PlainCommand)
+@app.command("show", cls=options.PlainCommand, epilog="Example:\n  stereophd config show study/config.yaml")
 @command
 def show_command(session: options.Session, words: options.ConfigWords) -> None:
     """Print the complete configuration.
@@ -40,7 +40,9 @@ def show_command(session: options.Session, words: options.ConfigWords) -> None:
     print_data(f"# sha256 {loaded.sha256}\n{text.rstrip()}")
 
 
-@app.command("check", cls=options.PlainCommand)
+@app.command(
+    "check", cls=options.PlainCommand, epilog="Example:\n  stereophd config check study/config.yaml --for track"
+)
 @command
 def check_command(
     session: options.Session,
@@ -62,13 +64,10 @@ def check_command(
     print_report(session, valid, lambda: f"{words.config}: ok (cameras: {cameras_text}; length in {unit})")
 
 
-@app.command("schema", cls=options.PlainCommand)
+@app.command("schema", cls=options.PlainCommand, epilog="Example:\n  stereophd config schema > schema.json")
 @command
 def schema_command(session: options.Session) -> None:
-    """Print the JSON schema, which editors use.
-
-    --json changes nothing.
-    """
+    """Print the JSON schema, which editors use."""
     from stereophd.config.loading import schema_text
 
     print_data(schema_text().rstrip("\n"))

@@ -16,11 +16,11 @@ _SHELL = {
     "box_point": "--box-point",
     "columns": "--column",
     "detector": "--sigma-px",
-    "fill": "--fill",
-    "frames": "--frames",
+    "fill": "--fill-missing-frames",
+    "frames": "--recorded-frames",
     "image_sizes": "--image-size",
-    "kind": "--kind",
-    "least_score": "--least-score",
+    "kind": "--preset",
+    "least_score": "--min-score",
     "length_unit": "--length-unit",
     "offsets": "--offset",
     "out_dir": "--out",
@@ -34,7 +34,7 @@ _SHELL = {
     "time_unit": "--time-unit",
     "tracks": "--track",
     "truth": "--truth",
-    "undistorted": "--undistorted",
+    "undistorted": "--pixels-undistorted",
 }
 _DECLARED = [item for kind in OPTIONS.values() for item in declarations(kind).items()]
 FLAGS = _SHELL | {name: declared.flag_of(name) for name, declared in _DECLARED}

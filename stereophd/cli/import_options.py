@@ -23,7 +23,7 @@ Columns = Annotated[
 Fps = Annotated[list[str] | None, option("--fps", "[CAM=]HZ", "Frame rate: times are frame / rate.")]
 Offset = Annotated[list[str] | None, option("--offset", "[CAM=]S", "Seconds to add to the times of a camera.")]
 Frames = Annotated[
-    list[str] | None, option("--frames", "[CAM=]FIRST:LAST", "Frames recorded; those without rows are empty.")
+    list[str] | None, option("--recorded-frames", "[CAM=]FIRST:LAST", "Frames recorded; those without rows are empty.")
 ]
 ImageSize = Annotated[list[str] | None, option("--image-size", "[CAM=]WxH", "Width and height of the images.")]
 Rename = Annotated[list[str] | None, option("--rename", "OLD=NEW", "Another name for a camera.")]
@@ -38,10 +38,13 @@ PixelOrigin = Annotated[
     ),
 ]
 RowsFrom = Annotated[str | None, option("--rows-from", "SIDE", "Rows count from the top or bottom.")]
-Fill = Annotated[bool, typer.Option("--fill/--no-fill", help="Missing frame numbers become empty frames.")]
+Fill = Annotated[
+    bool,
+    typer.Option("--fill-missing-frames/--no-fill-missing-frames", help="Missing frame numbers become empty frames."),
+]
 BoxPoint = Annotated[str, option("--box-point", "POINT", "Point of a box: center or bottom.")]
-LeastScore = Annotated[float | None, option("--least-score", "S", "Leave out detections of a lower score.")]
-Undistorted = Annotated[bool, typer.Option("--undistorted", help="The pixels are undistorted already.")]
+LeastScore = Annotated[float | None, option("--min-score", "S", "Leave out detections of a lower score.")]
+Undistorted = Annotated[bool, typer.Option("--pixels-undistorted", help="The pixels are undistorted already.")]
 SigmaPx = Annotated[float | None, option("--sigma-px", "PX", "Noise of the detections; default: estimated.")]
 PDetect = Annotated[float, typer.Option("--p-detect", metavar="P", help="With --sigma-px: detection probability.")]
 Clutter = Annotated[

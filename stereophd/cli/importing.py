@@ -56,7 +56,7 @@ def import_command(
         columns=_pairs("--column", columns),
         rates=_per_camera("--fps", fps, _number),
         offsets=_per_camera("--offset", offset, _number),
-        frames=_per_camera("--frames", frames, _range),
+        frames=_per_camera("--recorded-frames", frames, _range),
         image_sizes=_per_camera("--image-size", image_size, _size),
         rename=_pairs("--rename", rename),
         length_unit=_choice("--length-unit", length_unit, ("mm", "cm", "m", "km")),

@@ -46,7 +46,7 @@ def init_command(
     kind: Annotated[
         ObjectKind | None,
         typer.Option(
-            "--kind",
+            "--preset",
             help="Kind of the objects, for values that the log does not show; default lab.",
             show_default=False,
         ),

@@ -23,16 +23,83 @@ class Session:
     context: typer.Context | None = None  # of the command that runs
 
 
-class PlainCommand(typer.core.TyperCommand):
-    """A command whose help names arguments by their words alone, without the types of Python."""
+#: Heading in the help -> options below it, if a command has several of them; all others come first.
+GROUPS = {
+    "Configuration": ("--cameras", "--set", "--seed"),
+    "Outputs": ("--out", "--force", "--plots", "--title", "--realtime", "--ignore-size-limit"),
+    "Distances": ("--order", "--cutoff", "--base", "--match-distance", "--switch-cost", "--ospa2-window", "--plane"),
+    "What is scored": (
+        "--from", "--to", "--at", "--max-gap", "--seen-by", "--seen-within", "--log", "--region", "--tentative",
+    ),
+    "Alignment": ("--align", "--align-clock"),
+    "Frames and times": ("--fps", "--offset", "--recorded-frames", "--fill-missing-frames", "--time-unit"),
+    "Pixels and boxes": (
+        "--image-size", "--pixel-origin", "--rows-from", "--box-point", "--min-score", "--pixels-undistorted",
+    ),
+    "Detectors": ("--sigma-px", "--p-detect", "--clutter"),
+    "Gates": ("--strict", "--require-status", "--fail-above", "--fail-below"),
+    "Many or long logs": ("--runs", "--jobs", "--dask", "--threads", "--pieces", "--overlap", "--resume"),
+    "Running recordings": ("--follow", "--listen", "--record"),
+    "Common options": ("--json", "--quiet", "--verbose", "--debug", "--help"),
+}  # fmt: skip
 
-    def get_params(self, ctx: typer.Context) -> list[Any]:  # type: ignore[override]
-        """Return arguments and options."""
-        parameters = super().get_params(ctx)
-        for parameter in parameters:
-            if parameter.param_type_name == "argument":
-                vars(parameter)["display_type_rich"] = lambda ctx: None
-        return parameters
+
+class PlainGroup(typer.core.TyperGroup):
+    """A group of commands whose help ends with examples, printed as they are."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples."""
+        write_examples(self.epilog, formatter)
+
+
+class PlainCommand(typer.core.TyperCommand):
+    """A command whose help names arguments by their words alone, and options by groups."""
+
+    def format_epilog(self, ctx: Any, formatter: Any) -> None:
+        """Write the examples."""
+        write_examples(self.epilog, formatter)
+
+    def format_usage(self, ctx: Any, formatter: Any) -> None:
+        """Write the usage line: words in capitals, optional ones in brackets, dots after those that repeat."""
+        pieces = [_shown_argument(parameter) for parameter in self.get_params(ctx) if _is_argument(parameter)]
+        formatter.write_usage(ctx.command_path, " ".join([*pieces, "[OPTIONS]"]))
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Write the arguments, and the options by groups."""
+        known = {flag for parameter in self.get_params(ctx) for flag in parameter.opts}
+        groups = {heading: known.intersection(flags) for heading, flags in GROUPS.items()}
+        heading_of = {flag: heading for heading, flags in groups.items() for flag in flags if len(flags) > 1}
+        sections: dict[str, list[tuple[str, str]]] = {heading: [] for heading in ("Arguments", "Options", *GROUPS)}
+        for parameter in self.get_params(ctx):
+            if _is_argument(parameter):
+                text = vars(parameter)["help"] or ""
+                sections["Arguments"].append((_name_of_argument(parameter), text))
+            elif (record := parameter.get_help_record(ctx)) is not None:
+                flags = [heading_of[flag] for flag in parameter.opts if flag in heading_of]
+                sections[flags[0] if flags else "Options"].append(record)
+        for heading, rows in sections.items():
+            if rows:
+                with formatter.section(heading):
+                    formatter.write_dl(rows)
+
+
+def write_examples(examples: str | None, formatter: Any) -> None:
+    """Write the examples at the end of a help page: lines that must not be wrapped."""
+    if examples:
+        formatter.write(f"\n{examples}\n")
+
+
+def _is_argument(parameter: Any) -> bool:
+    return bool(parameter.param_type_name == "argument")
+
+
+def _name_of_argument(parameter: Any) -> str:
+    return str(parameter.metavar or parameter.name.upper()).removesuffix("...")
+
+
+def _shown_argument(parameter: Any) -> str:
+    name = _name_of_argument(parameter) + ("..." if parameter.nargs != 1 else "")
+    return name if parameter.required else f"[{name}]"
 
 
 def argument(metavar: str, text: str) -> Any:
@@ -76,7 +143,7 @@ Set = Annotated[
         autocompletion=_complete_set,
     ),
 ]
-Seed = Annotated[int | None, option("--seed", "N", "Seed of the run.")]
+Seed = Annotated[int | None, option("--seed", "N", "Seed of the random numbers, in place of the configuration's.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 1 if a check warns.")]
 Force = Annotated[bool, typer.Option("--force", help="Replace the outputs of an earlier run.")]
 

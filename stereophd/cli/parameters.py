@@ -72,7 +72,6 @@ def _parameter(each: Field[Any], hint: Any) -> inspect.Parameter:
     default = inspect.Parameter.empty if each.default is MISSING else each.default
     declared: Declaration | None = each.metadata.get("option")
     if declared is not None:
-        default = default if declared.shell_default is None else declared.shell_default
         hint = Annotated[_shell_type(hint, declared), _typer_option(each.name, hint, declared)]
     return inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
@@ -92,7 +91,7 @@ def _typer_option(name: str, hint: Any, declared: Declaration) -> Any:
     more: dict[str, Any] = {"metavar": declared.metavar} if declared.metavar else {}
     if declared.least is not None:
         more["min"] = declared.least
-    if type(None) in get_args(hint) or declared.shell_default is not None:
+    if type(None) in get_args(hint):
         more["show_default"] = False
     return typer.Option(words, help=declared.meaning, **more)
 

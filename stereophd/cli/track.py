@@ -57,9 +57,9 @@ def track_command(
         raise InputError("LOG: expected a detection log, found none (- reads frames from standard input)")
     if out is None:
         raise InputError("--out: expected a folder, found none (see 'stereophd track --help')")
-    refuse(session, ("record",), "with -, --follow or --listen, found a recording that has ended")
+    refuse(session, ("record", "publish", "arrow"), "with -, --follow or --listen, found a recording that has ended")
     if options.overlap_s is not None and options.pieces_s is None:
-        raise InputError("--overlap: expected --pieces S too, found none")
+        raise InputError("--overlap: expected --pieces SECONDS too, found none")
     loaded = load(words)
     wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
     wanted += ["report.associations=true"] if associations or options.plots else []
@@ -67,10 +67,12 @@ def track_command(
         loaded = load(words, wanted)
     many = are_many(log)
     if options.dask is not None and not many and options.pieces_s is None:
-        raise InputError("--dask: expected several logs, or --pieces S for one, found one log without")
+        raise InputError(
+            "--dask: expected several logs, or one in pieces (--pieces SECONDS), found one log in one piece"
+        )
     report_jobs_beside_dask(session, options.dask)
     if options.jobs > 1 and not many and options.pieces_s is None:
-        report(session, ("jobs",), "with several logs, or with --pieces S for one")
+        report(session, ("jobs",), "with several logs, or with one in pieces (--pieces SECONDS)")
     if options.threads > 1 and loaded.config.filter is not None and loaded.config.filter.kind == "single":
         report(session, ("threads",), "with filters of several objects; filter.kind is single")
     try:

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import typer
 
 from stereophd.cli.options import Session
 from stereophd.cli.unused_options import refuse
 from stereophd.commands.options import LiveOptions
+from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-    from stereophd.io.streams.sources import Arrivals
+from stereophd.io.streams.sources import Arrivals
 
 WHOLE_LOGS = ("jobs", "dask", "threads", "pieces_s", "overlap_s", "resume", "plots")
 
@@ -27,15 +23,15 @@ def run_live(
 ) -> None:
     """Track frames as they arrive; lines on standard output, a summary on standard error."""
     from stereophd.commands.track_live import LiveOutputs, track_live
+    from stereophd.io.streams.rows import ArrowRows, JsonLines, Publisher, RowSink
 
     refuse(session, WHOLE_LOGS, "for a recording that has ended, found one that is still running")
     arrivals, source = _source(log, live)
-
-    def tell(event: dict[str, Any]) -> None:
-        if not session.quiet:
-            typer.echo(json.dumps(event), err=True)
-
-    outputs = LiveOutputs(sys.stdout, out, live.record, force, tell)
+    events = None if session.quiet else sys.stderr
+    rows: list[RowSink] = [ArrowRows(sys.stdout.buffer, events) if live.arrow else JsonLines(sys.stdout, events)]
+    if live.publish is not None:
+        rows.append(Publisher(live.publish))
+    outputs = LiveOutputs(rows, out, live.record, force)
     try:
         done = track_live(loaded, arrivals, source, outputs)
     except BrokenPipeError:

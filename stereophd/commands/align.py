@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from stereophd.commands.options import AlignOptions
 from stereophd.config.loading import load_cameras
@@ -26,6 +27,7 @@ from stereophd.options import takes
 from stereophd.pipeline.alignment.control import alignment_report, read_control
 from stereophd.pipeline.alignment.tables import write_moved
 from stereophd.pipeline.calibration.unknowns import with_quantities
+from stereophd.pipeline.cameras_covariance import in_world, rows_of, stated_uncertainty
 from stereophd.pipeline.evaluation.inputs import Tracks, read_tracks
 from stereophd.validated import NO_LENGTH
 
@@ -87,6 +89,10 @@ def _aligned(path: Path, to: Path | str, out_dir: Path | None, options: AlignOpt
     except ValueError as error:
         raise InputError(f"{path}: {error}") from None
     configs = with_quantities(file.cameras, moved, f"{path}: a camera in the world frame")
+    stated, rows = stated_uncertainty(list(built.values()), file.covariance), None
+    if stated is not None:
+        joint = block_diag(stated.covariance, found.covariance)
+        rows = rows_of(in_world(stated, found.registration, found.center, joint))
     report: dict[str, Any] = {"report_version": 1, "to": str(to) if str(to) in (FLOOR, FALL, *built) else "control"}
     report |= {**alignment_report(found, unit), **({} if origin is None else {"origin": origin})}
     if unit == NO_LENGTH:
@@ -101,7 +107,7 @@ def _aligned(path: Path, to: Path | str, out_dir: Path | None, options: AlignOpt
     report["provenance"] = record
     if out_dir is not None:
         with OutputFolder(out_dir, [CAMERAS_FILE, REPORT_FILE, *TABLES], options.force) as out:
-            write_cameras(out.path(CAMERAS_FILE), configs, unit, record)
+            write_cameras(out.path(CAMERAS_FILE), configs, unit, record, rows)
             for name, source in tables.items():
                 write_moved(source, out.path(name), found.registration, to_metadata(record))
             write_json(out.path(REPORT_FILE), report)

@@ -7,14 +7,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stereophd.commands.calibrate import FILES as CALIBRATE_FILES
 from stereophd.commands.calibrate import calibrate
 from stereophd.commands.evaluate import PER_SCAN_NAME, PLOT_NAMES, REPORT_NAME, evaluate
 from stereophd.commands.options import CalibrateOptions, EvaluateOptions, TrackOptions
 from stereophd.commands.track import FILES, track
-from stereophd.config.loading import takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import tidy
 from stereophd.io.outputs.provenance import provenance
@@ -25,9 +25,6 @@ from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 # Columns of ``summary.parquet`` besides those of every batch. The standard deviations are the largest of the cameras.
 TRACK_COLUMNS = {
@@ -49,7 +46,6 @@ SCORE_COLUMNS = {
 }
 
 
-@takes_config
 @takes(TrackOptions)
 def track_logs(
     loaded: LoadedConfig,
@@ -92,7 +88,6 @@ def track_logs(
     return run_batch(batch, out_dir, options.jobs, options.dask, options.force, options.resume, progress)
 
 
-@takes_config
 @takes(CalibrateOptions)
 def calibrate_logs(
     loaded: LoadedConfig,

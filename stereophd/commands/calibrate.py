@@ -6,13 +6,14 @@ import contextlib
 import logging
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.commands.options import CalibrateOptions
-from stereophd.config.loading import takes_config
+from stereophd.config.loading import LoadedConfig
+from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
 from stereophd.io.cameras.writing import write_cameras
@@ -24,10 +25,11 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
 from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.annealed import annealed_outcome
-from stereophd.pipeline.calibration.found_cameras import with_found_cameras
+from stereophd.pipeline.calibration.found_cameras import in_world, with_found_cameras
 from stereophd.pipeline.calibration.problem import (
     CalibrationRun,
     Outcome,
+    control_path,
     pmb_filter,
     read_problem,
     size_of_calibration,
@@ -35,10 +37,13 @@ from stereophd.pipeline.calibration.problem import (
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.sampled import sequential_outcome
 from stereophd.pipeline.calibration.unknowns import calibration_section, with_quantities
+from stereophd.pipeline.cameras_covariance import in_world as uncertainty_in_world
+from stereophd.pipeline.cameras_covariance import rows_of
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.checks.run_figures.losses import check_losses
-from stereophd.pipeline.checks.run_figures.tracking import check_tracking
+from stereophd.pipeline.checks.run_figures.tracking import check_noise, check_tracking
+from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, finished_report
 from stereophd.pipeline.stream import open_stream
@@ -50,11 +55,6 @@ from stereophd.pipeline.tracking.run import (
     write_tracks,
 )
 from stereophd.report.installed import whether_to_draw
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-    from stereophd.core.geometry.camera import Camera
-    from stereophd.pipeline.runs.progress import Progress
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
@@ -72,7 +72,6 @@ WITH_CAMERAS = ("geometry.", "settings.")
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(CalibrateOptions)
 def calibrate(
     loaded: LoadedConfig,
@@ -118,7 +117,9 @@ def calibrate(
     loaded, unknown = with_found_cameras(loaded, log_path)
     section = calibration_section(loaded)
     problem = read_problem(loaded, log_path)
-    record = provenance("calibrate", loaded.record, inputs={"detections": log_path})
+    control = control_path(loaded)
+    inputs = {"detections": log_path, **({} if control is None else {"control": control})}
+    record = provenance("calibrate", loaded.record, inputs=inputs)
     if options.resume and (done := finished_report(out_dir, record, options.force)) is not None:
         return _accepted(done, options.require, log_path)
     recording = problem.recording
@@ -141,10 +142,16 @@ def calibrate(
         _write_posterior(out, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
             cameras = outcome.parameters.build(outcome.values)
+            uncertainty = CameraUncertainty(outcome.parameters.about(cameras), outcome.covariance)
+            if (world := outcome.world) is not None and problem.control is not None:
+                unit, found = problem.control.length_unit, world.alignment
+                loaded, cameras, report["control"] = in_world(loaded, cameras, world, unit)
+                uncertainty = uncertainty_in_world(uncertainty, found.registration, found.center, world.covariance)
             write_cameras(
-                out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record
-            )
-            report["tracking"], further = _track(loaded, cameras, log_path, out, to_metadata(record))
+                out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record,
+                rows_of(uncertainty),
+            )  # fmt: skip
+            report["tracking"], further = _track(loaded, uncertainty, log_path, out, to_metadata(record))
             findings += report_findings(further)
         report["checks"] = findings + _findings_of(report, outcome)
         report["provenance"] = record
@@ -216,21 +223,23 @@ def _write_posterior(out: OutputFolder, outcome: Outcome, metadata: dict[bytes, 
 
 def _track(
     loaded: LoadedConfig,
-    cameras: tuple[Camera, ...],
+    uncertainty: CameraUncertainty,
     log_path: Path | str,
     out: OutputFolder,
     metadata: dict[bytes, bytes],
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:
     """Track with the calibrated cameras, as `stereophd.commands.track` does; return figures and findings of the run."""
-    report = loaded.config.report
+    report, cameras = loaded.config.report, uncertainty.parameters.cameras
     multi_filter = replace(pmb_filter(loaded, cameras), claims=True)
     stream = open_stream(loaded.config, cameras, log_path)
     records = reported_records(multi_filter, multi_filter.motion, stream, report, reach_back=True)
-    summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}))
+    summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}),
+                           uncertainty=uncertainty)  # fmt: skip
     findings = [
         found
         for found in check_log(loaded, log_path, thorough=False, cameras=cameras)
         if found.name.startswith(WITH_CAMERAS)
     ]
+    noise = check_noise(summary, cameras, stream.has_noise)
     losses = check_losses(summary, stream.counts)
-    return summary, (*findings, *check_tracking(summary, stream.counts, cameras), *losses)
+    return summary, (*findings, *check_tracking(summary, stream.counts, cameras), *noise, *losses)

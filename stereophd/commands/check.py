@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from stereophd.config.loading import LoadedConfig, takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.io.outputs.provenance import provenance
 from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.finding import warnings_of
@@ -14,7 +14,6 @@ from stereophd.pipeline.checks.run import check_log
 REPORT_VERSION = 1
 
 
-@takes_config
 def check(loaded: LoadedConfig, log_path: Path | str) -> dict[str, Any]:
     """Check a log against a configuration; nothing is written.
 

@@ -3,12 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING
 
+from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 
 def check_config(loaded: LoadedConfig, command: str | None = None) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,12 +14,14 @@ from pydantic import ValidationError
 from stereophd.commands.options import EvaluateCamerasOptions
 from stereophd.config.loading import LoadedConfig, load_cameras
 from stereophd.config.model import Config
+from stereophd.core.alignment.cameras import moved_camera
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import SUFFIXES
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
+from stereophd.core.metrics.truth.registration import Registration
 from stereophd.core.numerics.weights import weighted_mean_covariance
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.outputs.atomic import OutputFolder
@@ -50,6 +53,7 @@ class Posterior:
     reference: int
     particles: Array
     log_weights: Array
+    has_scale: bool  # Whether its lengths are those of a known unit
 
 
 @takes(EvaluateCamerasOptions)
@@ -96,6 +100,8 @@ def evaluate_calibration(
         **error_figures(estimated, true, chosen),
         "quantities": quantity_errors(estimated, true),
     }
+    if load_cameras(cameras_path).units.length == NO_LENGTH != unit:
+        report["scale_is_unknown"] = "the estimate knows no length: errors of centres are those after scale alone"
     if posterior is not None:
         report["posterior"] = posterior_figures(posterior, true)
     if loaded is not None:
@@ -223,14 +229,15 @@ def read_posterior(path: Path) -> Posterior | None:
     columns = [table[name].to_numpy() for name in parameters.names]
     weights = table["weight"].to_numpy()
     with np.errstate(divide="ignore"):
-        return Posterior(parameters, reference, np.column_stack(columns), np.log(weights))
+        has_scale = config.units.length != NO_LENGTH
+        return Posterior(parameters, reference, np.column_stack(columns), np.log(weights), has_scale)
 
 
 def posterior_figures(posterior: Posterior, true: list[Camera]) -> dict[str, Any]:
     """NEES of the mean, and which parameters' 90 % intervals hold the truth."""
     parameters = posterior.parameters
-    truth = parameters.difference(true)
     mean, covariance = weighted_mean_covariance(posterior.particles, posterior.log_weights)
+    truth = parameters.difference(in_frame(posterior, parameters.build(mean), true))
     weights = np.exp(posterior.log_weights)
     low = weighted_quantiles(posterior.particles, weights, 0.5 - CREDIBLE / 2)
     high = weighted_quantiles(posterior.particles, weights, 0.5 + CREDIBLE / 2)
@@ -245,6 +252,29 @@ def posterior_figures(posterior: Posterior, true: list[Camera]) -> dict[str, Any
             for i, name in enumerate(parameters.names)
         },
     }
+
+
+def in_frame(posterior: Posterior, estimated: Sequence[Camera], true: Sequence[Camera]) -> Sequence[Camera]:
+    """Return the true cameras in the frame and on the clock of a posterior: those of its reference camera.
+
+    Where the posterior has no known length they also get its scale, which then is no error.
+    """
+    by_name = {camera.name: camera for camera in true}
+    ordered = [by_name[camera.name] for camera in estimated]
+    fixed, reference = estimated[posterior.reference], ordered[posterior.reference]
+    if any(camera.pose.path is not None for camera in ordered):
+        return ordered  # known trajectories have one frame
+    scale = 1.0
+    if not posterior.has_scale:
+        found, truth = ([camera.pose for camera in cameras] for cameras in (estimated, ordered))
+        scale = pose_errors(found, truth, posterior.reference).common_scale
+    if scale == 1.0 and fixed.pose == reference.pose and fixed.clock == reference.clock:
+        return ordered
+    rotation, at_s = fixed.pose.rotation.T @ reference.pose.rotation, reference.clock.offset_s
+    shift, rate = fixed.clock.offset_s - at_s, fixed.clock.rate / reference.clock.rate
+    translation = fixed.pose.center - scale * rotation @ reference.pose.center
+    registration = Registration(rotation, translation, scale, at_s, shift, rate, 0)
+    return [moved_camera(camera, registration) for camera in ordered]
 
 
 def weighted_quantiles(particles: Array, weights: Array, level: float) -> Array:

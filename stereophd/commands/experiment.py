@@ -9,10 +9,9 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from stereophd.commands.options import ExperimentOptions
-from stereophd.config.loading import takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
 from stereophd.experiments.engine.execution import execute
 from stereophd.experiments.engine.parts import PartStore
@@ -36,16 +35,12 @@ from stereophd.pipeline.runs.sizes import check_size, size_of_experiment
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 from stereophd.report.installed import can_draw
 
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-
 FIGURE_FILES = ("figure.png", "figure.svg")
 FILES = (RUNS_FILE, SUMMARY_FILE, TIMING_FILE, *FIGURE_FILES)
 
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(ExperimentOptions)
 def experiment(
     loaded: LoadedConfig, out_dir: Path | str, *, options: ExperimentOptions, progress: Progress | None = None

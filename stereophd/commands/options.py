@@ -46,16 +46,16 @@ class TrackOptions(Replacing):
     dask: str | None = _dask("Track the logs or pieces on a Dask cluster, such as tcp://host:8786.", MANY)
     threads: int = _jobs("Threads; the outputs do not depend on it.", "filters of several objects")
     pieces_s: float | None = option(
-        "Cut the log into pieces of S seconds, track them independently, and join their tracks. The last piece is "
+        "Cut the log into pieces of this length, track them independently, and join their tracks. The last piece is "
         "shorter, or longer by up to the overlap.",
         default=None,
-        metavar="S",
+        metavar="SECONDS",
         flag="pieces",
     )
     overlap_s: float | None = option(
         "Seconds before its own span that each piece also tracks [60].",
         default=None,
-        metavar="S",
+        metavar="SECONDS",
         flag="overlap",
         use="pieces of a log",
     )
@@ -80,6 +80,13 @@ class LiveOptions:
         default=None,
         metavar="ADDRESS",
     )
+    publish: str | None = option(
+        "Publish the tracks of a running recording at a ZeroMQ address too, such as tcp://127.0.0.1:5556 (needs the "
+        "extra 'live').",
+        default=None,
+        metavar="ADDRESS",
+    )
+    arrow: bool = option("Write an Arrow IPC stream in place of lines of JSON.", default=False)
     record: Path | None = option(
         "Keep the frames of a running recording as JSON lines while they arrive.", default=None, metavar="FILE"
     )
@@ -90,10 +97,8 @@ class CalibrateOptions(Replacing):
     """Options of `calibrate`, for one log and for several."""
 
     jobs: int = option(
-        "Processes (threads, of particles); the results do not depend on it. -1: all cores, the default of the command "
-        "line, because a calibration may take minutes.",
-        default=1,
-        shell_default=-1,
+        "Processes (threads, of particles); the results do not depend on it. -1: all cores.",
+        default=-1,
         metavar="N",
         use="without a cluster",
     )
@@ -101,7 +106,7 @@ class CalibrateOptions(Replacing):
     resume: bool = option("Continue an interrupted run from what it has kept (DIR/partial-HASH).", default=False)
     plots: bool | None = option("Make plots (needs the extra 'plot'); default: if it is installed.", default=None)
     require: Literal["determined", "partly"] | None = option(
-        "Exit with 1 if the data determine the cameras less than this.", default=None
+        "Exit with 1 if the data determine the cameras less than this.", default=None, flag="require-status"
     )
 
 
@@ -170,7 +175,7 @@ class AlignOptions(Replacing):
 class SimulateOptions(Replacing):
     """Options of `simulate`."""
 
-    force_size: bool = option("Run even if that fills much of the disk.", default=False)
+    force_size: bool = option("Run even if that fills much of the disk.", default=False, flag="ignore-size-limit")
     runs: int | None = option("Make N runs, in folders run-0000, ...", default=None, metavar="N", least=1)
     jobs: int = _jobs("Processes for several runs.", "several runs")
 

@@ -10,12 +10,13 @@ import time
 from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from stereophd.commands.options import SimulateOptions
-from stereophd.config.loading import takes_config
+from stereophd.config.loading import LoadedConfig
+from stereophd.config.simulate import SimulateConfig
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
@@ -32,10 +33,6 @@ from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size, size_of_simulation
 from stereophd.pipeline.simulation import build_scene
 
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-    from stereophd.config.simulate import SimulateConfig
-
 DETECTIONS_FILE = "detections.parquet"
 TRUTH_FILE = "truth.parquet"
 CAMERAS_FILE = "cameras.yaml"
@@ -48,7 +45,6 @@ FILES = (DETECTIONS_FILE, TRUTH_FILE, CAMERAS_FILE, GUESS_FILE)
 PROGRESS_EVERY = 500
 
 
-@takes_config
 @takes(SimulateOptions)
 def simulate(
     loaded: LoadedConfig, out_dir: Path | str, *, options: SimulateOptions, progress: Progress | None = None

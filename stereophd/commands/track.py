@@ -12,10 +12,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stereophd.commands.options import TrackOptions
-from stereophd.config.loading import takes_config
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.disparity.sample_move import carry_components
 from stereophd.core.numerics.compilation.kernel_cache import is_kept
 from stereophd.io.cameras.writing import write_cameras
@@ -23,6 +23,7 @@ from stereophd.io.outputs.atomic import OutputFolder, output_lock
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.options import takes
+from stereophd.pipeline.cameras_covariance import stated_uncertainty
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
@@ -50,9 +51,6 @@ from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
 
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-
 CAMERAS_FILE = "cameras.yaml"
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
 # The last is of a live run, which tracks its recording at the end.
@@ -62,7 +60,6 @@ REPORT_VERSION = 1
 LOGGER = logging.getLogger("stereophd")
 
 
-@takes_config
 @takes(TrackOptions)
 def track(
     loaded: LoadedConfig,
@@ -171,7 +168,10 @@ class _Outputs:
             described = with_detectors(loaded.cameras, tracking.cameras)
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
         metadata = to_metadata(self.record)
-        summary = write_tracks(records, out, metadata, tracking.cameras, loaded.config.report, kept, tracking.boxes)
+        uncertainty = stated_uncertainty(tracking.cameras, loaded.config.cameras_covariance)
+        summary = write_tracks(
+            records, out, metadata, tracking.cameras, loaded.config.report, kept, tracking.boxes, uncertainty
+        )
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))

@@ -8,38 +8,31 @@ those of that command, to the byte, however the frames arrived.
 from __future__ import annotations
 
 import contextlib
-import functools
-import heapq
 import io
-import math
 import tempfile
-from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any, TextIO
+from typing import IO, Any
 
-import pyarrow as pa
-
+from stereophd.commands.recalibrate import Recalibration, with_pose
+from stereophd.config.loading import LoadedConfig, variant
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
-from stereophd.io.logs.rows import OPTIONAL
-from stereophd.io.outputs.provenance import provenance, to_metadata
-from stereophd.io.streams.messages import Message, parse_line
-from stereophd.io.streams.rows import document_of, line_of
+from stereophd.io.cameras.writing import write_cameras
+from stereophd.io.streams.messages import Message
+from stereophd.io.streams.rows import JsonLines, RowSink, document_of
 from stereophd.io.streams.sources import Arrivals
-from stereophd.io.tables.schemas import DETECTIONS
-from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import report_times
 from stereophd.pipeline.live.frames import FrameChecks
+from stereophd.pipeline.live.recording import write_log
 from stereophd.pipeline.live.run import LiveRecord, LiveRun, warm_up_messages, without_collections
-from stereophd.pipeline.tracking.run import build_tracking, estimated_cameras
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
+from stereophd.pipeline.tracking.knocked import Knock
+from stereophd.pipeline.tracking.loop import Record
+from stereophd.pipeline.tracking.run import TrackingRun, build_tracking, estimated_cameras
 
 LOG_FILE = "detections.parquet"
-# Optional columns of a log, as the filters read them.
-FIELDS = {name: pa.field(name, kind, nullable=True) for name, kind in OPTIONAL.items()}
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 
 
@@ -47,12 +40,10 @@ PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 class LiveOutputs:
     """Where a live run writes; None: nowhere."""
 
-    lines: TextIO | None = None  # A line of JSON for each record
+    rows: Sequence[RowSink] = ()  # What takes each record as it comes
     folder: Path | None = None  # The files of a batch run, at the end
     recording: Path | None = None  # The frames as lines of JSON, while they arrive
     force: bool = False  # Whether the folder may hold an earlier run
-    # Called with what else happens, such as ``{"event": "ready"}`` before the first frame is taken
-    tell: Callable[[dict[str, Any]], object] = lambda event: None
 
 
 def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: LiveOutputs) -> dict[str, Any]:
@@ -67,24 +58,91 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
     if outputs.recording is not None and outputs.recording.exists():
         raise InputError(f"{outputs.recording}: the file exists; choose another name for the recording")
     tracking = build_tracking(loaded)
-    config = loaded.config
-
-    def run(arrivals: Arrivals, source: str, lines: TextIO | None, stream: IO[str] | None) -> tuple[LiveRun, Any]:
-        checks = FrameChecks(tracking.cameras, config.input.on_bad_row, config.input.image_margin_px)
-        times = report_times(config.report)
-        run = LiveRun(tracking.estimator, times, checks, config.live, lambda message: _record(message, stream))
-        _write_lines(run, arrivals, source, lines, config.report.max_position_std)
-        return run, checks.counts
-
     with _recording(outputs) as (path, stream):
-        with without_collections(config.filter.kind if config.filter is not None else ""):
-            run(warm_up_messages(tracking.cameras), "warm-up", io.StringIO(), None)
-            outputs.tell({"event": "ready"})
-            done, counts = run(arrivals, source, outputs.lines, stream)
-        report = {"frames": counts, **_summary(done)}
-        if outputs.folder is not None and counts["frames"]:
-            _write_files(loaded, path, outputs)
+        with without_collections("" if loaded.config.filter is None else loaded.config.filter.kind):
+            warming_up = variant(loaded, [("warm-up", {"input.on_bad_row": "drop", "live.recalibrate": False})])
+            _Session(warming_up, tracking, [JsonLines(io.StringIO())], None).work(
+                warm_up_messages(tracking.cameras), "warm-up"
+            )
+            session = _Session(loaded, tracking, outputs.rows, stream)
+            session.tell({"event": "ready", "cameras": [_described(camera) for camera in tracking.cameras]})
+            session.work(arrivals, source)
+        report = {"frames": session.checks.counts, **_summary(session.run)}
+        if outputs.folder is not None and session.checks.counts["frames"]:
+            _write_files(session.found, path, outputs)
     return report
+
+
+class _Session:
+    """A live run with what happens beside it: frames are recorded, and knocked cameras solved anew.
+
+    `found` is the configuration with the poses that were found.
+    """
+
+    def __init__(
+        self, loaded: LoadedConfig, tracking: TrackingRun, rows: Sequence[RowSink], stream: IO[str] | None
+    ) -> None:
+        config = loaded.config
+        self.found = self._tracked_by = loaded
+        self.checks = FrameChecks(tracking.cameras, config.input.on_bad_row, config.input.image_margin_px)
+        times = report_times(config.report)
+        self.run = LiveRun(tracking.estimator, times, self.checks, config.live, self._keep)
+        self._rows, self._stream = rows, stream
+        self._most_std = config.report.max_position_std
+        self._knock: Knock | None = None
+        self._recalibration: Recalibration | None = None
+
+    def tell(self, event: dict[str, Any]) -> None:
+        """Say what happened besides the rows."""
+        for sink in self._rows:
+            sink.tell(event)
+
+    def work(self, arrivals: Arrivals, source: str) -> None:
+        """Work all arrivals."""
+        with contextlib.suppress(KeyboardInterrupt):
+            for live in self.run.records(arrivals, source):
+                if self._rows and live.record.reported:
+                    document = _document(live, self._most_std)
+                    for sink in self._rows:
+                        sink.add(document)
+                if not live.is_revised:
+                    self.run.counts.add_latency(live.arrived_s)
+                self._look_after_cameras(live.record)
+
+    def _keep(self, message: Message) -> None:
+        """Write a frame before it is worked: a killed run has lost none."""
+        if self._stream is not None:
+            self._stream.write(message.to_line() + "\n")
+            self._stream.flush()
+        if self._recalibration is not None:
+            self._recalibration.keep(message)
+
+    def _look_after_cameras(self, record: Record) -> None:
+        if record.knock is not None and record.knock != self._knock:
+            self._knock = record.knock
+            self.tell({"event": "knocked", **asdict(record.knock)})
+            if self.found.config.live.recalibrate:
+                self._recalibration = Recalibration(self._tracked_by, record.knock, record)
+                self.run.pass_over(record.knock.camera)
+        if self._recalibration is None:
+            return
+        result = self._recalibration.step(record.time_s)
+        if result is None:
+            return
+        knock, pose = self._recalibration.knock, result.get("pose")
+        self.tell({"event": "recalibrated", "camera": knock.camera, "time_s": record.time_s, **result})
+        if pose is not None:
+            self._tracked_by = with_pose(self._tracked_by, knock.camera, pose, None)
+            self.found = with_pose(self.found, knock.camera, pose, knock.since_s)
+            self.run.go_on(build_tracking(self._tracked_by).estimator)
+        if pose is not None or self._recalibration.is_over:
+            self._recalibration = None
+
+
+def _described(camera: Camera) -> dict[str, Any]:
+    """Return where a camera stands and looks, for those who draw the tracks."""
+    pose = camera.pose
+    return {"name": camera.name, "center": pose.center.tolist(), "looks_along": pose.rotation[2].tolist()}
 
 
 def _check(loaded: LoadedConfig) -> None:
@@ -115,25 +173,6 @@ def _recording(outputs: LiveOutputs) -> Iterator[tuple[Path, IO[str] | None]]:
         yield path, stream
 
 
-def _record(message: Message, stream: IO[str] | None) -> None:
-    """Write a frame before it is worked: a killed run has lost none."""
-    if stream is not None:
-        stream.write(message.to_line() + "\n")
-        stream.flush()
-
-
-def _write_lines(
-    run: LiveRun, arrivals: Arrivals, source: str, lines: TextIO | None, max_position_std: float | None
-) -> None:
-    with contextlib.suppress(KeyboardInterrupt):
-        for live in run.records(arrivals, source):
-            if lines is not None and live.record.reported:
-                lines.write(line_of(_document(live, max_position_std)))
-                lines.flush()
-            if not live.is_revised:
-                run.counts.add_latency(live.arrived_s)
-
-
 def _document(live: LiveRecord, max_position_std: float | None) -> dict[str, Any]:
     record = live.record
     estimates = record.estimates if max_position_std is None else record.estimates.certain(max_position_std)
@@ -151,70 +190,15 @@ def _summary(run: LiveRun) -> dict[str, Any]:
 
 def _write_files(loaded: LoadedConfig, recording: Path, outputs: LiveOutputs) -> None:
     """Turn the recording into a log, and track it as a batch run does."""
-    from stereophd.commands.track import track
+    from stereophd.commands.track import CAMERAS_FILE, track
 
     assert outputs.folder is not None
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / LOG_FILE
         write_log(loaded, recording, log)
         track(loaded, log, outputs.folder, force=outputs.force)
+        if any(camera.poses for camera in loaded.cameras.values()):
+            write_cameras(outputs.folder / CAMERAS_FILE, loaded.cameras, loaded.config.units.length)
         # after the other files: the log lies beside them, and is no output of `track`
         with open(log, "rb") as content, open(outputs.folder / LOG_FILE, "wb") as target:
             target.write(content.read())
-
-
-def write_log(loaded: LoadedConfig, recording: Path, log: Path) -> None:
-    """Write recorded frames (lines of JSON) as a detection log, in order of time.
-
-    A frame that is more than ``live.span_s`` older than one before it was too late for the run, and is left out. Raises
-    InputError if a line is no frame; a last line that a killed run left incomplete is passed over.
-    """
-    columns = _columns_of(recording)
-    schema = functools.reduce(lambda schema, name: schema.append(FIELDS[name]), columns, DETECTIONS)
-    with TableWriter(log, schema, to_metadata(provenance("track", loaded.record))) as table:
-        for message in _in_order(loaded, _messages(recording)):
-            row: dict[str, Any] = {"time_s": message.time_s, "camera": message.camera, "frame": message.frame}
-            empty = not len(message.pixels)
-            row |= (
-                {"u_px": [None], "v_px": [None]}
-                if empty
-                else {"u_px": message.pixels[:, 0], "v_px": message.pixels[:, 1]}
-            )
-            for name in columns:
-                values = message.columns.get(name)
-                row[name] = [None] * max(len(message.pixels), 1) if values is None or empty else values
-            table.append(row)
-
-
-def _messages(recording: Path) -> Iterator[Message]:
-    with open(recording, encoding="utf-8") as stream:
-        for number, line in enumerate(stream, start=1):
-            if line.endswith("\n"):
-                yield parse_line(line, f"{recording}: line {number}")
-
-
-def _columns_of(recording: Path) -> list[str]:
-    """Return the optional columns that some frame has, in the order of the schema."""
-    present = {name for message in _messages(recording) for name in message.columns}
-    return [name for name in FIELDS if name in present]
-
-
-def _in_order(loaded: LoadedConfig, messages: Iterable[Message]) -> Iterator[Message]:
-    """Yield messages in order of true time, then of the cameras; memory holds those of ``live.span_s``."""
-    span_s = loaded.config.live.span_s
-    cameras = {camera.name: (index, camera.clock) for index, camera in enumerate(loaded.build_cameras())}
-    waiting: list[tuple[float, int, int, int, Message]] = []
-    written: tuple[float, int, int] = (-math.inf, 0, 0)
-    newest = -math.inf
-    for number, message in enumerate(messages):
-        index, clock = cameras[message.camera]
-        key = (clock.to_true(message.time_s), index, message.frame)
-        if key < written:
-            continue
-        newest = max(newest, key[0])
-        heapq.heappush(waiting, (*key, number, message))
-        while waiting and waiting[0][0] < newest - span_s:
-            time_s, camera, frame, _, oldest = heapq.heappop(waiting)
-            written = (time_s, camera, frame)
-            yield oldest
-    yield from (entry[-1] for entry in sorted(waiting, key=lambda entry: entry[:4]))

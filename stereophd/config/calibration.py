@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
 from annotated_types import Interval, Len
-from pydantic import Field, create_model, model_validator
+from pydantic import BeforeValidator, Field, create_model, model_validator
 
 from stereophd.core.calibration.settings import AnnealedSettings, SequentialSettings, TemperedSettings
 from stereophd.core.calibration.unknowns.quantities.base import Quantity
@@ -118,6 +118,20 @@ class NoScale(Model):
     kind: Literal["none"] = parameter("what fixes the scale", default="none")
 
 
+class ControlConfig(Model):
+    """What is known of places in the world."""
+
+    track: str = parameter(
+        "Parquet table of time_s, x, y, z (or latitude_deg, longitude_deg, altitude_m) of one of the objects, on a "
+        "clock of its own; relative to this file, else to the working folder"
+    )
+
+
+def _parse_control(value: Any) -> Any:
+    """Turn the name of a file into that of a track."""
+    return {"track": value} if isinstance(value, str) else value
+
+
 ScaleConfig = Annotated[NoScale | BaselineScale | SpeedScale | LengthScale, Field(discriminator="kind")]
 
 
@@ -152,12 +166,17 @@ class CalibrationConfig(Model):
         default="lenses",
     )
     scale: ScaleConfig = parameter("what fixes the scale, which moving objects do not show", default_factory=NoScale)
+    control: Annotated[
+        ControlConfig | None, BeforeValidator(_parse_control, json_schema_input_type=ControlConfig | str | None)
+    ] = parameter("what fixes scale, frame and clock: a control track", default=None)
     annealed: AnnealedSettings = parameter("settings of this method", default_factory=AnnealedSettings)
     sequential: SequentialSettings = parameter("settings of this method", default_factory=SequentialSettings)
     smc: TemperedSettings = parameter("settings of posterior smc", default_factory=TemperedSettings)
 
     @model_validator(mode="after")
     def _reference_is_known(self) -> CalibrationConfig:
+        if self.control is not None and (self.method != "annealed" or self.posterior != "laplace"):
+            raise ValueError("control: expected method annealed and posterior laplace, found others")
         names = [name for group in self.shared for name in group]
         if any(len(group) < 2 for group in self.shared) or len(set(names)) < len(names):
             raise ValueError("shared: expected groups of two or more cameras, each camera in one group")

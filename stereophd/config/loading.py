@@ -6,11 +6,11 @@ import copy
 import hashlib
 import json
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, lru_cache, wraps
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -20,6 +20,7 @@ from stereophd.config.model import Config
 from stereophd.config.overrides import apply_override, key_path, parse_override
 from stereophd.config.report import CameraTimes
 from stereophd.config.yaml import Place, Tree, read_yaml
+from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.cameras.models import CameraConfig, CamerasFile
 from stereophd.io.outputs.json_text import infinity_as_text
@@ -27,14 +28,9 @@ from stereophd.io.outputs.provenance import ConfigRecord, sha256_of
 from stereophd.io.tables.trajectories import pack_poses, read_trajectory
 
 if TYPE_CHECKING:
-    from stereophd.core.geometry.camera import Camera
     from stereophd.io.interchange.base import ImportOptions
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
-Words = ParamSpec("Words")
-Result = TypeVar("Result")
-
-
 LOGGER = logging.getLogger("stereophd")
 
 
@@ -118,6 +114,14 @@ def load_config(
     source = Path(path)
     tree, content = read_yaml(source)
     inputs = {"config": hashlib.sha256(content).hexdigest()}
+    return _completed(tree, source, inputs, source.parent, overrides, seed, cameras_path)
+
+
+def _completed(
+    tree: Tree, source: Path, inputs: dict[str, str], folder: Path,
+    overrides: Sequence[str], seed: int | None, cameras_path: Path | str | None,
+) -> LoadedConfig:  # fmt: skip
+    """Return the configuration of values, with cameras, overrides and a seed; paths in it are relative to `folder`."""
     _require_mapping(tree)
     changes = [parse_override(text) for text in overrides]
     # An override `cameras=FILE` decides which cameras are read; all other overrides may reach into them.
@@ -130,7 +134,7 @@ def load_config(
         cameras_file: Path | None = Path(cameras_path)
         inline = tree.data.get("cameras")
     elif isinstance(tree.data.get("cameras"), str):
-        cameras_file = source.parent / tree.data["cameras"]
+        cameras_file = folder / tree.data["cameras"]
     else:
         cameras_file = None
     unit: str | None = None
@@ -139,7 +143,7 @@ def load_config(
         if cameras_path is not None:
             _say_replaced(inline, tree.data.get("cameras"), cameras_file)
     else:
-        _inline_trajectories(tree, source.parent)
+        _inline_trajectories(tree, folder)
     for key, change in changes:
         if key != ("cameras",):
             apply_override(tree, key, change)
@@ -153,28 +157,27 @@ def load_config(
     return LoadedConfig(config, source, inputs, tree)
 
 
-def takes_config(
-    function: Callable[Concatenate[LoadedConfig, Words], Result],
-) -> Callable[Concatenate[LoadedConfig | Path | str | Mapping[str, Any], Words], Result]:
-    """Let a command whose first parameter is a loaded configuration also take its path, or its values as a mapping.
+def as_config(
+    config: LoadedConfig | Path | str | Mapping[str, Any],
+    overrides: Sequence[str] = (),
+    seed: int | None = None,
+    cameras_path: Path | str | None = None,
+) -> LoadedConfig:
+    """Return a configuration that is given as a path, as values, or loaded, with the changes of `load_config`.
 
     What is none of these raises `InputError`.
     """
-
-    @wraps(function)
-    def call(
-        config: LoadedConfig | Path | str | Mapping[str, Any], /, *arguments: Words.args, **words: Words.kwargs
-    ) -> Result:
-        if isinstance(config, str | Path):
-            config = load_config(config)
-        elif isinstance(config, Mapping):
-            config = make_config(config)
-        elif not isinstance(config, LoadedConfig):
-            kind = type(config).__name__
-            raise InputError(f"configuration: expected a path, a mapping or what `load_config` returns, found {kind}")
-        return function(config, *arguments, **words)
-
-    return call
+    if isinstance(config, str | Path):
+        return load_config(config, overrides, seed, cameras_path)
+    if isinstance(config, Mapping):
+        return make_config(config, "configuration", overrides, seed, cameras_path)
+    if not isinstance(config, LoadedConfig):
+        kind = type(config).__name__
+        raise InputError(f"configuration: expected a path, a mapping or what `load_config` returns, found {kind}")
+    if not overrides and seed is None and cameras_path is None:
+        return config
+    tree, folder = copy.deepcopy(config.tree), config.path.parent
+    return _completed(tree, config.path, dict(config.inputs), folder, overrides, seed, cameras_path)
 
 
 def _say_replaced(before: Any, after: Any, path: Path) -> None:
@@ -193,7 +196,13 @@ def _say_replaced(before: Any, after: Any, path: Path) -> None:
         )  # fmt: skip
 
 
-def make_config(values: Mapping[str, Any], name: str = "configuration") -> LoadedConfig:
+def make_config(
+    values: Mapping[str, Any],
+    name: str = "configuration",
+    overrides: Sequence[str] = (),
+    seed: int | None = None,
+    cameras_path: Path | str | None = None,
+) -> LoadedConfig:
     """Make a configuration from values in memory, as a file holds them.
 
     Parameters
@@ -202,6 +211,8 @@ def make_config(values: Mapping[str, Any], name: str = "configuration") -> Loade
         Sections and keys, such as ``{"filter": {"kind": "pmb", ...}}``; arrays and tuples count as lists.
     name
         What messages call the configuration.
+    overrides, seed, cameras_path
+        As of `load_config`.
 
     Raises
     ------
@@ -209,14 +220,7 @@ def make_config(values: Mapping[str, Any], name: str = "configuration") -> Loade
         A value is not valid: as `load_config`.
     """
     tree = Tree(_as_data(values), {(): Place(name)})
-    _require_mapping(tree)
-    inputs: dict[str, str] = {}
-    if isinstance(tree.data.get("cameras"), str):
-        _, inputs["cameras"] = _inline_cameras(tree, Path(tree.data["cameras"]))
-    _inline_trajectories(tree, Path())
-    config = _validate(Config, tree)
-    _check_camera_of_reports(config, tree)
-    return LoadedConfig(config, Path(name), inputs, tree)
+    return _completed(tree, Path(name), {}, Path(), overrides, seed, cameras_path)
 
 
 def _as_data(value: Any) -> Any:
@@ -322,6 +326,9 @@ def _inline_cameras(tree: Tree, path: Path) -> tuple[str | None, str]:
     _inline_trajectories(read.tree, path.parent)
     checked = _validate(CamerasFile, read.tree)
     apply_override(tree, ("cameras",), read.tree, ("cameras",))
+    tree.data.pop("cameras_covariance", None)
+    if checked.covariance:
+        apply_override(tree, ("cameras_covariance",), read.tree, ("covariance",))
     return checked.units.length if read.has_unit else None, read.sha256
 
 

@@ -21,7 +21,7 @@ from stereophd.core.bodies.shapes.point import PointSettings
 from stereophd.core.motion.constant_velocity import ConstantVelocitySettings
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.numerics.samples import MomentsSettings
-from stereophd.io.cameras.models import CameraConfig
+from stereophd.io.cameras.models import CameraConfig, CovarianceRows, covariance_of
 from stereophd.validated import Model, Units
 
 
@@ -32,6 +32,11 @@ class Config(Model):
     seed: Annotated[int, Interval(ge=0, le=2**63 - 1)] = Field(0, description="seed of all random numbers of a run")
     cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)] | str | None = Field(
         None, description="the cameras, or the path of a cameras.yaml, relative to this file"
+    )
+    cameras_covariance: CovarianceRows | None = Field(
+        None,
+        description="what the cameras leave uncertain, in rows of a lower triangle by camera.component: the covariance "
+        "that calibrate writes into cameras.yaml; the covariances of tracks count it (track)",
     )
     detector: Literal["given", "estimate"] = Field(
         "given",
@@ -57,6 +62,13 @@ class Config(Model):
     simulate: SimulateConfig | None = Field(None, description="the scenario (simulate)")
     calibration: CalibrationConfig | None = Field(None, description="what calibrate estimates")
     experiment: ExperimentConfig | None = Field(None, description="Monte Carlo runs of a scenario (experiment)")
+
+    @model_validator(mode="after")
+    def _covariance_of_cameras(self) -> Config:
+        """Refuse a covariance that is none of these cameras."""
+        if self.cameras_covariance and isinstance(self.cameras, dict):
+            covariance_of(self.cameras_covariance, tuple(self.cameras))
+        return self
 
     @model_validator(mode="after")
     def _depth_of_points(self) -> Config:

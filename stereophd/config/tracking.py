@@ -80,3 +80,8 @@ class LiveConfig(Model):
         default=2.0,
         advice="the longest delay of a camera; states of this span are kept in memory.",
     )
+    recalibrate: bool = parameter(
+        "solve the pose of a camera that was knocked anew from the frames since, as calibrate does; until the data "
+        "determine it, its frames are recorded and not tracked",
+        default=False,
+    )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +11,7 @@ from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes, GridTimes, ReportConfig
 from stereophd.config.tracking import RegionConfig
 from stereophd.core.disparity.events import make_rig
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.births.undetected import LEAST_PRUNING
@@ -24,9 +24,6 @@ from stereophd.core.numerics.samples import draw_sample_sets
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking.loop import ReportTimes
-
-if TYPE_CHECKING:
-    from stereophd.core.geometry.camera import Camera
 
 
 def build_motion(config: Config, path: Path | str) -> Motion:

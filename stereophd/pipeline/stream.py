@@ -9,22 +9,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stereophd.config.model import Config
+from stereophd.config.report import InputConfig
 from stereophd.core.disparity.events import Event, make_event
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.errors import InputError
 from stereophd.io.logs.checks import KINDS
 from stereophd.io.logs.reading import Frame, LogReader
 from stereophd.pipeline.runs.progress import Progress
-
-if TYPE_CHECKING:
-    from stereophd.config.model import Config
-    from stereophd.config.report import InputConfig
-    from stereophd.core.geometry.camera import Camera
-    from stereophd.core.simulation.detections import SimulatedFrame
 
 # Events between two calls of `progress`.
 PROGRESS_EVERY = 50
@@ -154,12 +150,3 @@ def open_log(
 ) -> LogReader:
     """Open a detection log as the section ``input`` of a configuration states."""
     return LogReader(path, cameras, settings.on_bad_row, settings.image_margin_px, from_s, settings.leave_out)
-
-
-def frames_in_order(cameras: Sequence[Camera], simulated: Iterable[SimulatedFrame]) -> list[Frame]:
-    """Return the frames of a simulated scene as a log of them is read: in order of true time, then of the cameras."""
-    frames = []
-    for frame in simulated:
-        time_s = cameras[frame.camera].clock.to_true(frame.log_time_s)
-        frames.append(Frame(time_s, frame.camera, frame.frame, frame.pixels, None, frame.object_id))
-    return sorted(frames, key=lambda frame: (frame.time_s, frame.camera))

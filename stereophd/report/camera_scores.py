@@ -28,6 +28,8 @@ def _poses(report: Mapping[str, Any]) -> SummaryTable:
     header = ("camera", "rotation [deg]", "direction [deg]", "scale ratio", f"centre [{unit}]",
               f"centre after scale [{unit}]")  # fmt: skip
     notes = ("all together: root mean squares, and the scale of the whole scene",) if len(rows) > 1 else ()
+    if "scale_is_unknown" in report:
+        notes += (report["scale_is_unknown"],)
     return SummaryTable(f"Errors of the poses relative to camera {report['reference']}", header, tuple(rows), notes)
 
 

@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from stereophd.experiments.engine.summary import is_rms
+from stereophd.experiments.engine.results import Results
+from stereophd.experiments.engine.summary import Summary, is_rms
 from stereophd.report.tables import SummaryTable, table_text
-
-if TYPE_CHECKING:
-    from stereophd.experiments.engine.results import Results
-    from stereophd.experiments.engine.summary import Summary
 
 
 def results_text(results: Results) -> str:

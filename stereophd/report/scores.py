@@ -45,6 +45,8 @@ def _error_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     if low is not None:
         note = f"{nees['dimension']} if consistent; 95 % between {low:.3g} and {high:.3g}"
     yield "NEES position", _number(nees["position"]), note
+    if "without_cameras" in nees:
+        yield "NEES without cameras", _number(nees["without_cameras"]), "what uncertain cameras add left out"
 
 
 def _number_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import Truth
 
@@ -14,8 +15,6 @@ if TYPE_CHECKING:
 
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-    from stereophd.core.geometry.camera import Camera
 
 INK, GREY, BLUE, ORANGE = "#1f2328", "#8c959f", "#0969da", "#d1600a"
 # Colours that stay apart for colour-blind readers (Okabe and Ito), without the black of the truth.

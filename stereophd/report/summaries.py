@@ -19,6 +19,16 @@ CAMERAS_SHOWN = 6
 # Numbers from here on are written with powers of ten.
 LARGEST_PLAIN = 1e7
 
+# What determined the scale of calibrated cameras, in words.
+SCALES = {
+    "prior": "the first guess alone, and as wrong as that: state a distance (calibration.scale)",
+    "known cameras": "the cameras whose places are given",
+    "data": "the first guess and the data",
+    "baseline": "the stated distance of two cameras",
+    "speed": "the stated speed of the objects",
+    "length": "the stated distance of two objects",
+}
+
 
 def number(value: float | None, digits: int = 3) -> str:
     """Return a number with `digits` significant digits, without powers of ten for usual sizes."""
@@ -75,7 +85,13 @@ def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:
         for name, camera in (report.get("cameras") or {}).items()
     ]
     header = ("camera", "rotation std [deg]", "direction std [deg]", f"centre std [{unit}]")
-    return SummaryTable("Calibrated cameras", header, tuple(rows))
+    return SummaryTable("Calibrated cameras", header, tuple(rows), tuple(_scale(report)))
+
+
+def _scale(report: Mapping[str, Any]) -> Iterator[str]:
+    """Yield what the scale is known from."""
+    if (scale := report.get("scale")) is not None:
+        yield f"scale from {SCALES.get(scale['determined_by'], 'what is stated: ' + scale['determined_by'])}"
 
 
 def _parameters(report: Mapping[str, Any]) -> SummaryTable:
@@ -205,6 +221,7 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
         worst = [camera["rotation_std_deg"] for camera in (report.get("cameras") or {}).values()]
         if worst:
             yield f"rotations to {number(max(worst), 2)} deg or better"
+            yield from _scale(report)
     tracking = tracking_part(report)
     if tracking:
         tracks = tracking["tracks"]
@@ -223,7 +240,10 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
             residuals = sum(camera["residuals"] for camera in cameras.values())
             yield f"they explain {share(explained / detections)} of {detections:,} detections"
             if residuals:
-                yield f"residual {number((squares / residuals) ** 0.5, 2)} px"
+                ratios = [(c["residuals"], c["residual_ratio"]) for c in cameras.values() if c.get("residual_ratio")]
+                beside = (sum(n * ratio**2 for n, ratio in ratios) / residuals) ** 0.5
+                of_noise = f", {beside:.2f} times what the noise leads to expect" if ratios else ""
+                yield f"residual {number((squares / residuals) ** 0.5, 2)} px{of_noise}"
     if evaluation is not None:
         ospa = evaluation["ospa"]
         scale = f" {unit}" if ospa["base"] == "euclidean" else ""

@@ -18,15 +18,15 @@ import yaml
 import stereophd
 import stereophd.commands.simulate
 from stereophd.cli.error_document import error_document
+from stereophd.cli.options import GROUPS
 from stereophd.errors import GateError, InputError
 
 from .conftest import CONFIG, Outcome, start, write_config, write_log
 
 Call = Callable[..., Outcome]
 NAMES = (
-    "demo", "import", "init", "info", "check", "simulate", "track", "calibrate", "evaluate", "evaluate-cameras",
-    "report", "export",
-    "experiment", "compile", "config",
+    "demo", "import", "init", "info", "check", "simulate", "track", "calibrate", "align", "evaluate",
+    "evaluate-cameras", "report", "export", "experiment", "compile", "config",
 )  # fmt: skip
 COMMANDS = [[], *([name] for name in NAMES), *(["config", c] for c in ("show", "check", "schema"))]
 
@@ -46,8 +46,27 @@ def test_help(call: Call, command: list[str], monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_help_names_all_commands(call: Call) -> None:
-    listed = call("--help").out.partition("Commands:\n")[2]
+    listed, _, examples = call("--help").out.partition("Commands:\n")[2].partition("\n\n")
     assert tuple(line.split()[0] for line in listed.splitlines()) == NAMES
+    assert examples.startswith("Start here:\n  stereophd demo out\n")
+
+
+def test_every_help_ends_with_an_example_that_is_a_command_line(call: Call) -> None:
+    """Words in the examples are a command, and options that it has; every group of options has a command."""
+    groups: set[str] = set()
+    for command in COMMANDS:
+        if command in ([], ["config"]):
+            continue
+        text, _, examples = call(*command, "--help").out.rpartition("Example")
+        lines = [line.split() for line in examples.splitlines()[1:]]
+        assert lines, command
+        for words in lines:
+            assert words[1 : 1 + len(command)] == command
+            assert {word for word in words if word.startswith("--")} <= set(re.findall(r"--[\w-]+", text))
+        groups |= {heading for heading in GROUPS if f"\n{heading}:\n" in text}
+        assert "<" not in text.splitlines()[0]
+        assert "{" not in text.splitlines()[0]
+    assert groups == set(GROUPS)
 
 
 def test_help_imports_nothing_heavy() -> None:

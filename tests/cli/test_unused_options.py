@@ -20,7 +20,18 @@ Call = Callable[..., Outcome]
 
 # Options that every use of a command accepts: where outputs go, what is printed, what goes into the configuration. They
 # act, or are REPORTED.
-ALWAYS = {"--out", "--json", "--quiet", "--verbose", "--debug", "--set", "--seed", "--force", "--force-size", "--help"}
+ALWAYS = {
+    "--out",
+    "--json",
+    "--quiet",
+    "--verbose",
+    "--debug",
+    "--set",
+    "--seed",
+    "--force",
+    "--ignore-size-limit",
+    "--help",
+}
 
 # Command -> its further options that act in every use: those that are declared so, and those of the shell alone.
 ACTING = {
@@ -32,7 +43,7 @@ ACTING = {
     "config show": {"--cameras"},
     "evaluate-cameras": {"--config"},
     "import": {"--cameras"},
-    "init": {"--log", "--cameras", "--length-unit", "--kind"},
+    "init": {"--log", "--cameras", "--length-unit", "--preset"},
     "report": {"--log", "--truth", "--title"},
     "simulate": {"--cameras", "--realtime"},
     "track": {"--cameras", "--smooth", "--associations", "--strict", "--listen"},
@@ -47,8 +58,8 @@ SINGLE = {"kind": "single", "prior": {"depth_range": [50, 200], "velocity_std": 
 # Options that act in some uses: the words of another use, and the sentence that the command ends with.
 REFUSED = [
     (["calibrate", "CONFIG", "b", "--out", "c"], ["--dask", "d"], "--dask: expected several logs"),
-    (["track", "CONFIG", "b", "--out", "c"], ["--dask", "d"], "--dask: expected several logs, or --pieces S"),
-    (["track", "CONFIG", "b", "--out", "c"], ["--overlap", "3"], "--overlap: expected --pieces S too"),
+    (["track", "CONFIG", "b", "--out", "c"], ["--dask", "d"], "--dask: expected several logs, or one in pieces"),
+    (["track", "CONFIG", "b", "--out", "c"], ["--overlap", "3"], "--overlap: expected --pieces SECONDS too"),
     (["track", "CONFIG", "b", "--out", "c"], ["--record", "d"], "--record: expected only with -, --follow or"),
     (["track", "CONFIG", "b"], ["--follow", "d"], "expected one of -, --follow and --listen"),
     (["simulate", "CONFIG", "--out", "c"], ["--jobs", "2"], "--jobs: expected only with --runs N, found one run"),
@@ -58,40 +69,41 @@ REFUSED = [
     (["evaluate", "a", "b"], ["--plots"], "--plots: expected --out DIR"),
     (["evaluate", "a", "b"], ["--cameras", "c"], "--cameras: expected only with --log"),
     (["evaluate", "a", "b", "--out", "o", "--no-plots"], ["--cameras", "c"], "--cameras: expected only with --log"),
-    (["evaluate", "a", "b"], ["--log", "c"], "--seen-by: expected --seen-by, --within and --log together"),
-    (["evaluate", "a", "b"], ["--within", "1"], "--seen-by: expected --seen-by, --within and --log together"),
-    (["evaluate", "a", "b"], ["--seen-by", "1"], "--seen-by: expected --seen-by, --within and --log together"),
+    (["evaluate", "a", "b"], ["--log", "c"], "--seen-by: expected --seen-by, --seen-within and --log together"),
+    (["evaluate", "a", "b"], ["--seen-within", "1"], "--seen-by: expected --seen-by, --seen-within and --log together"),
+    (["evaluate", "a", "b"], ["--seen-by", "1"], "--seen-by: expected --seen-by, --seen-within and --log together"),
     (["import", "csv", "TABLE", "--out", "c"], ["--p-detect", "0.5"], "--p-detect: expected only with --sigma-px"),
     (["import", "csv", "TABLE", "--out", "c"], ["--clutter", "0.5"], "--clutter: expected only with --sigma-px"),
     *(
         (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, f"{words[0]}: expected an option that a")
         for words in (
-            ["--box-point", "bottom"], ["--length-unit", "cm"], ["--undistorted"], ["--image-size", "9x9"],
-            ["--sigma-px", "1"], ["--time-unit", "ms"], ["--least-score", "0.5"],
+            ["--box-point", "bottom"], ["--length-unit", "cm"], ["--pixels-undistorted"], ["--image-size", "9x9"],
+            ["--sigma-px", "1"], ["--time-unit", "ms"], ["--min-score", "0.5"],
         )
     ),
     *(
         (["import", "opencv", "CAMERAS", "--out", "OUT"], words, f"{words[0]}: expected an option that a source of")
         for words in (
-            ["--column", "u_px=x"], ["--fps", "9"], ["--offset", "1"], ["--frames", "0:9"],
+            ["--column", "u_px=x"], ["--fps", "9"], ["--offset", "1"], ["--recorded-frames", "0:9"],
             ["--pixel-origin", "corner"], ["--rows-from", "bottom"], ["--truth", "."],
         )
     ),
     *(
         (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, f"{words[0]}: expected one of the cameras")
-        for words in (["--fps", "lft=9"], ["--offset", "lft=1"], ["--frames", "lft=0:9"])
+        for words in (["--fps", "lft=9"], ["--offset", "lft=1"], ["--recorded-frames", "lft=0:9"])
     ),
     *(
         (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, "--rename: expected one of the cameras left")
         for words in (["--rename", "a=b"], ["--rename", "typo=left"])
     ),
     (["import", "csv", "TIMED", "--out", "OUT"], ["--fps", "9"], "--fps: expected frame numbers of camera left"),
-    (["import", "csv", "TIMED", "--out", "OUT"], ["--frames", "0:9"], "--frames: expected frame numbers of camera"),
+    (["import", "csv", "TIMED", "--out", "OUT"], ["--recorded-frames", "0:9"], "--recorded-frames: expected frame"),
     (
-        ["import", "csv", "TABLE", "--fps", "10", "--no-fill", "--out", "OUT"], ["--frames", "0:9"],
-        "--frames: expected --fill, which adds",
+        ["import", "csv", "TABLE", "--fps", "10", "--no-fill-missing-frames", "--out", "OUT"],
+        ["--recorded-frames", "0:9"],
+        "--recorded-frames: expected --fill-missing-frames, which adds",
     ),
-    (["import", "opencv", "CAMERAS", "--out", "OUT"], ["--no-fill"], "--fill: expected an option that a source of"),
+    (["import", "opencv", "CAMERAS", "--out", "OUT"], ["--no-fill-missing-frames"], "--fill-missing-frames: expected"),
     *(
         (["export", "opencv", "NATIVE", "--out", "OUT"], words, f"{words[0]}: expected only for tracks, found cameras")
         for words in (["--track", "1"], ["--rate", "9"], ["--tentative"])

@@ -19,6 +19,7 @@ UNBOUNDED = {
     "PmbSettings.exchange_above",
     "PhdSettings.out_of_view_s",
     "PmbSettings.out_of_view_s",
+    "cameras_covariance",
 }
 
 CAMERA = "cameras.left"

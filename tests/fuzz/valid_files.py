@@ -68,7 +68,7 @@ USES = {
     "init": Use("run", "init OUT --log log.parquet --cameras cameras.yaml", 1),
     "evaluate": Use(
         "run", "evaluate tracked/tracks.parquet truth.parquet --cutoff 1 --cameras cameras.yaml --log log.parquet "
-        "--seen-by 1 --within 1 --out OUT --no-plots",
+        "--seen-by 1 --seen-within 1 --out OUT --no-plots",
     ),
     "align to a track": Use("control", "align cameras.yaml --to control.parquet --tracks tracks.parquet --out OUT"),
     "align to a camera": Use("run", "align cameras.yaml --to left --out OUT"),
@@ -88,7 +88,7 @@ USES = {
     "import caliscope": Use("caliscope", "import caliscope session --out OUT", 12),
     "import coco": Use("coco", "import coco labels.json --fps 2 --out OUT", 12),
     "import colmap": Use("colmap", "import colmap model --out OUT"),
-    "import deeplabcut": Use("deeplabcut", "import deeplabcut top.csv --fps 2 --least-score 0.5 --out OUT"),
+    "import deeplabcut": Use("deeplabcut", "import deeplabcut top.csv --fps 2 --min-score 0.5 --out OUT"),
     "import deeplabcut hdf5": Use("deeplabcut", "import deeplabcut topDLC_net.h5 --fps 2 --out OUT"),
     "import dlt": Use("dlt", "import dlt rig.csv --image-size 640x480 --length-unit m --out OUT"),
     "import dltdv": Use(

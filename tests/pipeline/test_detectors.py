@@ -226,10 +226,14 @@ def test_values_from_sums() -> None:
     assert found.residual_ratio == pytest.approx(2.0)
     assert found.detector.p_detect == pytest.approx(75.5 / 101.0)
     assert found.detector.clutter_per_frame == pytest.approx(50.5 / 50.0)
-    # a prior of 1 px for both axes takes its share of the logarithm
-    sure = estimate_detector(sums, present, NoisePrior(np.array([1.0, 1.0]), 0.0))
+    # a prior of 5 px for both axes takes its share of the logarithm
+    sure = estimate_detector(sums, present, NoisePrior(np.array([5.0, 5.0]), 0.0))
     weight = relative**-2 / (relative**-2 + BETWEEN_AXES**-2)
-    np.testing.assert_allclose(sure.detector.sigma, [4.0**weight, 6.0**weight])
+    np.testing.assert_allclose(sure.detector.sigma, 5.0 * np.array([0.8, 1.2]) ** weight)
+    # and all of it where the tracks contradict it
+    contradicted = estimate_detector(sums, present, NoisePrior(np.array([1.0, 1.0]), 0.0))
+    assert contradicted.detector.sigma.tolist() == [1.0, 1.0]
+    assert not contradicted.confirmed
     nothing = estimate_detector(DetectorSums(), present, NoisePrior(np.array([1.0, 2.0]), 1.0))
     assert nothing.detector.sigma.tolist() == [1.0, 2.0]
     assert (nothing.detector.p_detect, nothing.detector.clutter_per_frame) == (0.9, 1.0)

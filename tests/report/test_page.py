@@ -49,6 +49,8 @@ try {
   found.time = document.getElementById("now").textContent;
   document.getElementById("theme").click(); await wait(400);
   found.theme = document.documentElement.dataset.theme;
+  // plots are drawn when they come near the window, and all of them for the paper
+  dispatchEvent(new Event("beforeprint")); await wait(200); dispatchEvent(new Event("afterprint")); await wait(200);
   const widths = () => ["lives", "ospa"].map((id) => document.getElementById(id)._fullLayout.width);
   const screen = widths(), theme = found.theme;
   dispatchEvent(new Event("beforeprint")); await wait(200);

@@ -19,10 +19,14 @@ from stereophd.core.metrics.truth.registration import Freedom, Registration
 
 # Cells of time: no finer than this part of both spans together, and no fewer common ones.
 MOST_CELLS, LEAST_CELLS = 16_384, 12
+# Least part of the shorter of the two that is common: short pieces fit by chance.
+LEAST_COMMON = 0.5
 # Least part of the variance that is left: rounding of the transforms.
 LEAST_UNEXPLAINED = 1e-10
-# Offsets further than this from the best one, s, are others.
-OTHER_OFFSET_S = 2.0
+# Another offset or curve fits nearly as well with more than this part of the gain, and less than this many times the
+# variance left. Other offsets lie beyond worse ones, or further than these seconds and this part of the common time.
+OTHER_GAIN, OTHER_UNEXPLAINED = 0.5, 4.0
+OTHER_OFFSET_S, OTHER_SHARE = 2.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -48,6 +52,7 @@ class CurveFit:
     curve: int  # Its number
     offsets: Array  # (k,): What the control's clock shows more, s
     gains: Array  # (k,): T log(1 / u), s
+    unexplained_at: Array  # (k,): The part u of the variance
     best: int  # The offset of the greatest gain
     common_s: float  # Common time at that offset, s
     registration: Registration  # At that offset
@@ -60,16 +65,23 @@ class CurveFit:
     @property
     def unexplained(self) -> float:
         """Part of the control's variance that is left at the best offset."""
-        return float(np.exp(-self.gain / self.common_s))
+        return float(self.unexplained_at[self.best])
 
     @property
-    def rival(self) -> tuple[float, float]:
-        """The greatest gain at another offset, and that offset, s; gain 0 if there is none."""
-        apart = np.flatnonzero(np.abs(self.offsets - self.offsets[self.best]) > OTHER_OFFSET_S)
-        if not len(apart):
-            return 0.0, 0.0
-        place = apart[self.gains[apart].argmax()]
-        return float(self.gains[place]), float(self.offsets[place])
+    def rival(self) -> float | None:
+        """Another offset that fits nearly as well, s; None if there is none.
+
+        Offsets next to the best one belong to it, as far as the gain falls steadily or the motion allows no better.
+        """
+        elsewhere = np.abs(self.offsets - self.offsets[self.best]) > max(OTHER_OFFSET_S, OTHER_SHARE * self.common_s)
+        alike = self.gains > OTHER_GAIN * self.gain
+        alike &= self.unexplained_at < OTHER_UNEXPLAINED * self.unexplained_at[self.best]
+        dips = np.flatnonzero(~alike)
+        number = np.arange(len(alike))
+        elsewhere |= number < dips[dips < self.best].max(initial=-1)
+        elsewhere |= number > dips[dips > self.best].min(initial=len(alike))
+        places = np.flatnonzero(elsewhere & alike)
+        return float(self.offsets[places[self.gains[places].argmax()]]) if len(places) else None
 
 
 def fits_to(curves: list[Curve], control: Truth, max_gap_s: float, freedom: Freedom) -> list[CurveFit]:
@@ -107,7 +119,7 @@ def _fit(
     step: float,
     any_scale: bool,
 ) -> CurveFit | None:
-    """CurveFit positions (p, 3) to (q, 3), each with a mask, at all p + q - 1 offsets; None if no offset will do."""
+    """Fit positions (p, 3) to (q, 3), each with a mask, at all p + q - 1 offsets; None if no offset will do."""
     middles = [values[known].mean(axis=0) if known.any() else np.zeros(3) for values, known in (a, b)]
     length = len(a[0]) + len(b[0]) - 1
     spectra = []
@@ -123,7 +135,8 @@ def _fit(
     cross = sums[:, 1:4, 1:4] - sums[:, 1:4, 0, None] * sums[:, 0, None, 1:4] / safe[:, None, None]
     spread_a = sums[:, 4, 0] - (sums[:, 1:4, 0] ** 2).sum(axis=1) / safe
     spread_b = sums[:, 0, 4] - (sums[:, 0, 1:4] ** 2).sum(axis=1) / safe
-    used = used & (count >= LEAST_CELLS) & (np.minimum(spread_a, spread_b) > 0.0)
+    shorter = min(int(a[1].sum()), int(b[1].sum()))
+    used = used & (count >= max(LEAST_CELLS, LEAST_COMMON * shorter)) & (np.minimum(spread_a, spread_b) > 0.0)
     if not used.any():
         return None
     left, sizes, right = np.linalg.svd(np.swapaxes(cross[used], 1, 2))
@@ -131,8 +144,9 @@ def _fit(
     signs[:, 2] = np.sign(np.linalg.det(left @ right))
     agreement, spread_a, spread_b = (signs * sizes).sum(axis=1), spread_a[used], spread_b[used]
     scales = agreement / spread_a if any_scale else np.ones(len(agreement))
-    unexplained = 1.0 + (scales**2 * spread_a - 2.0 * scales * agreement) / spread_b
-    gains = -np.log(np.maximum(unexplained, LEAST_UNEXPLAINED)) * count[used] * step
+    left_over = 1.0 + (scales**2 * spread_a - 2.0 * scales * agreement) / spread_b
+    unexplained = np.maximum(left_over, LEAST_UNEXPLAINED)
+    gains = -np.log(unexplained) * count[used] * step
     best = int(gains.argmax())
     rotation, scale = left[best] * signs[best] @ right[best], float(scales[best])
     if scale <= 0.0:
@@ -144,4 +158,4 @@ def _fit(
     )
     shift = float(offsets[place])
     found = Registration(rotation, mean_b - scale * rotation @ mean_a, scale, 0.0, shift, 1.0, int(count[place]))
-    return CurveFit(number, offsets[used], gains, best, float(count[place] * step), found)
+    return CurveFit(number, offsets[used], gains, unexplained, best, float(count[place] * step), found)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.alignment.start import Curve, CurveFit, fits_to
+from stereophd.core.alignment.start import OTHER_GAIN, OTHER_UNEXPLAINED, Curve, CurveFit, fits_to
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.errors.consistency import independent_count
 from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS, Truth
@@ -15,10 +15,10 @@ from stereophd.core.metrics.truth.registration import Freedom, Registration, Res
 # A track belongs to the control if its median distance is below this many times that of the best track, or this part
 # of the control's spread; rounds in which the members are found.
 SAME_OBJECT, LEAST_APART, ROUNDS = 4.0, 0.02, 4
-# Times in between two of the control track.
-FINER = 4
-# Another offset, or another track, with this part of the gain makes the answer ambiguous.
-RIVAL = 0.5
+# Times in between two of the control track, and rows of a stretch without gaps that a spline needs.
+FINER, LEAST_OF_SPLINE = 4, 5
+# Tracks follow each other if their spans add up to at most this many times that of all.
+MOST_OVERLAP = 1.1
 # Largest part of the control's spread that may be left over.
 MOST_LEFT = 0.2
 # What is determined: rotation, rad; logarithm of the scale; shift of the clock, s.
@@ -55,14 +55,12 @@ def align_to_track(time_s: Array, position: Array, track_ids: Integers, control:
     """
     gap = DEFAULT_GAP_STEPS * control.step_s
     control = _finer(control, gap)
+    if not len(control.time_s):
+        raise ValueError("the control track is broken by gaps everywhere: expected stretches of five rows or more")
     curves, names = _curves(time_s, position, track_ids)
     fits = sorted(fits_to(curves, control, gap, freedom), key=lambda fit: -fit.gain)
-    if not fits or fits[0].unexplained > MOST_LEFT**2:
-        raise ValueError(
-            "no track has the motion of the control track: does its object move, was it tracked, and do the times "
-            "overlap? (the best leaves "
-            f"{100.0 * np.sqrt(fits[0].unexplained) if fits else 100.0:.0f} % unexplained)"
-        )
+    _refuse_other_motion(float(np.sqrt(fits[0].unexplained)) if fits else 1.0)
+    is_single = np.array([len(one) == 1 for one in names])
     found, members = fits[0].registration, np.array([fits[0].curve])
     rows = np.isin(track_ids, names[fits[0].curve])
     _refuse_straight(residuals(found, time_s[rows], position[rows], control, gap))
@@ -72,12 +70,13 @@ def align_to_track(time_s: Array, position: Array, track_ids: Integers, control:
         found = register(time_s[rows], position[rows], control, gap, freedom, found)
         medians = np.array([_median_distance(found, curve, control, gap) for curve in curves])
         limit = max(SAME_OBJECT * medians[fits[0].curve], LEAST_APART * spread * (number == 0))
-        chosen = np.flatnonzero(medians <= limit)
-        if np.array_equal(chosen, members):
+        chosen = np.flatnonzero((medians <= limit) & is_single)
+        if not len(chosen) or np.array_equal(chosen, members):
             break
         members, rows = chosen, np.isin(track_ids, np.concatenate([names[k] for k in chosen]))
     _refuse_rival_track(fits, np.unique(track_ids[rows]), names)
     left = residuals(found, time_s[rows], position[rows], control, gap)
+    _refuse_other_motion(0.5 * left.reach / spread)
     covariance = _covariance(left, track_ids[rows][left.rows], freedom)
     _refuse_undetermined(covariance)
     distances = np.linalg.norm(left.errors, axis=1)
@@ -85,29 +84,33 @@ def align_to_track(time_s: Array, position: Array, track_ids: Integers, control:
 
 
 def _finer(control: Truth, max_gap_s: float) -> Truth:
-    """Return a control track with times in between, by splines: straight lines cut corners, and shrink the motion."""
-    from scipy.interpolate import make_interp_spline  # costly to import
+    """Return a control track with times in between, and with velocities.
+
+    The places are those of splines: straight lines cut corners, and shrink the motion. The velocities are those of
+    smoothing splines: differences of noisy places look like motion, from which the clock seems well known.
+    """
+    from scipy.interpolate import make_interp_spline, make_smoothing_spline  # costly to import
 
     ends = np.flatnonzero(np.diff(control.time_s) > max_gap_s) + 1
-    times, positions = [], []
+    parts = []
     for rows in np.split(np.arange(len(control.time_s)), ends):
-        at = control.time_s[rows]
-        if len(rows) > 3:
-            fine = np.interp(np.arange(FINER * (len(rows) - 1) + 1) / FINER, np.arange(len(rows)), at)
-            positions.append(make_interp_spline(at, control.position[rows], 3)(fine))
-            at = fine
-        else:
-            positions.append(control.position[rows])
-        times.append(at)
-    time_s = np.concatenate(times)
-    return Truth(time_s, np.zeros(len(time_s), dtype=np.int64), np.concatenate(positions))
+        at, places = control.time_s[rows], control.position[rows]
+        if len(rows) < LEAST_OF_SPLINE:
+            continue
+        fine = np.interp(np.arange(FINER * (len(rows) - 1) + 1) / FINER, np.arange(len(rows)), at)
+        smooth = [make_smoothing_spline(at, axis).derivative()(fine) for axis in places.T]
+        parts.append(np.column_stack([fine, make_interp_spline(at, places, 3)(fine), *smooth]))
+    table = np.concatenate([np.zeros((0, 7)), *parts])
+    return Truth(table[:, 0], np.zeros(len(table), dtype=np.int64), table[:, 1:4], table[:, 4:])
 
 
 def _curves(time_s: Array, position: Array, track_ids: Integers) -> tuple[list[Curve], list[Integers]]:
-    """Return each track as a curve, and all of them as one, which is that of a single object with a broken track."""
+    """Return each track as a curve, and all as one where they follow each other: tracks of one object that broke."""
     curves, names = [], []
     every = np.unique(track_ids)
-    for ids in (*every[:, None], *([every] if len(every) > 1 else [])):
+    spans = [float(np.ptp(time_s[track_ids == name])) for name in every]
+    follow = len(every) > 1 and sum(spans) <= MOST_OVERLAP * float(np.ptp(time_s))
+    for ids in (*every[:, None], *([every] if follow else [])):
         rows = np.flatnonzero(np.isin(track_ids, ids))
         rows = rows[np.append(True, np.diff(time_s[rows]) > 0.0)]
         if len(rows) > 1:
@@ -119,6 +122,15 @@ def _curves(time_s: Array, position: Array, track_ids: Integers) -> tuple[list[C
 def _median_distance(found: Registration, curve: Curve, control: Truth, gap: float) -> float:
     left = residuals(found, curve.time_s, curve.position, control, gap)
     return float(np.median(np.linalg.norm(left.errors, axis=1))) if len(left.rows) else np.inf
+
+
+def _refuse_other_motion(left_over: float) -> None:
+    """Refuse a best track that leaves too large a part of the control's motion."""
+    if left_over > MOST_LEFT:
+        raise ValueError(
+            "no track has the motion of the control track: does its object move, was it tracked, and do the times "
+            f"overlap? (the best leaves {100.0 * left_over:.0f} % unexplained)"
+        )
 
 
 def _refuse_straight(left: Residuals) -> None:
@@ -134,18 +146,24 @@ def _refuse_straight(left: Residuals) -> None:
 
 def _refuse_rival_offset(best: CurveFit) -> None:
     """Refuse a clock offset beside which another fits nearly as well."""
-    gain, offset = best.rival
-    if gain > RIVAL * best.gain:
+    if best.rival is not None:
         raise ValueError(
-            f"a clock offset of {offset:.1f} s fits nearly as well as {best.registration.shift_s:.1f} s: the motion "
-            "repeats itself, or is even; record changes of speed and direction, or state one clock (`same_clock=True`)"
+            f"a clock offset of {best.rival:.1f} s fits nearly as well as {best.registration.shift_s:.1f} s: the "
+            "motion repeats itself, or is even; record changes of speed and direction, or state one clock "
+            "(`same_clock=True`)"
         )
 
 
 def _refuse_rival_track(fits: list[CurveFit], members: Integers, names: list[Integers]) -> None:
     """Refuse tracks of several objects of which each could be that of the control."""
     best = fits[0]
-    rivals = [fit for fit in fits if fit.gain > RIVAL * best.gain and not np.isin(names[fit.curve], members).any()]
+    rivals = [
+        fit
+        for fit in fits
+        if fit.gain > OTHER_GAIN * best.gain
+        and fit.unexplained < OTHER_UNEXPLAINED * best.unexplained
+        and not np.isin(names[fit.curve], members).any()
+    ]
     if rivals:
         raise ValueError(
             f"tracks {names[best.curve][0]} and {names[rivals[0].curve][0]} fit the control track alike: the objects "

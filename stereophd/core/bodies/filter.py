@@ -7,6 +7,14 @@ numbers, since the size over the depth comes in; only (u, v, d) of the centre re
 measure. The observation is linearised about the prediction instead (an extended Kalman filter): boxes are wide, 0.05 of
 their height, and a frame moves the linearisation by less.
 
+The frames of one instant are associated jointly: a hypothesis keeps its boxes until the instant is over, and each frame
+makes the earlier associations of the instant anew (`stereophd.core.bodies.hypotheses.reassociate`). Whether a track is
+reported is decided by all of them together.
+
+A box that no track claims is a body, clutter, or the first of a false object: a poster, a mirror image or a part of
+the furniture, which stays in its place and is seen by one camera only. A false object is a hypothesis of its track; it
+hides nothing, and is not reported.
+
 Reference: J. L. Williams, "Marginal multi-Bernoulli filters: RFS derivation of MHT, JIPDA and association-based
 MeMBer", IEEE Trans. AES 51 (3), 2015.
 """
@@ -22,10 +30,10 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.bodies.births import Newborns, half_extents, newborn_bodies, shares_left
-from stereophd.core.bodies.boxes import Boxes, box_variances, boxes_of, share_in_image
+from stereophd.core.bodies.boxes import WHOLE_SHARE, Boxes, box_variances, boxes_of, share_in_image
 from stereophd.core.bodies.hypotheses import Hypotheses, box_factors, merged, reassociate, reduce_hypotheses
 from stereophd.core.bodies.occlusion import CUT_SHARE, detection_probabilities, hidden_shares
-from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE, TOP, outline_boxes
+from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE, TOP, VELOCITY, outline_boxes
 from stereophd.core.bodies.prediction import predict_bodies
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.disparity.events import Event, Rig
@@ -41,10 +49,15 @@ from stereophd.core.multi.state.estimates import Estimates, Info
 GATE, GATE_SQUARED = 5.0, 36.0
 # Bodies of whose box less is hidden are seen whole.
 LEAST_HIDDEN = 0.05
+# Share of the false boxes that are the first of a false object, such as a poster or a mirror image, which one camera
+# goes on to see, where other cameras see nothing; and the probability that it does.
+STAYING_SHARE, FALSE_DETECTED = 0.05, 0.8
+# A track is no longer reported where a body is less than this part as probable as a false object.
+FALSE_RELEASE = 0.1
 # Rounds over the associations of the cameras of one instant.
 ROUNDS = 1
 # Detections that tracks claim with more than these odds against clutter give birth to nothing: it would be pruned.
-CLEARLY_CLAIMED = 1e5
+CLEARLY_CLAIMED = 1e3
 
 
 @dataclass(frozen=True)
@@ -55,7 +68,9 @@ class BodyState:
     # `labels`, `track_ids`: (t,): Of the tracks; a track that was never reported has no identity yet, -1
     labels: Integers
     track_ids: Integers
-    reported: Booleans  # (t,): Whether the last event reported the track
+    # `reported`, `shown`: (t,): Whether the last instant reported the track, and whether the open one does so far
+    reported: Booleans
+    shown: Booleans
     time_s: float | None = None  # Of the last event, None before the first
     next_label: int = 0
     next_track: int = 0
@@ -89,8 +104,8 @@ class BodyFilter:
         """Return the state before the first event: no bodies."""
         none = np.empty(0, dtype=np.int64)
         empty = np.empty((0, STATE_SIZE)), np.empty((0, STATE_SIZE, STATE_SIZE))
-        hypotheses = Hypotheses.undecided(none, np.empty(0), *empty, len(self.rig.cameras))
-        return BodyState(hypotheses, none, none, none.astype(np.bool_))
+        hypotheses = Hypotheses.undecided(none, np.empty(0), *empty, none, len(self.rig.cameras))
+        return BodyState(hypotheses, none, none, none.astype(np.bool_), none.astype(np.bool_))
 
     def step(self, state: BodyState, event: Event) -> tuple[BodyState, Info, Estimates]:
         """Predict, update and report for one event."""
@@ -99,7 +114,7 @@ class BodyFilter:
         if event.time_s - state.instant_s >= self.shape.instant_s or state.counts[event.camera] >= 0:
             hypotheses = merged(state.hypotheses, self.settings.hypothesis_distance)
             none = (-1,) * len(self.rig.cameras)
-            state = replace(state, hypotheses=hypotheses, instant_s=event.time_s, counts=none)
+            state = replace(state, hypotheses=hypotheses, reported=state.shown, instant_s=event.time_s, counts=none)
         state = self._predicted(state, event.time_s)
         state, info = self._update(state, event, camera, elapsed)
         return self._extract(state, info)
@@ -117,7 +132,11 @@ class BodyFilter:
         elapsed = 0.0 if state.time_s is None else max(time_s - state.time_s, 0.0)
         if not len(hypotheses.weights) or elapsed == 0.0:
             return replace(state, time_s=time_s)
-        means, covariances = predict_bodies(hypotheses.means, hypotheses.covariances, elapsed, self.motion, self.shape)
+        means, covariances = hypotheses.means.copy(), hypotheses.covariances.copy()
+        moves = np.flatnonzero(hypotheses.views < 0)
+        means[moves], covariances[moves] = predict_bodies(
+            means[moves], covariances[moves], elapsed, self.motion, self.shape
+        )
         weights = hypotheses.weights * self.settings.survival_per_s**elapsed
         weights = np.where(self._is_in_reach(means, time_s), weights, weights * self._fading(elapsed))
         hypotheses = hypotheses._replace(weights=weights, means=means, covariances=covariances)
@@ -150,6 +169,8 @@ class BodyFilter:
         projected, slopes = outline_boxes(hypotheses.means, camera, self.shape.direction)
         hidden = self._hidden(hypotheses, projected, camera)
         detection = detection_probabilities(projected, hidden, camera, self.shape)
+        false = hypotheses.views >= 0
+        detection[false] = np.where(hypotheses.views[false] == event.camera, FALSE_DETECTED, 0.0)
         existence = np.bincount(owners, weights, n_tracks)
         missed = weights * (1.0 - detection)
         not_detected = 1.0 - existence + np.bincount(owners, missed, n_tracks)
@@ -166,6 +187,7 @@ class BodyFilter:
             masses = weights[pairs.rows] * detection[pairs.rows] * np.exp(np.minimum(pairs.log_odds, 500.0)) / clutter
         claimed = np.bincount(pairs.columns, masses, len(boxes)) > CLEARLY_CLAIMED
         newborns, born = self._newborns(boxes, ~claimed, camera, births * detector.p_detect / clutter)
+        stays = STAYING_SHARE * self._is_in_other_views(newborns, event) * ~claimed
 
         keys, inverse = np.unique(owners[pairs.rows] * max(len(boxes), 1) + pairs.columns, return_inverse=True)
         tracks, columns = keys // max(len(boxes), 1), keys % max(len(boxes), 1)
@@ -176,6 +198,7 @@ class BodyFilter:
         detected_weights = taken[inverse] * masses / np.maximum(shared[inverse], 1e-300)
         missed_weights = missing[owners] * missed / np.maximum(not_detected[owners], 1e-12)
         newborn_weights = unclaimed * born / (1.0 + born)
+        staying_weights = unclaimed * stays / (1.0 + born)
         log_likelihood = (
             -clutter - births * detector.p_detect + float(np.log(np.maximum(not_detected, 1e-300)).sum()) + log_evidence
             + float((boxes.log_clutter + math.log(clutter) + np.log1p(born)).sum())
@@ -184,10 +207,11 @@ class BodyFilter:
         labels = np.concatenate([state.labels, state.next_label + np.arange(len(boxes))])
         info = self._info(state.labels, labels, tracks, columns, taken, missing * (existence > 0), newborn_weights)
         factors = box_factors(taken, missing[tracks], shared / np.maximum(not_detected[tracks], 1e-12))[inverse]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            newborn_factors = np.clip(np.nan_to_num(unclaimed / (1.0 + born - unclaimed * born), nan=1.0), 1e-12, 1.0)
+        alone = newborn_weights + staying_weights
+        odds = (born + stays) / (1.0 - stays)
+        newborn_factors = box_factors(alone, 1.0 - alone, odds)
         joined = self._joined(
-            hypotheses, pairs, newborns, (missed_weights, detected_weights, newborn_weights),
+            hypotheses, pairs, newborns, (missed_weights, detected_weights, newborn_weights, staying_weights),
             (factors, newborn_factors), n_tracks, event.camera,
         )  # fmt: skip
         counts = (*state.counts[: event.camera], len(boxes), *state.counts[event.camera + 1 :])
@@ -203,7 +227,7 @@ class BodyFilter:
             undetected=undetected, counts=counts,
         )  # fmt: skip
         return state, replace(
-            info, log_likelihood=log_likelihood, cardinality_mean=float(reduced.weights.sum()),
+            info, log_likelihood=log_likelihood, cardinality_mean=float(reduced.weights[reduced.views < 0].sum()),
             n_components=len(reduced.weights), burst=burst,
         )  # fmt: skip
 
@@ -217,7 +241,7 @@ class BodyFilter:
         if self.shape.hidden_loss == 0.0 or not len(projected):
             return np.zeros(len(projected))
         first = hypotheses.first()
-        existence = np.bincount(hypotheses.owners, hypotheses.weights).astype(np.float64)
+        existence = hypotheses.existence(len(first))
         means, covariances = hypotheses.means[first], hypotheses.covariances[first]
         return hidden_shares(projected[first], means, covariances, existence, camera)[hypotheses.owners]
 
@@ -279,12 +303,23 @@ class BodyFilter:
         odds = rate * np.exp(np.minimum(out.log_densities - boxes.log_clutter, 500.0))
         return out, odds
 
+    def _is_in_other_views(self, newborns: Newborns, event: Event) -> Booleans:
+        """Which newborns (m,) another camera has in view too."""
+        out = np.zeros(len(newborns.states), dtype=np.bool_)
+        born = np.flatnonzero(np.isfinite(newborns.log_densities))
+        for k, other in enumerate(self.rig.cameras):
+            if k != event.camera and len(born):
+                frozen = other.at(event.time_s)
+                boxes, _ = outline_boxes(newborns.states[born], frozen, self.shape.direction)
+                out[born] |= share_in_image(boxes, frozen) >= WHOLE_SHARE
+        return out
+
     def _joined(
         self,
         hypotheses: Hypotheses,
         pairs: Pairs,
         newborns: Newborns,
-        weights: tuple[Array, Array, Array],
+        weights: tuple[Array, Array, Array, Array],
         factors: tuple[Array, Array],
         n_tracks: int,
         camera: int,
@@ -294,11 +329,14 @@ class BodyFilter:
         covariances = hypotheses.covariances[pairs.rows]
         covariances = covariances - pairs.gains @ (pairs.projections @ covariances)
         covariances = (covariances + covariances.swapaxes(1, 2)) / 2.0
+        size = len(newborns.states)
         fresh = Hypotheses.undecided(
-            n_tracks + np.arange(len(newborns.states)), weights[2], newborns.states, newborns.covariances,
-            hypotheses.boxes.shape[1],
+            n_tracks + np.tile(np.arange(size), 2), np.concatenate(weights[2:]), np.tile(newborns.states, (2, 1)),
+            np.tile(newborns.covariances, (2, 1, 1)), np.repeat([-1, camera], size), hypotheses.boxes.shape[1],
         )  # fmt: skip
-        fresh.boxes[:, camera], fresh.factors[:, camera] = np.arange(len(newborns.states)), factors[1]
+        # a false object does not move
+        fresh.covariances[size:, VELOCITY, VELOCITY] = 1e-6 * np.eye(3)
+        fresh.boxes[:, camera], fresh.factors[:, camera] = np.tile(np.arange(size), 2), np.tile(factors[1], 2)
         updated = hypotheses.take(pairs.rows)._replace(weights=weights[1], means=means, covariances=covariances)
         updated.boxes[:, camera], updated.factors[:, camera] = pairs.columns, factors[0]
         parts = hypotheses._replace(weights=weights[0]), updated, fresh
@@ -329,13 +367,16 @@ class BodyFilter:
     def _extract(self, state: BodyState, info: Info) -> tuple[BodyState, Info, Estimates]:
         """Report tracks by their existence, with hysteresis, and give identities in order of the first report."""
         hypotheses, levels = state.hypotheses, self.settings.extraction
-        existence = np.bincount(hypotheses.owners, hypotheses.weights, len(state.labels)).astype(np.float64)
+        existence = hypotheses.existence(len(state.labels))
         shown = existence >= np.where(state.reported, levels.release, levels.confirm)
+        # a false object is known to be there: it does not fade
+        false = np.bincount(hypotheses.owners, hypotheses.weights, len(existence)) - existence
+        shown &= existence >= FALSE_RELEASE * false
         listed = shown | (existence >= levels.tentative)
         identities = state.track_ids.copy()
         new = np.flatnonzero(listed & (identities < 0))
         identities[new] = state.next_track + np.arange(len(new))
-        state = replace(state, track_ids=identities, reported=shown, next_track=state.next_track + len(new))
+        state = replace(state, track_ids=identities, shown=shown, next_track=state.next_track + len(new))
         chosen = np.flatnonzero(listed)
         order = chosen[np.lexsort((identities[chosen], ~shown[chosen]))]
         first = hypotheses.first()[order]

@@ -13,6 +13,10 @@ from stereophd.core.multi.filter_settings.pmb import PmbSettings
 
 # Most hypotheses of one track, from one instant to the next and while an instant is open.
 MOST_HYPOTHESES, MOST_OPEN = 5, 10
+# Part of `least_share` for hypotheses of false objects: a box that fits a body well leaves them little at first.
+FALSE_SHARE = 0.01
+# Probability of a body, as part of that of a false object, below which no evidence drives it.
+LEAST_BODY = 0.01
 
 
 class Hypotheses(NamedTuple):
@@ -26,12 +30,20 @@ class Hypotheses(NamedTuple):
     # tracks' claims on that box reduce the weight
     boxes: Integers
     factors: Array
+    views: Integers  # (n,): The only camera of a false object, which goes on to make boxes there; -1: a body
 
     @staticmethod
-    def undecided(owners: Integers, weights: Array, means: Array, covariances: Array, n_cameras: int) -> Hypotheses:
+    def undecided(
+        owners: Integers, weights: Array, means: Array, covariances: Array, views: Integers, n_cameras: int
+    ) -> Hypotheses:
         """Return hypotheses before an instant."""
         shape = (len(owners), n_cameras)
-        return Hypotheses(owners, weights, means, covariances, np.full(shape, -1), np.ones(shape))
+        return Hypotheses(owners, weights, means, covariances, np.full(shape, -1), np.ones(shape), views)
+
+    def existence(self, n_tracks: int) -> Array:
+        """Return the probability (t,) that each track is a body."""
+        bodies = self.views < 0
+        return np.asarray(np.bincount(self.owners[bodies], self.weights[bodies], n_tracks).astype(np.float64))
 
     def take(self, kept: Integers | Booleans) -> Hypotheses:
         """Return some of the hypotheses."""
@@ -52,8 +64,13 @@ def reduce_hypotheses(
     """
     owners, weights, n_tracks = hypotheses.owners, hypotheses.weights, len(reported)
     existence = np.bincount(owners, weights, n_tracks).astype(np.float64)
-    kept = weights > np.maximum(settings.least_share * existence[owners], 0.0)
-    kept &= existence[owners] >= settings.prune_weight
+    is_body = hypotheses.views < 0
+    kept = weights > settings.least_share * np.where(is_body, 1.0, FALSE_SHARE) * existence[owners]
+    # what one camera goes on to see may be a body that the others miss for a reason that lasts
+    best = np.zeros(n_tracks)
+    np.maximum.at(best, owners[is_body], weights[is_body])
+    kept |= is_body & (weights == best[owners]) & (weights > 0.0)
+    kept &= existence[owners] >= settings.recycle_below
     hypotheses = hypotheses.take(kept)
     hypotheses = hypotheses.take(np.lexsort((-hypotheses.weights, hypotheses.owners)))
     first = hypotheses.first()
@@ -61,14 +78,22 @@ def reduce_hypotheses(
     hypotheses = hypotheses.take(ranks < MOST_OPEN)
     # what was dropped belongs to the hypotheses that stay
     totals = np.bincount(hypotheses.owners, hypotheses.weights, n_tracks)
+    weights = hypotheses.weights * (existence / np.maximum(totals, 1e-300))[hypotheses.owners]
+    hypotheses = hypotheses._replace(weights=weights)
     first = hypotheses.first()
     tracks = hypotheses.owners[first]
+    bodies = hypotheses.existence(n_tracks)
     exclusive = exclusive_existence(
-        existence[tracks], hypotheses.means[first], hypotheses.covariances[first], reported[tracks], up
+        bodies[tracks], hypotheses.means[first], hypotheses.covariances[first], reported[tracks], up
     )
-    existence[tracks] = exclusive
-    weights = hypotheses.weights * existence[hypotheses.owners] / np.maximum(totals[hypotheses.owners], 1e-300)
-    tracks = tracks[exclusive >= settings.prune_weight]
+    scales = np.ones((2, n_tracks))
+    false = np.maximum(existence - bodies, 0.0)[tracks]
+    least = np.where(bodies[tracks] > 0.0, LEAST_BODY * false, 0.0)
+    scales[0, tracks] = np.maximum(exclusive, least) / np.maximum(bodies[tracks], 1e-300)
+    scales[1, tracks] = 1.0 - np.maximum(least - exclusive, 0.0) / np.maximum(false, 1e-300)
+    weights = weights * scales[(hypotheses.views >= 0).astype(np.int64), hypotheses.owners]
+    existence = np.bincount(hypotheses.owners, weights, n_tracks).astype(np.float64)
+    tracks = tracks[existence[tracks] >= settings.recycle_below]
     if settings.max_components is not None and len(tracks) > settings.max_components:
         tracks = np.sort(tracks[np.argsort(-existence[tracks], kind="stable")[: settings.max_components]])
     number = np.full(n_tracks, -1)
@@ -82,13 +107,17 @@ def merged(hypotheses: Hypotheses, distance: float) -> Hypotheses:
 
     What they say of the boxes of an instant is decided by that.
     """
-    owners, weights, means, covariances, boxes, _ = hypotheses
-    if not (np.diff(owners) == 0).any():
-        return Hypotheses.undecided(owners, weights, means, covariances, boxes.shape[1])
+    n_cameras = hypotheses.boxes.shape[1]
+    # bodies and false objects stay apart
+    kinds = hypotheses.owners * (n_cameras + 1) + hypotheses.views
+    hypotheses, kinds = hypotheses.take(order := np.lexsort((-hypotheses.weights, kinds))), kinds[order]
+    owners, weights, means, covariances, _, _, views = hypotheses
     inverses = np.linalg.inv(covariances)
+    if not len(owners):
+        return hypotheses
     group, rest = np.full(len(owners), -1), np.arange(len(owners))
     for _ in range(MOST_HYPOTHESES):
-        first = np.append(True, np.diff(owners[rest]) != 0)
+        first = np.append(True, np.diff(kinds[rest]) != 0)[: len(rest)]
         leader = rest[first][np.cumsum(first) - 1]
         off = means[rest] - means[leader]
         there = np.einsum("ni,nij,nj->n", off, inverses[rest], off)
@@ -108,7 +137,7 @@ def merged(hypotheses: Hypotheses, distance: float) -> Hypotheses:
     off = means[order] - joint[number]
     spread = covariances[order] + off[:, :, None] * off[:, None, :]
     covariances = np.add.reduceat(share[:, None, None] * spread, starts)
-    joined = Hypotheses.undecided(owners[order[starts]], totals, joint, covariances, boxes.shape[1])
+    joined = Hypotheses.undecided(owners[order[starts]], totals, joint, covariances, views[order[starts]], n_cameras)
     return joined.take(np.lexsort((-joined.weights, joined.owners)))
 
 

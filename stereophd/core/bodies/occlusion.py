@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from scipy.special import ndtr
 
-from stereophd.core.arrays import Array, Booleans
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.bodies.boxes import WHOLE_SHARE, share_in_image
-from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, TOP, WIDTH, U
+from stereophd.core.bodies.outline import BOTTOM, POSITION, TOP, WIDTH, U
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.numerics.compilation.compiled import compiled
 
 # Two bodies do not come closer, across the vertical, than this share of the sum of their half widths.
 CLOSEST = 0.5
@@ -64,26 +67,40 @@ def exclusive_existence(existence: Array, states: Array, covariances: Array, rep
     """
     if len(existence) < 2:
         return existence
-    level = np.eye(3) - np.outer(up, up)
-    places = states[:, POSITION] @ level
-    closest = np.exp(states[:, LOG_AXES.stop - 1])
-    apart = places[:, None] - places
-    distance = np.linalg.norm(apart, axis=2)
-    share = np.where(reported[:, None] == reported, CLOSEST, CLOSEST_NEW)
-    limit = share * (closest[:, None] + closest)
-    # the vertical extents must meet too: bodies may pass above each other
-    heights, tall = states[:, POSITION] @ up, np.exp(states[:, LOG_AXES.start])
-    meets = np.abs(heights[:, None] - heights) < tall[:, None] + tall
-    near = np.triu(meets & (distance < 2.0 * limit), 1)
+    first, second, probabilities = _pairs_in_touch(states, covariances, reported, up)
     out = existence.copy()
-    pairs = np.argwhere(near)
-    order = np.argsort(np.minimum(out[pairs[:, 0]], out[pairs[:, 1]]), kind="stable")
-    for i, j in pairs[order]:
-        spread = level @ (covariances[i, POSITION, POSITION] + covariances[j, POSITION, POSITION]) @ level
-        std = np.sqrt(max(float(np.trace(spread)) / 2.0, 1e-18))
-        q = float(ndtr((distance[i, j] - limit[i, j]) / std))
-        first, second = out[i], out[j]
-        whole = 1.0 - first * second * (1.0 - q)
-        out[i] = first * (1.0 - second * (1.0 - q)) / whole
-        out[j] = second * (1.0 - first * (1.0 - q)) / whole
+    order = np.argsort(np.minimum(out[first], out[second]), kind="stable")
+    for i, j, q in zip(first[order].tolist(), second[order].tolist(), probabilities[order].tolist(), strict=True):
+        both = out[i] * out[j] * (1.0 - q)
+        out[i], out[j] = (out[i] - both) / (1.0 - both), (out[j] - both) / (1.0 - both)
     return out
+
+
+@compiled
+def _pairs_in_touch(
+    states: Array, covariances: Array, reported: Booleans, up: Array
+) -> tuple[Integers, Integers, Array]:
+    """Pairs of bodies (k,) that may be in one place, and the probability (k,) that they are apart."""
+    first, second, probabilities = [0 for _ in range(0)], [0 for _ in range(0)], [0.0 for _ in range(0)]
+    for i in range(len(states)):
+        for j in range(i):
+            apart = states[i, :3] - states[j, :3]
+            height = (apart * up).sum()
+            # the vertical extents must meet too: bodies may pass above each other
+            if abs(height) >= math.exp(states[i, 6]) + math.exp(states[j, 6]):
+                continue
+            distance = math.sqrt(max((apart * apart).sum() - height**2, 0.0))
+            share = CLOSEST if reported[i] == reported[j] else CLOSEST_NEW
+            limit = share * (math.exp(states[i, 7]) + math.exp(states[j, 7]))
+            if distance >= 2.0 * limit:
+                continue
+            spread = 0.0
+            for a in range(3):
+                for b in range(3):
+                    level = (1.0 if a == b else 0.0) - up[a] * up[b]
+                    spread += level * (covariances[i, a, b] + covariances[j, a, b])
+            std = math.sqrt(max(spread / 2.0, 1e-18))
+            first.append(j)
+            second.append(i)
+            probabilities.append(0.5 * math.erfc((limit - distance) / (std * math.sqrt(2.0))))
+    return np.array(first), np.array(second), np.array(probabilities)

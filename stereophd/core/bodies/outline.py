@@ -10,10 +10,13 @@ the camera where C33 > 0 and q3 > 0.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.numerics.compilation.compiled import compiled
 
 # Columns of a state: position, velocity, logarithms of the half axes along and across the vertical.
 POSITION, VELOCITY, LOG_AXES = slice(0, 3), slice(3, 6), slice(6, 8)
@@ -29,38 +32,52 @@ def outline_boxes(states: Array, camera: Camera, up: Array) -> tuple[Array, Arra
     Returns boxes (n, 4), middle u, top v, bottom v and width in undistorted px, NaN for a body that is not wholly
     before the camera, and their derivative (n, 4, 8) with respect to the states.
     """
-    matrix = camera.projection_matrix
-    m = matrix[:, :3]
-    q = states[:, POSITION] @ m.T + matrix[:, 3]
-    squares = np.exp(2.0 * states[:, LOG_AXES])
-    along = np.outer(m @ up, m @ up)
-    across = m @ m.T - along
-    conic = q[:, :, None] * q[:, None, :] - squares[:, 0, None, None] * along - squares[:, 1, None, None] * across
-    # derivatives of the conic with respect to position and half axes: (n, 3, 3, 5)
-    slopes = np.empty((len(states), 3, 3, 5))
-    by_position = q[:, :, None, None] * m[None, None, :, :]
-    slopes[..., :3] = by_position + by_position.swapaxes(1, 2)
-    slopes[..., 3] = -2.0 * squares[:, 0, None, None] * along
-    slopes[..., 4] = -2.0 * squares[:, 1, None, None] * across
-    before = (q[:, 2] > 0.0) & (conic[:, 2, 2] > 0.0)
-    scale = np.where(before, conic[:, 2, 2], np.nan)
-    scale_slope = slopes[:, 2, 2]
-    middle = conic[:, :2, 2] / scale[:, None]
-    middle_slope = (slopes[:, :2, 2] - middle[:, :, None] * scale_slope[:, None]) / scale[:, None, None]
-    diagonal = conic[:, [0, 1], [0, 1]] / scale[:, None]
-    diagonal_slope = (slopes[:, [0, 1], [0, 1]] - diagonal[:, :, None] * scale_slope[:, None]) / scale[:, None, None]
-    half = np.sqrt(np.maximum(middle**2 - diagonal, 1e-12))
-    half_slope = (2.0 * middle[:, :, None] * middle_slope - diagonal_slope) / (2.0 * half[:, :, None])
-    boxes = np.stack([middle[:, 0], middle[:, 1] - half[:, 1], middle[:, 1] + half[:, 1], 2.0 * half[:, 0]], axis=1)
-    slope = np.stack(
-        [
-            middle_slope[:, 0],
-            middle_slope[:, 1] - half_slope[:, 1],
-            middle_slope[:, 1] + half_slope[:, 1],
-            2.0 * half_slope[:, 0],
-        ],
-        axis=1,
-    )
-    jacobian = np.zeros((len(states), 4, STATE_SIZE))
-    jacobian[:, :, POSITION], jacobian[:, :, LOG_AXES] = slope[:, :, :3], slope[:, :, 3:]
+    boxes, jacobian = np.full((len(states), 4), np.nan), np.zeros((len(states), 4, STATE_SIZE))
+    _outline(np.ascontiguousarray(states), camera.projection_matrix, up, boxes, jacobian)
     return boxes, jacobian
+
+
+@compiled
+def _outline(states: Array, matrix: Array, up: Array, boxes: Array, jacobian: Array) -> None:
+    """Fill in boxes (n, 4) and their derivatives (n, 4, 8); `matrix` (3, 4) projects."""
+    slopes = np.empty((3, 5))
+    middles, halves = np.empty((2, 6)), np.empty((2, 6))
+    for n in range(len(states)):
+        along, across = math.exp(2.0 * states[n, 6]), math.exp(2.0 * states[n, 7])
+        q, axis = np.empty(3), np.empty(3)
+        for i in range(3):
+            q[i], axis[i] = matrix[i, 3], 0.0
+            for k in range(3):
+                q[i] += matrix[i, k] * states[n, k]
+                axis[i] += matrix[i, k] * up[k]
+        scale = _conic(2, 2, q, matrix, axis, along, across, slopes[2])
+        if not (q[2] > 0.0 and scale > 0.0):
+            continue
+        for a in range(2):
+            middle = _conic(a, 2, q, matrix, axis, along, across, slopes[0]) / scale
+            square = _conic(a, a, q, matrix, axis, along, across, slopes[1]) / scale
+            half = math.sqrt(max(middle**2 - square, 1e-12))
+            middles[a, 0], halves[a, 0] = middle, half
+            for k in range(5):
+                middles[a, k + 1] = (slopes[0, k] - middle * slopes[2, k]) / scale
+                by_square = (slopes[1, k] - square * slopes[2, k]) / scale
+                halves[a, k + 1] = (2.0 * middle * middles[a, k + 1] - by_square) / (2.0 * half)
+        for k in range(6):
+            values = middles[0, k], middles[1, k] - halves[1, k], middles[1, k] + halves[1, k], 2.0 * halves[0, k]
+            for row in range(4):
+                if k == 0:
+                    boxes[n, row] = values[row]
+                else:
+                    jacobian[n, row, k - 1 if k < 4 else k + 2] = values[row]
+
+
+@compiled
+def _conic(i: int, j: int, q: Array, matrix: Array, axis: Array, along: float, across: float, slopes: Array) -> float:
+    """Entry of the dual conic; its derivatives (5,) by position and logarithms of the half axes into `slopes`."""
+    both = 0.0
+    for k in range(3):
+        both += matrix[i, k] * matrix[j, k]
+        slopes[k] = q[i] * matrix[j, k] + q[j] * matrix[i, k]
+    upright = axis[i] * axis[j]
+    slopes[3], slopes[4] = -2.0 * along * upright, -2.0 * across * (both - upright)
+    return float(q[i] * q[j] + (slopes[3] + slopes[4]) / 2.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,10 +11,12 @@ from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.rotations import rotations
-from stereophd.core.geometry.trajectory import Motions, MountedPath
+from stereophd.core.geometry.trajectory import BodyTrajectory, Motions, MountedPath
 
 # A matrix whose R R^T differs more than this from the identity is refused rather than repaired.
 LARGEST_ROTATION_DEFECT = 1e-4
+# Ends of a pose that changes in steps: later than any time of a log, s.
+STEPS_END_S = 1e14
 # Rounding of a matrix product; a larger defect (digits typed by hand) is repaired.
 ROTATION_ROUNDING = 1e-12
 
@@ -150,6 +153,24 @@ class Pose:
         time_s = path.trajectory.span[0] if time_s is None else time_s
         turns, centers, velocities, rates = path.at(np.array([time_s]))
         return Pose(turns[0], centers[0], velocities[0], rates[0], time_s, path)
+
+    @staticmethod
+    def in_steps(first: Pose, later: Sequence[tuple[float, Pose]]) -> Pose:
+        """Return a pose that is `first`, and from each later time (s, rising) on another one that stands still.
+
+        It is a trajectory whose poses change within a nanosecond, and that has no ends.
+        """
+        from scipy.spatial.transform import Rotation  # only here: costly to import
+
+        poses = [first, *(pose for _, pose in later)]
+        quaternions = Rotation.from_matrix([pose.rotation.T for pose in poses]).as_quat(scalar_first=True)
+        rows = [[*pose.center, *quaternion] for pose, quaternion in zip(poses, quaternions, strict=True)]
+        times = [-STEPS_END_S, *(time_s for time_s, _ in later), STEPS_END_S]
+        table = []
+        for row, begin, end in zip(rows, times[:-1], times[1:], strict=True):
+            before = end if end == STEPS_END_S else end - max(1e-9, 4.0 * float(np.spacing(abs(end))))
+            table += [[begin, *row], [before, *row]]
+        return Pose.following(MountedPath(BodyTrajectory(table), np.eye(3), np.zeros(3)))
 
     def _key(self) -> tuple[object, ...]:
         arrays = (self.rotation, self.center, self.velocity, self.rotation_rate, np.float64(self.time_s))

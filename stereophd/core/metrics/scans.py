@@ -38,6 +38,8 @@ class PointSets:
     covariance: Array | None = None  # (n, 3, 3) array or None: Covariance of the position
     # (n,) bool array or None: Whether each estimate is confirmed rather than tentative; None where that is not known.
     confirmed: NDArray[np.bool_] | None = None
+    # (n, 3, 3) array or None: The part of the covariance that comes from uncertain cameras
+    cameras_part: Array | None = None
 
     @property
     def scans(self) -> int:
@@ -67,7 +69,8 @@ class PointSets:
     def _rows(self, start: Integers, rows: Integers) -> PointSets:
         covariance = None if self.covariance is None else self.covariance[rows]
         confirmed = None if self.confirmed is None else self.confirmed[rows]
-        return PointSets(start, self.position[rows], self.velocity[rows], self.label[rows], covariance, confirmed)
+        part = None if self.cameras_part is None else self.cameras_part[rows]
+        return PointSets(start, self.position[rows], self.velocity[rows], self.label[rows], covariance, confirmed, part)
 
 
 @dataclass(frozen=True)

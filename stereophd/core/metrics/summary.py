@@ -13,7 +13,7 @@ from stereophd.core.metrics.distances.hota import hota
 from stereophd.core.metrics.distances.ospa import Ospa
 from stereophd.core.metrics.distances.ospa2 import ospa2_of_windows
 from stereophd.core.metrics.errors.confirmation_delay import Waits
-from stereophd.core.metrics.errors.consistency import UNLABELLED, independent_count, nees_interval, whitened
+from stereophd.core.metrics.errors.consistency import UNLABELLED, independent_count, nees, nees_interval, whitened
 from stereophd.core.metrics.errors.rmse import (
     cardinality_error,
     error_percentiles,
@@ -43,6 +43,8 @@ class PairErrors:
     # (q, 3) array: Position errors in standard deviations (see `whitened`); NaN without a usable covariance.
     whitened: Array
     switched: NDArray[np.bool_]  # (q,) bool array: The true object was matched to another track the last time
+    # (q,) array or None: NEES without what uncertain cameras add to the covariance
+    nees_without_cameras: Array | None = None
 
     @property
     def nees(self) -> Array:
@@ -54,16 +56,19 @@ def pair_errors(estimates: PointSets, truth: PointSets, scores: ScanScores) -> P
     """Return the errors of the matched pairs of scored scans."""
     x, y = scores.pair_estimate, scores.pair_truth
     position = estimates.position[x] - truth.position[y]
-    normalised = np.full(position.shape, np.nan)
+    normalised, alone = np.full(position.shape, np.nan), np.full(len(x), np.nan)
     if estimates.covariance is not None:
         for first in range(0, len(x), PAIRS_AT_ONCE):
             rows = slice(first, first + PAIRS_AT_ONCE)
             normalised[rows] = whitened(position[rows], estimates.covariance[x[rows]])
+            if (part := estimates.cameras_part) is not None:
+                alone[rows] = nees(position[rows], (estimates.covariance - part)[x[rows]])
     return PairErrors(
         position,
         estimates.velocity[x] - truth.velocity[y],
         normalised,
         identity_switches(scores.pair_scan, truth.label[y], estimates.label[x]),
+        None if estimates.cameras_part is None else alone,
     )
 
 
@@ -175,8 +180,15 @@ def figures(
             "dimension": POSITION_DIMENSION,
             "n": len(normalised),
             "n_independent": independent,
+            **_without_cameras(errors),
         },
     }
+
+
+def _without_cameras(errors: PairErrors) -> dict[str, float]:
+    """Return the mean NEES without what uncertain cameras add; nothing where they add nothing."""
+    alone = errors.nees_without_cameras
+    return {} if alone is None else {"without_cameras": _mean(alone[np.isfinite(alone)])}
 
 
 def _confirmation(waits: Waits) -> dict[str, Any]:

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
 from importlib import import_module
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
+from stereophd.config.loading import LoadedConfig
+from stereophd.config.model import Config
 from stereophd.core.arrays import Array
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-    from stereophd.config.model import Config
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.simulation.detections import SimulatedFrame
+from stereophd.io.logs.reading import Frame
 
 Scenario = TypeVar("Scenario")
 
@@ -85,3 +86,12 @@ def find_kind(name: str) -> Kind:
     kind = import_module(f"stereophd.experiments.kinds.{name}").KIND
     assert isinstance(kind, Kind)
     return kind
+
+
+def frames_in_order(cameras: Sequence[Camera], simulated: Iterable[SimulatedFrame]) -> list[Frame]:
+    """Return the frames of a simulated scene as a log of them is read: in order of true time, then of the cameras."""
+    frames = []
+    for frame in simulated:
+        time_s = cameras[frame.camera].clock.to_true(frame.log_time_s)
+        frames.append(Frame(time_s, frame.camera, frame.frame, frame.pixels, None, frame.object_id))
+    return sorted(frames, key=lambda frame: (frame.time_s, frame.camera))

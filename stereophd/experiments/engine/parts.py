@@ -12,11 +12,12 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pyarrow.parquet as pq
 
 import stereophd
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.numerics.random_streams import run_number
 from stereophd.experiments.engine.base import Series
 from stereophd.experiments.engine.work import BOUND_RUN, Chunk, RunOutcome
@@ -24,9 +25,6 @@ from stereophd.io.outputs.disk import for_arrow
 from stereophd.io.outputs.provenance import sha256_of
 from stereophd.io.tables.reading import damaged_is_input_error
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 # Characters of the name of a chunk.
 NAME_LENGTH = 24

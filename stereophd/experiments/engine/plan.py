@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import product
-from typing import TYPE_CHECKING
 
 from stereophd.config.experiment import ExperimentConfig, Settings
-from stereophd.config.loading import variant
+from stereophd.config.loading import LoadedConfig, variant
 from stereophd.experiments.engine.base import find_kind
 from stereophd.experiments.engine.work import BOUND_METHOD, Part
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 
 def cases_of(settings: ExperimentConfig) -> list[tuple[str, tuple[str, ...], list[tuple[str, Settings]]]]:

@@ -7,11 +7,12 @@ import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from stereophd.config.experiment import ExperimentConfig
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series
@@ -26,10 +27,6 @@ from stereophd.io.tables.reading import read_table
 from stereophd.io.tables.schemas import FLOAT, INTEGER, RUNS, STRING, SUMMARY
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-
 
 RUNS_FILE, SUMMARY_FILE, TIMING_FILE = "runs.parquet", "summary.parquet", "timing.json"
 

@@ -8,18 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.special import stdtrit
 
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.times import TIME_DECIMALS
 from stereophd.errors import InputError, nearest
 from stereophd.experiments.engine.base import Series
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 CONFIDENCE = 0.95
 ERROR, RMSE = "_error", "_rmse"

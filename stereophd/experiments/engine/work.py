@@ -5,15 +5,12 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import stereophd
+from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series, find_kind, method_seconds
 from stereophd.pipeline.arithmetic import within_arithmetic
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 # Number of the "run" that computes the bounds of a case, and the name of its "method".
 BOUND_RUN = -1

@@ -11,11 +11,11 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stereophd.config.experiment import CalibrationScenario
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.bounds.cramer_rao import mean_error_norm
@@ -29,7 +29,7 @@ from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_ME
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Kind, Series, frames_in_order, method_clock, scenario_of
 from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.annealed import annealed_outcome
 from stereophd.pipeline.calibration.problem import (
@@ -46,10 +46,6 @@ from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.runs.sizes import counts_of_scene
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.simulation import build_scene
-from stereophd.pipeline.stream import frames_in_order
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 # Half of the interval that holds 90 % of a Gaussian, in standard deviations.
 INTERVAL_90 = 1.6448536269514722

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from stereophd.config.experiment import LocalisationScenario
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_SINGLE_OBJECT
 from stereophd.errors import InputError, unknown_camera
@@ -21,9 +20,6 @@ from stereophd.experiments.single_object.series import (
     single_config,
 )
 from stereophd.pipeline.tracking.single import estimator_settings
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 
 def check(loaded: LoadedConfig) -> None:

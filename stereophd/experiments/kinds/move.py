@@ -6,11 +6,11 @@ The "bound" of a mean or covariance is its value in the reference.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stereophd.config.experiment import MoveScenario
+from stereophd.config.loading import LoadedConfig
 from stereophd.config.model import Config
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.numerics.random_streams import MOVE_REFERENCE, RUN_SINGLE_OBJECT
@@ -26,9 +26,6 @@ from stereophd.experiments.single_object.move_comparison import (
 )
 from stereophd.io.outputs.provenance import canonical_json
 from stereophd.pipeline.build import build_motion
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 AXES = ("u", "v", "d")
 

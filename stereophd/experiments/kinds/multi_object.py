@@ -8,31 +8,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stereophd.config.experiment import MultiObjectScenario
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
 from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
 from stereophd.core.motion.base import Motion
+from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Kind, Series, frames_in_order, method_clock, scenario_of
+from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene, scene_motion
-from stereophd.pipeline.stream import EventStream, frames_in_order
+from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.run import reported_records
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-    from stereophd.core.geometry.camera import Camera
-    from stereophd.core.multi.state.estimates import Estimates
-    from stereophd.io.logs.reading import Frame
 
 
 def check(loaded: LoadedConfig) -> None:

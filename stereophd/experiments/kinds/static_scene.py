@@ -9,32 +9,28 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
 from stereophd.config.experiment import StaticSceneScenario
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.core.bounds.cramer_rao import static_point_information
 from stereophd.core.bounds.known_association import AssociatedDetections, sight
 from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
+from stereophd.experiments.engine.base import Kind, Series, frames_in_order, method_clock, scenario_of
 from stereophd.experiments.kinds.multi_object import filtered_points, scene_truth
+from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene
-from stereophd.pipeline.stream import frames_in_order
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-    from stereophd.core.geometry.camera import Camera
-    from stereophd.io.logs.reading import Frame
 
 # Squared Mahalanobis distance beyond which a detection is not that of a landmark: 99.99 % of a pixel's.
 GATE = 18.4

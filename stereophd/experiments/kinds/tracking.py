@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from stereophd.config.experiment import TrackingScenario
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.numerics.random_streams import BOUND_TRAJECTORIES, RUN_SINGLE_OBJECT
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
@@ -20,9 +19,6 @@ from stereophd.experiments.single_object.series import (
 )
 from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.tracking.single import estimator_settings
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 
 def check(loaded: LoadedConfig) -> None:

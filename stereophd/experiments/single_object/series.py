@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.disparity.events import Rig, make_rig
@@ -13,10 +12,6 @@ from stereophd.core.metrics.errors.consistency import nees
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-
 
 # Memory of an observation, bytes (measured).
 OBSERVATION_BYTES = 5e3

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated, Any, Literal
+from itertools import pairwise
+from typing import Annotated, Any, Literal, Self
 
+import numpy as np
 from annotated_types import Interval
-from pydantic import BeforeValidator, Field, ValidationInfo
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 
+from stereophd.core.arrays import Array
+from stereophd.core.calibration.unknowns.quantities.registry import component_names
 from stereophd.core.geometry.camera import BOX_NOISE, Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.lenses import lens_models
 from stereophd.core.geometry.lenses.none import NoDistortion
+from stereophd.core.geometry.pose import Pose
 from stereophd.core.settings import (
     FINITE,
     LARGEST_SIGMA_PX,
@@ -23,7 +28,7 @@ from stereophd.core.settings import (
     Time,
     parameter,
 )
-from stereophd.io.cameras.poses import PoseConfig, parse_pose
+from stereophd.io.cameras.poses import LaterPoseConfig, PoseConfig, parse_pose
 from stereophd.validated import Model, OneOf, Units
 
 ImageSize = Annotated[int, Interval(ge=1, le=1_000_000)]
@@ -152,6 +157,10 @@ class CameraConfig(Model):
     pose: Annotated[PoseConfig, BeforeValidator(parse_pose, json_schema_input_type=PoseConfig | Literal["unknown"])] = (
         parameter("where the camera stands and looks, or unknown: calibrate finds it from the tracks alone")
     )
+    poses: tuple[LaterPoseConfig, ...] = parameter(
+        "poses that hold from a time on, in place of the one before: of a camera that was knocked, or put elsewhere",
+        default=(),
+    )
     detector: Annotated[
         DetectorConfig,
         BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"]),
@@ -177,6 +186,15 @@ class CameraConfig(Model):
         advice="0 for a global shutter; for a rolling shutter at most the time between two frames.",
     )
 
+    @model_validator(mode="after")
+    def _poses_rise(self) -> CameraConfig:
+        times = [pose.from_s for pose in self.poses]
+        if any(after <= before for before, after in pairwise(times)):
+            raise ValueError(f"poses: expected rising from_s, found {', '.join(f'{time_s:g}' for time_s in times)}")
+        if self.poses and (self.pose.unknown or not self.pose.build().is_static):
+            raise ValueError("poses: expected a known pose that stands still before them, found another")
+        return self
+
     @property
     def must_be_found(self) -> bool:
         """Whether its pose or its clock is unknown, so that nothing but `calibrate` can use it."""
@@ -194,7 +212,7 @@ class CameraConfig(Model):
             fy=self.intrinsics.fy,
             cx=self.intrinsics.cx,
             cy=self.intrinsics.cy,
-            pose=self.pose.build(),
+            pose=self._pose(),
             lens=Lens(model, **values),
             detector=Detector(
                 sigma=self.detector.sigma_px,
@@ -208,9 +226,39 @@ class CameraConfig(Model):
             readout_s=self.readout_s,
         )
 
+    def _pose(self) -> Pose:
+        pose = self.pose.build()
+        return Pose.in_steps(pose, [(each.from_s, each.build()) for each in self.poses]) if self.poses else pose
+
+
+# ``camera.component`` -> its covariances with the values before it and with itself: rows of a lower triangle.
+CovarianceRows = dict[str, list[Annotated[float, FINITE]]]
+
+
+def covariance_of(rows: CovarianceRows, cameras: tuple[str, ...]) -> Array:
+    """Return the covariance (m, m) of such rows; ValueError if they are no covariance of components of the cameras."""
+    matrix = np.zeros((len(rows), len(rows)))
+    for number, (name, row) in enumerate(rows.items()):
+        camera, _, component = name.rpartition(".")
+        if camera not in cameras or component not in component_names():
+            raise ValueError(f"covariance: expected CAMERA.COMPONENT, such as {cameras[0]}.center_x, found {name}")
+        if len(row) != number + 1 or not row[-1] > 0.0:
+            raise ValueError(f"covariance.{name}: expected {number + 1} numbers, the last above 0, found {row}")
+        matrix[number, : number + 1] = matrix[: number + 1, number] = row
+    std = np.sqrt(np.diag(matrix))
+    if len(rows) and np.linalg.eigvalsh(matrix / np.outer(std, std))[0] < -1e-6:
+        raise ValueError("covariance: expected a matrix without negative eigenvalues, found one with them")
+    return matrix
+
 
 class CamerasFile(Model):
     """A ``cameras.yaml`` file: the cameras, and the unit that their centres are in."""
 
     units: Units
     cameras: Annotated[dict[str, CameraConfig], Field(min_length=1)]
+    covariance: CovarianceRows | None = None
+
+    @model_validator(mode="after")
+    def _has_covariance(self) -> Self:
+        covariance_of(self.covariance or {}, tuple(self.cameras))
+        return self

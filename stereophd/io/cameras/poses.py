@@ -143,6 +143,27 @@ class PoseConfig(Model):
         )
 
 
+class LaterPoseConfig(Model):
+    """A pose that a camera has from a time on."""
+
+    from_s: Time = parameter("true time from which it holds", unit="s")
+    center: Vector3 = parameter("optical centre in the world", unit="length")
+    rotation_matrix: RotationMatrix | None = parameter("rows of the rotation from world to camera axes", default=None)
+    rotation_vector_deg: RotationVector | None = parameter(
+        "the same rotation as axis times angle", default=None, unit="degrees"
+    )
+
+    @model_validator(mode="after")
+    def _one_rotation(self) -> LaterPoseConfig:
+        if (self.rotation_matrix is None) == (self.rotation_vector_deg is None):
+            raise ValueError("expected one of rotation_matrix and rotation_vector_deg, found both or neither")
+        return self
+
+    def build(self) -> Pose:
+        """Return the `Pose`."""
+        return Pose(_rotation(self.rotation_matrix, self.rotation_vector_deg), self.center)
+
+
 def parse_pose(value: Any) -> Any:
     """Turn the short form ``unknown`` into a pose of which nothing is known."""
     if isinstance(value, str):

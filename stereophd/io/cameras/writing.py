@@ -15,7 +15,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import PARAMETERS
 from stereophd.core.geometry.pose import Pose
 from stereophd.errors import InputError
-from stereophd.io.cameras.models import CameraConfig
+from stereophd.io.cameras.models import CameraConfig, CovarianceRows
 from stereophd.io.tables.trajectories import pack_poses
 
 CONVENTIONS = (
@@ -25,19 +25,25 @@ CONVENTIONS = (
 
 
 def cameras_text(
-    cameras: Mapping[str, CameraConfig], length_unit: str, provenance: Mapping[str, Any] | None = None
+    cameras: Mapping[str, CameraConfig],
+    length_unit: str,
+    provenance: Mapping[str, Any] | None = None,
+    covariance: CovarianceRows | None = None,
 ) -> str:
     """Return the text of a ``cameras.yaml``; reading it gives back equal cameras, to the last bit.
 
     Cameras are by name, in order; centres are in `length_unit`. A comment gives version, command, seed and hash of the
-    configuration from the provenance, which is as `stereophd.io.outputs.provenance.provenance` returns it.
+    configuration from the provenance, which is as `stereophd.io.outputs.provenance.provenance` returns it; the
+    covariance of what calibrated cameras leave uncertain is in the rows of a lower triangle.
     """
     text = CONVENTIONS
     if provenance is not None:
         version, command, seed = provenance["version"], provenance["command"], provenance["seed"]
         text += f"# Made by stereophd {version} {command}, {'' if seed is None else f'seed {seed}, '}"
         text += f"config sha256 {provenance['config_sha256']}\n"
-    document = {"units": {"length": length_unit}, "cameras": plain_cameras(cameras)}
+    document: dict[str, Any] = {"units": {"length": length_unit}, "cameras": plain_cameras(cameras)}
+    if covariance:
+        document["covariance"] = covariance
     # Flow style for the leaves only: one line for a matrix row or the intrinsics.
     return text + yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=1000)
 
@@ -47,9 +53,10 @@ def write_cameras(
     cameras: Mapping[str, CameraConfig],
     length_unit: str,
     provenance: Mapping[str, Any] | None = None,
+    covariance: CovarianceRows | None = None,
 ) -> None:
     """Write a ``cameras.yaml``; parameters as `cameras_text`."""
-    Path(path).write_text(cameras_text(cameras, length_unit, provenance), encoding="utf-8")
+    Path(path).write_text(cameras_text(cameras, length_unit, provenance, covariance), encoding="utf-8")
 
 
 def plain_cameras(cameras: Mapping[str, CameraConfig]) -> dict[str, Any]:

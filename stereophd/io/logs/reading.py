@@ -13,13 +13,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.times import TIME_DECIMALS
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.documents import check_instant
@@ -39,9 +40,6 @@ from stereophd.io.logs.order import LogOrder, order_of
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
 from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
 from stereophd.io.tables.writing import ROW_GROUP_ROWS
-
-if TYPE_CHECKING:
-    from stereophd.core.geometry.camera import Camera
 
 LOGGER = logging.getLogger("stereophd")
 

@@ -1,15 +1,36 @@
-"""Estimates as lines of JSON: one line for each record that is reported."""
+"""Estimates as they are known: documents of records, as lines of JSON, rows of Arrow, or messages."""
 
 from __future__ import annotations
 
-from typing import Any
+import io
+import math
+import time
+from dataclasses import dataclass
+from typing import Any, BinaryIO, Protocol, TextIO
 
 import msgspec
+import pyarrow as pa
 
 from stereophd.core.multi.state.estimates import Estimates
+from stereophd.io.streams.sources import bind
 from stereophd.io.tables.schemas import CONFIRMED, TENTATIVE
 
 STATE = ("x", "y", "z", "vx", "vy", "vz")
+ROWS = pa.schema(
+    [
+        ("time_s", pa.float64()),
+        ("camera", pa.string()),
+        ("frame", pa.int64()),
+        ("revised", pa.bool_()),
+        ("track_id", pa.int64()),
+        *((name, pa.float64()) for name in STATE),
+        ("position_covariance", pa.list_(pa.float64(), 6)),
+        ("existence", pa.float64()),
+        ("status", pa.string()),
+    ]
+)
+# Time between two repetitions of where the cameras are, s.
+READY_EVERY_S = 5.0
 # An eighth of the time of the standard library's, with fifty tracks.
 _encode = msgspec.json.Encoder().encode
 
@@ -39,6 +60,77 @@ def document_of(time_s: float, camera: str, frame: int, estimates: Estimates, is
     return {"time_s": time_s, "camera": camera, "frame": frame, "revised": is_revised, "tracks": tracks}
 
 
-def line_of(document: dict[str, Any]) -> str:
-    """Return a document as a line of JSON, with its end; numbers have all their digits, NaN is null."""
-    return _encode(document).decode() + "\n"
+class RowSink(Protocol):
+    """What takes the documents of records as they come, and events such as that a camera was knocked."""
+
+    def add(self, document: dict[str, Any]) -> None:
+        """Take the document of a record."""
+
+    def tell(self, event: dict[str, Any]) -> None:
+        """Take an event."""
+
+
+@dataclass(frozen=True)
+class JsonLines:
+    """A line of JSON for each record on one stream, and for each event on another, or none."""
+
+    records: TextIO
+    events: TextIO | None = None
+
+    def add(self, document: dict[str, Any]) -> None:
+        """See `RowSink`; numbers have all their digits, NaN is null."""
+        self.records.write(_encode(document).decode() + "\n")
+        self.records.flush()
+
+    def tell(self, event: dict[str, Any]) -> None:
+        """See `RowSink`."""
+        if self.events is not None:
+            self.events.write(_encode(event).decode() + "\n")
+            self.events.flush()
+
+
+class ArrowRows:
+    """An Arrow IPC stream of rows as in ``tracks.parquet``, with ``revised``; events are lines of JSON elsewhere."""
+
+    def __init__(self, records: BinaryIO, events: TextIO | None = None) -> None:
+        self._records, self._lines = records, JsonLines(io.StringIO(), events)
+        self._writer = pa.ipc.new_stream(records, ROWS)
+
+    def add(self, document: dict[str, Any]) -> None:
+        """See `RowSink`; a record without tracks has no rows."""
+        event = {name: value for name, value in document.items() if name != "tracks"}
+        rows = [event | track for track in document["tracks"]]
+        if rows:
+            self._writer.write_batch(pa.RecordBatch.from_pylist(rows, schema=ROWS))
+            self._records.flush()
+
+    def tell(self, event: dict[str, Any]) -> None:
+        """See `RowSink`."""
+        self._lines.tell(event)
+
+
+class Publisher:
+    """A ZeroMQ publisher: each record and each event is a message, its line of JSON; nobody is waited for.
+
+    Raises InputError when ZeroMQ is not installed (extra ``live``), or the address cannot be bound.
+    """
+
+    def __init__(self, address: str) -> None:
+        self._socket = bind("PUB", address)
+        #: Where it is bound: a port that the system chose in place of ``*``.
+        self.address: str = self._socket.last_endpoint.decode()
+        # Whoever comes later is told where the cameras are.
+        self._ready: dict[str, Any] | None = None
+        self._told_s = -math.inf
+
+    def add(self, document: dict[str, Any]) -> None:
+        """See `RowSink`."""
+        if self._ready is not None and time.monotonic() > self._told_s + READY_EVERY_S:
+            self.tell(self._ready)
+        self._socket.send(_encode(document))
+
+    def tell(self, event: dict[str, Any]) -> None:
+        """See `RowSink`; that the run is ready is said again every few seconds."""
+        if event["event"] == "ready":
+            self._ready, self._told_s = event, time.monotonic()
+        self._socket.send(_encode(event))

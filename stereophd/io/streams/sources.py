@@ -12,7 +12,7 @@ import select
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, BinaryIO, cast
+from typing import Any, BinaryIO, Literal, cast
 
 from stereophd.errors import InputError
 from stereophd.io.streams.messages import Message, messages_of_rows, parse_line
@@ -34,9 +34,9 @@ def from_stream(stream: BinaryIO, name: str = "standard input") -> Arrivals:
     Raises InputError when the stream is neither.
     """
     buffered = cast(io.BufferedReader, stream if hasattr(stream, "peek") else io.BufferedReader(cast(Any, stream)))
-    if buffered.peek(4)[:4] == _ARROW_HEAD:
-        return _arrow(buffered, name)
-    return _lines(_chunks(buffered), name)
+    # looked at when the first frame is wanted: until something comes, the reader makes itself ready
+    is_arrow = buffered.peek(4)[:4] == _ARROW_HEAD
+    yield from _arrow(buffered, name) if is_arrow else _lines(_chunks(buffered), name)
 
 
 def _chunks(stream: io.BufferedReader) -> Iterator[bytes]:
@@ -153,16 +153,21 @@ def listen(address: str) -> Arrivals:
 
     Raises InputError when ZeroMQ is not installed (extra ``live``), or the address cannot be bound.
     """
+    return _received(bind("PULL", address), address)
+
+
+def bind(kind: Literal["PULL", "PUB"], address: str) -> Any:
+    """Return a ZeroMQ socket that is bound to an address; InputError when it cannot be, or ZeroMQ is not installed."""
     try:
         import zmq
     except ImportError as error:
         raise InputError("messages over the network need pyzmq, which is not installed: pip install pyzmq") from error
-    socket: Any = zmq.Context.instance().socket(zmq.PULL)
+    socket: Any = zmq.Context.instance().socket(getattr(zmq, kind))
     try:
         socket.bind(address)
     except zmq.ZMQError as error:
         raise InputError(f"{address}: expected an address such as tcp://127.0.0.1:5555, found: {error}") from error
-    return _received(socket, address)
+    return socket
 
 
 def _received(socket: Any, address: str) -> Arrivals:

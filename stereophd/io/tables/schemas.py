@@ -42,6 +42,8 @@ TRACKS = _schema(
 CONFIRMED, TENTATIVE = "confirmed", "tentative"
 #: Optional columns of tracks: standard deviations of the position along the axes of the world.
 STD = tuple(pa.field(name, FLOAT, nullable=False) for name in ("std_x", "std_y", "std_z"))
+#: Optional column of tracks: the part of the covariance that comes from the cameras, where these are uncertain.
+CAMERAS_PART = pa.field("covariance_cameras", COVARIANCE, nullable=False)
 #: Optional columns of tracks of bodies: extent along and across the vertical, and their standard deviations.
 EXTENTS = tuple(pa.field(name, FLOAT, nullable=False) for name in ("height", "width", "height_std", "width_std"))
 #: One row a detection and reported track that it may belong to.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
         return Outcome(
             problem.parameters, nothing[0], nothing, np.empty((0, size)), np.empty(0), (), reason, details=details
         )
-    result = calibrated(task, starts, choices_of(section))
+    result = calibrated(task, starts, replace(choices_of(section), control=problem.control))
     details |= _result_report(result, best)
     if section.posterior == "smc":
         scale = result.task.scale
@@ -76,7 +77,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
     return Outcome(
         parameters, adjustment.values, adjustment.covariance, draws, weights, result.history, "", result.doubt,
-        result.fit, result.remarks, result.moves, details,
+        result.fit, result.remarks, result.moves, result.world, details,
     )  # fmt: skip
 
 

@@ -12,14 +12,16 @@ import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import BaseModel
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig, NoScale
-from stereophd.config.loading import variant
+from stereophd.config.loading import LoadedConfig, variant
+from stereophd.core.alignment.cameras import moved_camera
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
+from stereophd.core.calibration.annealing.control import World
 from stereophd.core.calibration.discovery.rig import RigHypothesis, View, discover
 from stereophd.core.calibration.pairing.track_pairs import image_tracks, one_camera_tracks, raw_tracks
 from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
@@ -29,14 +31,11 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
 from stereophd.core.numerics.random_streams import CAMERA_DISCOVERY
 from stereophd.errors import InputError
+from stereophd.pipeline.alignment.control import alignment_report
 from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, pmb_filter, tracked_frames
 from stereophd.pipeline.calibration.unknowns import calibration_section
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-
 
 # Prior deviations about what was found: so many stated ones, and at least these: rad, share of the distance, frames.
 STATED, LEAST_ROTATION, LEAST_SHARE, LEAST_FRAMES = 5.0, np.deg2rad(3.0), 0.05, 1.0
@@ -173,7 +172,7 @@ def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[Load
     multi_filter = pmb_filter(placed, rig.cameras)
     space = multi_filter.rig.packed[reference]
     expected = disparity_scale(space) / multi_filter.settings.birth.disparity_moments(space)[0]
-    return with_baseline_unit(placed, rig.depth(reference) / expected), found
+    return with_unit(placed, NO_LENGTH, rig.depth(reference) / expected), found
 
 
 def _check(loaded: LoadedConfig, section: CalibrationConfig, names: tuple[str, ...]) -> None:
@@ -295,9 +294,9 @@ def _placed(
 SECTIONS = ("disparity", "motion", "object", "region", "filter", "report", "evaluation")
 
 
-def with_baseline_unit(loaded: LoadedConfig, factor: float) -> LoadedConfig:
-    """Return a configuration in the unit `baseline`, in which its lengths have this many times their values."""
-    changes: dict[str, Any] = {"units.length": NO_LENGTH}
+def with_unit(loaded: LoadedConfig, unit: str, factor: float) -> LoadedConfig:
+    """Return a configuration in another unit, in which its lengths have this many times their values."""
+    changes: dict[str, Any] = {"units.length": unit}
     for section in SECTIONS:
         changes.update(_scaled(getattr(loaded.config, section), section, factor))
     return variant(loaded, [("unit of length", changes)])
@@ -317,3 +316,14 @@ def _scaled(value: Any, key: str, factor: float) -> Iterator[tuple[str, Any]]:
             yield from _scaled(inner, f"{key}.{name}", factor)
         elif str(unit).startswith("length") and inner is not None and not isinstance(inner, str):
             yield f"{key}.{name}", [factor * part for part in inner] if isinstance(inner, tuple) else factor * inner
+
+
+def in_world(
+    loaded: LoadedConfig, cameras: tuple[Camera, ...], world: World, unit: str
+) -> tuple[LoadedConfig, tuple[Camera, ...], dict[str, Any]]:
+    """Return configuration and cameras in the unit and the world of a control track, and what is reported of it."""
+    found = world.alignment
+    if unit != loaded.config.units.length:
+        loaded = with_unit(loaded, unit, found.registration.scale)
+    report = {**alignment_report(found, unit), "std": world.std}
+    return loaded, tuple(moved_camera(camera, found.registration) for camera in cameras), report

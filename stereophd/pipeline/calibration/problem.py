@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig
+from stereophd.config.loading import LoadedConfig
 from stereophd.config.model import Config
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves
+from stereophd.core.calibration.annealing.control import ControlTrack, World
 from stereophd.core.calibration.annealing.method import HistoryRow, Remark
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -29,15 +31,14 @@ from stereophd.core.multi.pmb.filter import PmbFilter
 from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError, unknown_camera
+from stereophd.pipeline.alignment.control import read_control
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import Size
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import covered, open_stream
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
+from stereophd.validated import NO_LENGTH
 
 
 @dataclass(frozen=True)
@@ -49,6 +50,7 @@ class CalibrationProblem:
     recording: Recording  # The log
     scale: ScaleMeasurement | None  # A known baseline
     counts: dict[str, int]  # Counts of the log, as in ``report.json``
+    control: ControlTrack | None = None
 
     def frames(self, most: int | None = None) -> NDArray[np.int64]:
         """Return the frames of the recording, at most about `most`."""
@@ -103,6 +105,7 @@ class Outcome:
     fit: Fit | None = None  # Trajectories and residuals, of method annealed
     remarks: tuple[Remark, ...] = ()  # What has to be said of the answer
     moves: TrackMoves | None = None  # How tracks move with the values, of method annealed
+    world: World | None = None  # That of the control track
     details: dict[str, Any] = field(default_factory=dict)  # For the report
 
 
@@ -139,7 +142,29 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProbl
     _check_overlap(parameters, recording, log_path)
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
     _check_method(loaded, parameters)
-    return CalibrationProblem(parameters, reference, recording, scale, counts)
+    return CalibrationProblem(parameters, reference, recording, scale, counts, build_control(loaded))
+
+
+def control_path(loaded: LoadedConfig) -> Path | None:
+    """Return the file of the control track: relative to the configuration, else to the working folder."""
+    section = loaded.config.calibration
+    if section is None or section.control is None:
+        return None
+    path = loaded.path.parent / section.control.track
+    return path if path.exists() else Path(section.control.track)
+
+
+def build_control(loaded: LoadedConfig) -> ControlTrack | None:
+    """Return the control track; InputError where it is not usable, or in another unit of length."""
+    path, unit = control_path(loaded), loaded.config.units.length
+    if path is None:
+        return None
+    control = read_control(path)
+    if unit not in (NO_LENGTH, control.length_unit or unit):
+        raise InputError(f"{path}: expected lengths in {unit} as in {loaded.path}, found {control.length_unit}")
+    std = None if control.std is None else float(np.median(control.std))
+    known = unit if unit != NO_LENGTH else "m"
+    return ControlTrack(control.track, std, unit == NO_LENGTH, control.length_unit or known)
 
 
 def _check_method(loaded: LoadedConfig, parameters: ParameterSet) -> None:

@@ -137,7 +137,7 @@ def smc_outcome(
     details["smc"] = {**_sampler_figures(result, settings.evidence), "modes": len(modes.weights)}
     return Outcome(
         parameters, mean, covariance, result.values, result.log_weights, annealed.history, "", annealed.doubt,
-        annealed.fit, annealed.remarks, annealed.moves, details,
+        annealed.fit, annealed.remarks, annealed.moves, None, details,
     )  # fmt: skip
 
 

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from stereophd.config.calibration import CalibrationConfig
 from stereophd.config.errors import describe
+from stereophd.config.loading import LoadedConfig
 from stereophd.config.yaml import Place, Tree
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import IMAGES, Quantity
@@ -18,9 +19,6 @@ from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.cameras.models import CameraConfig
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 
 def calibration_section(loaded: LoadedConfig) -> CalibrationConfig:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import logging
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from stereophd.config.loading import LoadedConfig
+from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.checks.finding import Finding, warnings_of
 from stereophd.pipeline.checks.geometry.findings import check_geometry
@@ -18,10 +20,6 @@ from stereophd.pipeline.checks.residuals.findings import check_residuals
 from stereophd.pipeline.checks.run_figures.losses import check_rows
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
 from stereophd.pipeline.stream import covered
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
-    from stereophd.core.geometry.camera import Camera
 
 # Frames of each camera that a check inside another command looks at.
 QUICK_FRAMES = 400

@@ -17,7 +17,7 @@ from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.measure import Geometry
-from stereophd.pipeline.checks.geometry.rays import distances
+from stereophd.pipeline.checks.geometry.rays import TOLERANCES, distances
 from stereophd.pipeline.checks.log.sample import CameraSample
 
 # Score of a pair whose depths count.
@@ -68,15 +68,15 @@ def _depth_samples(geometry: Geometry, least_score: float) -> Array:
     found, chance = [], []
     views = geometry.views
     for pair, given in zip(geometry.pairs, geometry.given, strict=True):
-        if given.score < least_score:
-            continue
         distance, depth = distances(pair, views[pair.a], views[pair.b])
-        best = distance.argmin(axis=2)[..., None]
-        near = np.take_along_axis(distance, best, axis=2)[..., 0] <= given.tolerance
-        at = np.take_along_axis(depth, best, axis=2)[..., 0]
-        usable = near & np.isfinite(at) & (at > 0.0)
-        found.append(at[0][usable[0]])
-        chance.append(at[1:][usable[1:]])
+        meets = given.score >= least_score
+        near = (distance <= (given.tolerance if meets else TOLERANCES[0])) & np.isfinite(depth) & (depth > 0.0)
+        counts = near.sum(axis=(1, 2))
+        spread = float(np.hypot(counts[1:].std(ddof=1), np.sqrt(max(counts[1:].mean(), 1.0))))
+        # in a crowd every detection has a partner by chance, but not as many
+        if meets or counts[0] - counts[1:].mean() >= least_score * spread:
+            found.append(depth[0][near[0]])
+            chance.append(depth[1:][near[1:]])
     if not found or not sum(map(len, found)):
         return np.empty(0)
     positive, negative = np.concatenate(found), np.concatenate(chance)

@@ -53,7 +53,7 @@ BETWEEN_AXES = 0.25
 # Residuals over stated noise between which tracks confirm it (to within so many standard errors), the fewest of them
 # that can, and the spread of what is known from the rays from which it needs no more of them.
 CONFIRMED, CONFIRMED_ERRORS, FEWEST_TO_CONFIRM, KNOWN_SPREAD = (0.7, 1.4), 2.0, 8.0, 0.25
-# Tracks that contradict the rays by this factor, beyond three standard errors, are those of another error.
+# Tracks that contradict the rays by this factor, and beyond three standard errors, are those of another error.
 CONTRADICTED, CONTRADICTED_ERRORS = 1.5, 3.0
 
 
@@ -229,7 +229,8 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
     """Return the detector estimated from the sums of a run with the `present` one, and from what was known before.
 
     The noise is the mean of its logarithm after both: of the prior, and of the residuals, weighted with their squared
-    standard errors. Without residuals it is the prior's.
+    standard errors. Without residuals it is the prior's, and where they contradict it: wrong tracks would otherwise
+    make the noise larger, which makes more of them wrong.
     """
     sigma, ratio = np.asarray(prior.sigma_px), None
     error = sigma * np.hypot(prior.spread, BETWEEN_AXES)
@@ -242,8 +243,11 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
         sigma = np.exp((1.0 - weight) * np.log(prior.sigma_px) + weight * np.log(measured))
         error = sigma * np.sqrt(weight) * relative
         ratio = float(np.sqrt((sums.residuals / sums.weights).mean()))
-        apart = np.abs(np.log(measured / prior.sigma_px))
-        agrees = (apart < np.log(CONTRADICTED) + CONTRADICTED_ERRORS * np.hypot(relative, spread)).all()
+        apart = abs(float(np.log(measured / prior.sigma_px).mean()))
+        most = max(np.log(CONTRADICTED), CONTRADICTED_ERRORS * float(np.hypot(relative.min(), prior.spread)))
+        agrees = apart < most
+        if not agrees:
+            sigma, error = np.asarray(prior.sigma_px), np.asarray(prior.sigma_px) * spread
         slack = CONFIRMED_ERRORS * float(relative.max())
         low, high = np.log(CONFIRMED[0]) - slack, np.log(CONFIRMED[1]) + slack
         confirmed = bool(agrees and low <= np.log(ratio) <= high) and (confirmed or sums.pairs >= FEWEST_TO_CONFIRM)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -13,6 +13,7 @@ import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.events import EventKeys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import Events, Truth
 from stereophd.core.metrics.truth.visibility import Sightings
@@ -20,10 +21,7 @@ from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
 from stereophd.io.outputs.provenance import from_metadata, length_unit
 from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet, read_table
-from stereophd.io.tables.schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING, TENTATIVE
-
-if TYPE_CHECKING:
-    from stereophd.core.geometry.camera import Camera
+from stereophd.io.tables.schemas import CAMERAS_PART, CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING, TENTATIVE
 
 # The table of events that `track` writes into the folder of its tracks.
 SCANS_NAME = "scans.parquet"
@@ -50,6 +48,7 @@ class Tracks:
     confirmed: NDArray[np.bool_]  # (n,) bool array: Whether each estimate is confirmed, rather than tentative
     metadata: Mapping[str, Any] | None  # Provenance that the file carries
     length_unit: str | None  # Unit that the file names
+    cameras_part: Array | None = None  # (n, 3, 3) array: The part of the covariance that comes from uncertain cameras
 
 
 def read_tracks(path: Path) -> Tracks:
@@ -78,16 +77,19 @@ def read_tracks(path: Path) -> Tracks:
         if repeated is not None:
             raise _split_event(path, int(starts[repeated]))
         events = Events(keys.time_s, starts, ends)
+    with open_parquet(path) as parquet:
+        has_part = CAMERAS_PART.name in parquet.schema_arrow.names
     return Tracks(
         events=events,
         all_events=all_events,
         position=position,
         velocity=velocity,
-        covariance=_position_covariances(path),
+        covariance=_position_covariances(path, "covariance"),
         track_id=_integers(table, "track_id"),
         confirmed=_confirmed(table, path),
         metadata=from_metadata(table.schema.metadata),
         length_unit=length_unit(table.schema.metadata),
+        cameras_part=_position_covariances(path, CAMERAS_PART.name) if has_part else None,
     )
 
 
@@ -244,15 +246,15 @@ def _vectors(table: pa.Table, names: Mapping[str, Any], path: Path) -> Array:
     return np.stack([_finite(table, name, path) for name in names], axis=1)
 
 
-def _position_covariances(path: Path) -> Array:
-    """Read the position part (n, 3, 3) of the covariances, piece by piece."""
+def _position_covariances(path: Path, name: str) -> Array:
+    """Read the position part (n, 3, 3) of a column of covariances, piece by piece."""
     pieces = [np.zeros((0, 3, 3))]
     with open_parquet(path, "table of tracks") as parquet, damaged_is_input_error(path):
-        check_columns(parquet.schema_arrow, {"covariance": COVARIANCE}, {}, path)
-        for batch in parquet.iter_batches(batch_size=COVARIANCE_ROWS, columns=["covariance"]):
+        check_columns(parquet.schema_arrow, {name: COVARIANCE}, {}, path)
+        for batch in parquet.iter_batches(batch_size=COVARIANCE_ROWS, columns=[name]):
             column = batch.column(0)
             if column.null_count or column.flatten().null_count:
-                raise InputError(f"{path}: column covariance: expected values, found null")
+                raise InputError(f"{path}: column {name}: expected values, found null")
             full = np.asarray(column.flatten(), dtype=np.float64).reshape(-1, 6, 6)
             pieces.append(full[:, :3, :3].copy())
     return np.concatenate(pieces)

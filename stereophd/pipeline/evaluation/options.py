@@ -74,14 +74,14 @@ class ScoreOptions:
         "Score each time once, after its last event, or every event.", default="times"
     )
     seen_by: int | None = option(
-        "Score only objects that N cameras detected in the last seconds (within) according to the log, by its "
+        "Score only objects that N cameras detected in the last seconds (seen-within) according to the log, by its "
         "object_id; without one, any detection counts.",
         default=None,
         metavar="N",
         least=1,
         use=SEEN,
     )
-    within_s: float | None = option("Time span of seen-by, s.", default=None, metavar="S", flag="within", use=SEEN)
+    within_s: float | None = option("Time span of seen-by, s.", default=None, metavar="S", flag="seen-within", use=SEEN)
     ospa2_window: int = option("Scored scans in a window of OSPA(2).", default=10, metavar="SCANS", least=1)
     tentative: bool = option("Score tentative estimates too, not only confirmed ones.", default=False)
     align: Literal["none", "rigid", "similarity"] = option(

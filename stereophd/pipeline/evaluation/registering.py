@@ -52,6 +52,7 @@ def registered_tracks(tracks: Tracks, found: Registration) -> Tracks:
         position=found.positions(tracks.position),
         velocity=found.velocities(tracks.velocity),
         covariance=found.covariances(tracks.covariance),
+        cameras_part=None if tracks.cameras_part is None else found.covariances(tracks.cameras_part),
     )
 
 

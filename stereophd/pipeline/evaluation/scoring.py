@@ -153,7 +153,8 @@ def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path
             )
     confirmed = tracks.confirmed[rows]
     reported = PointSets(
-        start, tracks.position[rows], tracks.velocity[rows], tracks.track_id[rows], covariance, confirmed
+        start, tracks.position[rows], tracks.velocity[rows], tracks.track_id[rows], covariance, confirmed,
+        None if tracks.cameras_part is None else tracks.cameras_part[rows],
     )  # fmt: skip
     return reported if options.tentative else reported.keep_points(confirmed)
 

@@ -13,13 +13,14 @@ import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from stereophd.config.loading import LoadedConfig, variant
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
@@ -28,10 +29,6 @@ from stereophd.pipeline.detectors.passes import stretches
 from stereophd.pipeline.initial.template import rounded
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.loop import run_estimator
-
-if TYPE_CHECKING:
-    from stereophd.core.geometry.camera import Camera
-
 
 # Fewest events that show an acceleration.
 LEAST_EVENTS = 20

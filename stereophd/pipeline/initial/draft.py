@@ -157,8 +157,7 @@ def _rough(draft: Draft, samples: list[CameraSample]) -> dict[str, Choice] | Non
     tracks = "from one-camera tracks at these depths"
     if scene.depths is not None and scene.depths[0] > 0.0:
         near, middle, far = scene.depths.tolist()
-        pairs = sum(given.score >= MEETING_SCORE for given in geometry.given)
-        why = f"from the depths at which rays of {pairs} pair{'s' * (pairs != 1)} of cameras meet"
+        why = "from the depths at which rays of different cameras meet"
     else:
         shared = shared_depths([sample.camera for sample in samples])
         if shared is None:

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from stereophd.core.disparity.events import Event
+from stereophd.pipeline.tracking.knocked import KnockTest
 from stereophd.pipeline.tracking.loop import Attribution, Estimator, Record, ReportTimes, RunState, finish, work_event
 
 
@@ -53,6 +54,11 @@ class RewindingRun:
         self._steps += new
         self._forget()
         return new
+
+    def go_on(self, estimator: Estimator[Any]) -> None:
+        """Go on with an estimator whose cameras have other poses; cameras may be knocked again."""
+        self._estimator = estimator
+        self._run.knocks = KnockTest()
 
     def finish(self) -> Iterator[Record]:
         """Yield what is reported after the last event."""

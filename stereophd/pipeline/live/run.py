@@ -84,6 +84,17 @@ class LiveRun:
         self._run = RewindingRun(estimator, times, settings.span_s)
         self._waiting: list[tuple[float, int, int, Frame, float]] = []
         self._newest = np.full(len(self._cameras), -np.inf)
+        self._passed_over: set[int] = set()
+
+    def pass_over(self, name: str) -> None:
+        """Track no more frames of a camera, for the present."""
+        self._passed_over |= {index for index, camera in enumerate(self._cameras) if camera.name == name}
+
+    def go_on(self, estimator: Estimator[Any]) -> None:
+        """Go on with an estimator whose cameras have other poses, and track all of them."""
+        self._cameras = estimator.rig.cameras
+        self._passed_over = set()
+        self._run.go_on(estimator)
 
     def records(self, arrivals: Arrivals, source: str) -> Iterator[LiveRecord]:
         """Yield the records of messages, and at the end of the stream those that are left.
@@ -119,6 +130,8 @@ class LiveRun:
             yield from self._work(frame, arrived_s)
 
     def _work(self, frame: Frame, arrived_s: float) -> Iterator[LiveRecord]:
+        if frame.camera in self._passed_over:
+            return
         camera = self._cameras[frame.camera].at(frame.time_s)
         event = make_event(camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame, frame.sizes)
         if self._run.is_too_late(event):

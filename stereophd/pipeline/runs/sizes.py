@@ -11,13 +11,10 @@ import os
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.simulation.timing import INSTANTS_PER_WINDOW
 from stereophd.errors import InputError, SizeError
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 # Beyond this a run must be confirmed.
 LARGEST_DISK_BYTES = 50e9

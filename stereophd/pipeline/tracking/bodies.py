@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.bodies.filter import BodyFilter
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.disparity.events import Event, make_rig
@@ -16,9 +16,6 @@ from stereophd.errors import InputError
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.build import build_motion, build_region
 from stereophd.pipeline.stream import EventStream
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 
 def build_bodies(loaded: LoadedConfig, shape: EllipsoidSettings, cameras: tuple[Camera, ...]) -> BodyFilter:

@@ -10,14 +10,15 @@ exceeded once in `FALSE_ALARM_S` by chance, over all looks, turns and cameras. A
 share, so a wrong track alone is no knock.
 
 A small steady misfit of lens, pose or motion is no knock either: the spread of the residuals, which follows their
-median within a minute, widens all likelihoods.
+median within a minute, widens all likelihoods. Objects that move as one, such as the corners of a board, may be off
+together: the ratios are divided by the factor by which the sum of their residuals spreads more than it would alone.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 
 import numpy as np
@@ -32,6 +33,8 @@ from stereophd.core.two_views.turns import all_turns, turn_ratios
 FALSE_ALARM_S = 864_000.0
 # Shortest time between two looks at a camera, s; tracks of a look, the most certain ones; the fewest that must agree.
 LOOK_S, MOST_TRACKS, FEWEST_TRACKS = 0.1, 10, 2
+# Age from which a track counts, s: a new one may be wrong.
+LEAST_AGE_S = 1.0
 # Tracks that were not looked at for this long count no more, s.
 FORGET_S = 5.0
 # Part of the threshold from which a camera may be the one that was knocked, if another is beyond it.
@@ -40,11 +43,15 @@ SUSPICIOUS = 0.4
 AGREEING = 0.5
 # A frame whose median squared residual is below this, in variances, is passed over while no CUSUM is above 0.
 CALM = 3.0
+# Factor of the variances in the test: an object may turn or brake harder than the motion model leads to expect.
+MISFIT = 2.0
+# Squared residual, in variances, within which a detection belongs to a track.
+TAKEN = 16.0
 # Least probability that a track has no detection: it may be wrong, or hidden.
 MISSED = 0.1
-# The median of a squared residual in variances (two dimensions), the rate at which the spread follows it, and looks
-# before an alarm.
-MEDIAN, RATE, FIRST_LOOKS = 2.0 * math.log(2.0), 2e-3, 30
+# The median of a squared residual in variances (two dimensions), and the rates at which factors follow it, at last and
+# at first; looks before an alarm.
+MEDIAN, RATE, FIRST_RATE, FIRST_LOOKS = 2.0 * math.log(2.0), 2e-3, 0.3, 30
 
 
 @dataclass(frozen=True)
@@ -83,6 +90,7 @@ class CameraLooks:
     looked_s: float = -math.inf
     looks: int = 0
     spread: float = 1.0  # Factor of the variances
+    coherence: float = 1.0  # Factor of the variance of the sum of the residuals of a frame
     tracks: dict[int, TrackSums] = field(default_factory=dict)
     suspicion: SuspectedTurn | None = None
 
@@ -92,6 +100,7 @@ class KnockTest:
     """State of the test; it is replaced, never changed. After the first knock nothing is tested."""
 
     cameras: dict[str, CameraLooks] = field(default_factory=dict)
+    born_s: dict[int, float] = field(default_factory=dict)  # Track -> time at which it was first seen here
     is_over: bool = False
 
 
@@ -111,16 +120,31 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     ids, points, covariances = predicted
     noise = covariances + event.covariances.mean(axis=0)
     residuals = event.points[None] - points[:, None]
-    squares = np.einsum("nmi,nij,nmj->nm", residuals, np.linalg.inv(noise), residuals).min(axis=1)
+    squares = np.einsum("nmi,nij,nmj->nm", residuals, np.linalg.inv(noise), residuals)
+    born_s = {track: test.born_s.get(track, event.time_s) for track in before.track_ids.tolist()}
+    test = replace(test, born_s=born_s)
+    is_old = np.array([born_s[track] <= event.time_s - LEAST_AGE_S for track in ids.tolist()])
+    chosen, others = np.flatnonzero(is_old)[:MOST_TRACKS], np.ones(len(ids), dtype=bool)
+    if not len(chosen):
+        return test, None
+    others[chosen] = False
+    # what belongs to a track that is not looked at speaks for no turn of the others
+    detections = event.points[~(squares[others] < TAKEN * known.spread).any(axis=0)]
+    nearest = squares[chosen].argmin(axis=1)
+    ids, points, noise, residuals, squares = (
+        ids[chosen], points[chosen], noise[chosen], residuals[chosen, nearest], squares[chosen, nearest]
+    )  # fmt: skip
     tracks = {track: sums for track, sums in known.tracks.items() if sums.seen_s >= event.time_s - FORGET_S}
     if tracks or np.median(squares) > CALM * known.spread:
         most = _threshold(len(cameras), max(len(ids), len(tracks))).share
         turns, p_detect = all_turns(), camera.detector.p_detect
         ratios = turn_ratios(
-            points, noise * known.spread, event.points, (camera.fx, camera.fy, camera.cx, camera.cy),
+            points, noise * (MISFIT * known.spread), detections, (camera.fx, camera.fy, camera.cx, camera.cy),
             (turns.shifts, turns.linear, turns.spread), max(1.0 - p_detect, MISSED),
             p_detect * camera.width * camera.height / len(event.points),
         )  # fmt: skip
+        # neighbours hide together, and a turn may bring others into their places: those speak against it
+        ratios = np.where(ratios.sum(axis=0) > 0.0, ratios, np.minimum(ratios, 0.0)) / known.coherence
         for track, ratio in zip(ids.tolist(), ratios, strict=True):
             old = tracks.get(track)
             sums = np.zeros(len(ratio)) if old is None else old.sums
@@ -128,10 +152,14 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
             tracks[track] = TrackSums(event.time_s, np.clip(sums + ratio, 0.0, most), since)
         if not any(sums.sums.any() for sums in tracks.values()):
             tracks = {}
-    steps = np.sign(squares / known.spread - MEDIAN).sum() * max(RATE, 0.3 / (known.looks + 1))
-    spread = max(known.spread * math.exp(min(max(steps, -0.2), 0.2)), 1.0)
+    spread = _followed(known.spread, squares / known.spread, known.looks)
+    good = squares < TAKEN * known.spread
+    mean, variance = residuals[good].sum(axis=0), noise[good].sum(axis=0) * known.spread
+    together = np.array([mean @ np.linalg.solve(variance, mean)]) if good.any() else np.empty(0)
+    coherence = _followed(known.coherence, together / known.coherence, known.looks)
+    looks = CameraLooks(event.time_s, known.looks + 1, spread, coherence, tracks)
     ratio, suspicion = _suspicion(tracks, len(cameras), event.time_s, known.suspicion)
-    test = KnockTest({**test.cameras, name: CameraLooks(event.time_s, known.looks + 1, spread, tracks, suspicion)})
+    test = replace(test, cameras={**test.cameras, name: replace(looks, suspicion=suspicion)})
     if known.looks < FIRST_LOOKS or ratio < 1.0:
         return test, None
     # the tracks follow a camera that is wrong, and then others seem to be: it was the first
@@ -141,6 +169,12 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     u, v = (turns.shifts[first.turn] * (turned.fx, turned.fy)).tolist()
     turn_deg = math.degrees(turns.size(first.turn))
     return KnockTest(is_over=True), Knock(turned.name, event.time_s, first.since_s, turn_deg, (u, v))
+
+
+def _followed(factor: float, squares: Array, looks: int) -> float:
+    """Return a factor of variances after more squared residuals in such variances: at least 1, and half are within."""
+    step = float(np.sign(squares - MEDIAN).sum()) * max(RATE, FIRST_RATE / (looks + 1))
+    return max(factor * math.exp(min(max(step, -FIRST_RATE), FIRST_RATE)), 1.0)
 
 
 def _suspicion(
@@ -176,7 +210,7 @@ def _predict(camera: Camera, before: Estimates, elapsed_s: float) -> tuple[Integ
     jacobians[:, :, 2] = -scale * local[:, :2] / local[:, 2:]
     jacobians = jacobians @ camera.pose.rotation @ step
     spread = jacobians @ covariances[seen] @ np.swapaxes(jacobians, 1, 2)
-    order = np.argsort(np.trace(spread, axis1=1, axis2=2), kind="stable")[:MOST_TRACKS]
+    order = np.argsort(np.trace(spread, axis1=1, axis2=2), kind="stable")
     points = scale * local[:, :2] + (camera.cx, camera.cy)
     return before.track_ids[seen[order]], np.asarray(points[order]), np.asarray(spread[order])
 

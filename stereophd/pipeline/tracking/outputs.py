@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -11,9 +11,10 @@ import pyarrow as pa
 
 from stereophd.config.report import ReportConfig
 from stereophd.core.arrays import Array
+from stereophd.core.calibration.unknowns.considered import CameraUncertainty, CommonPart
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, STD, TENTATIVE
+from stereophd.io.tables.schemas import CAMERAS_PART, CONFIRMED, EXTENTS, STD, TENTATIVE
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run_figures.figures import FigureSums, RunFigures
@@ -38,6 +39,7 @@ class Writing:
     # Since the last row of the table of events: what happened between two reports belongs to the second.
     new_detections: int = 0
     new_log_likelihood: float = 0.0
+    cameras_part: CommonPart | None = None  # Of what uncertain cameras add
 
 
 class RecordWriter:
@@ -48,8 +50,14 @@ class RecordWriter:
     """
 
     def __init__(
-        self, tables: Tables, cameras: Sequence[Camera], report: ReportConfig, writing: Writing | None = None
+        self,
+        tables: Tables,
+        cameras: Sequence[Camera],
+        report: ReportConfig,
+        writing: Writing | None = None,
+        uncertainty: CameraUncertainty | None = None,
     ) -> None:
+        self._uncertainty = uncertainty
         self._tables, self._report = tables, report
         self._writing = Writing() if writing is None else writing
         self._figures = RunFigures(cameras, self._writing.figures)
@@ -82,12 +90,29 @@ class RecordWriter:
         self._writing.new_detections, self._writing.new_log_likelihood = 0, 0.0
         for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
             if level is not None and len(level.track_ids):
-                tables.tracks.append({**key, **_columns(level, report.std_columns), "status": status})
+                tables.tracks.append({**key, **self._columns(level, record.time_s), "status": status})
         self._figures.add_estimates(estimates, record.time_s)
 
     def report(self) -> dict[str, Any]:
         """Return the figures of the run for ``report.json``."""
-        return self._figures.report(self._tables.scans.rows, self._tables.tracks.rows)
+        part = self._writing.cameras_part
+        common, other = (0.0, 0.0) if part is None else part.stds()
+        return {
+            **self._figures.report(self._tables.scans.rows, self._tables.tracks.rows),
+            **({} if part is None else {"cameras_part": {"common_std": common, "other_std": other}}),
+        }
+
+    def _columns(self, estimates: Estimates, time_s: float) -> dict[str, Any]:
+        """Columns of ``tracks.parquet`` of one event; covariances with the part of uncertain cameras, if any."""
+        if self._uncertainty is None:
+            return _columns(estimates, self._report.std_columns)
+        moves = self._uncertainty.moves(np.full(len(estimates.states), time_s), estimates.states, estimates.covariances)
+        sums = CommonPart.of(estimates.states[:, :3], moves, self._uncertainty.covariance)
+        before = self._writing.cameras_part
+        self._writing.cameras_part = sums if before is None else before.joined(sums)
+        added = self._uncertainty.added(moves)
+        whole = replace(estimates, covariances=estimates.covariances + added)
+        return {**_columns(whole, self._report.std_columns), CAMERAS_PART.name: added}
 
 
 def _columns(estimates: Estimates, std_columns: bool) -> dict[str, Any]:

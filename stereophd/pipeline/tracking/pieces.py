@@ -15,11 +15,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.config.loading import LoadedConfig
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.trajectories.joins import PROBABLE, join_probabilities
@@ -34,9 +35,6 @@ from stereophd.pipeline.tracking.run import build_tracking
 from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.tracking.unfinished import RecordFile, RecordPart, read_records
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 # A join of a smaller probability is reported as uncertain.
 CERTAIN = 0.99

@@ -8,8 +8,10 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from stereophd.config.loading import LoadedConfig
 from stereophd.config.report import GridTimes, ReportConfig
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
+from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
@@ -17,7 +19,7 @@ from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig, DetectorConfig
 from stereophd.io.outputs.atomic import OutputFolder
-from stereophd.io.tables.schemas import ASSOCIATIONS, EXTENTS, SCANS, STD, TRACKS
+from stereophd.io.tables.schemas import ASSOCIATIONS, CAMERAS_PART, EXTENTS, SCANS, STD, TRACKS
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.checks.log.sample import sample_log
@@ -34,8 +36,6 @@ from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-    from stereophd.config.loading import LoadedConfig
 
 TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE = "tracks.parquet", "scans.parquet", "associations.parquet"
 
@@ -195,13 +195,16 @@ def write_tracks(
     report: ReportConfig,
     kept: UnfinishedTracking | None = None,
     extents: bool = False,
+    uncertainty: CameraUncertainty | None = None,
 ) -> dict[str, Any]:
     """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
 
-    With `extents` the tracks are those of bodies. With `kept` that keeps tables and gives the `records`, the
-    tables begin with those of a killed run. Returns the figures of the run for ``report.json``.
+    With `extents` the tracks are those of bodies. With `kept` that keeps tables and gives the `records`, the tables
+    begin with those of a killed run. The covariances count the `uncertainty` of the cameras. Returns the figures of the
+    run for ``report.json``.
     """
     columns = (*(EXTENTS if extents else ()), *(STD if report.std_columns else ()))
+    columns += () if uncertainty is None else (CAMERAS_PART,)
     schema = functools.reduce(lambda schema, column: schema.append(column), columns, TRACKS)
     with contextlib.ExitStack() as files:
 
@@ -212,7 +215,7 @@ def write_tracks(
         third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if report.associations else None
         writer = RecordWriter(
             Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third),
-            cameras, report, None if kept is None else kept.writing,
+            cameras, report, None if kept is None else kept.writing, uncertainty,
         )  # fmt: skip
         for record in records:
             writer.add(record)

@@ -19,8 +19,8 @@ from stereophd.report.page.data import run_data
 from stereophd.report.summaries import number, run_tables, share, tracking_part, verdict
 from stereophd.report.tables import SummaryTable
 
-# Tracks that the page lists; thousands of rows would make it slow.
-TRACKS_LISTED = 200
+# Tracks that the page lists, a page of the table at a time.
+TRACKS_LISTED = 5000
 
 
 def page(runs: Sequence[Run], title: str = "stereophd report") -> str:

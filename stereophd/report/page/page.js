@@ -9,7 +9,11 @@
   const TRAILS = [["1 s", 1], ["5 s", 5], ["20 s", 20], ["whole", Infinity], ["none", 0]];
   const by = (id) => document.getElementById(id);
   const PAPER_PX = 680;  // width of a printed plot; A4 and letter leave some more between their margins
-  const state = { run: 0, beside: -1, time: 0, trail: 5, playing: null, camera: 0, screen: null };
+  const state = { run: 0, beside: -1, time: 0, trail: 5, playing: null, camera: 0, screen: null, labels: null, fit: null };
+  const MANY = 40;  // labels of more tracks than this hide what they name, and take seconds to draw
+  const FAR = 2.5;  // what makes the scene larger than most of the objects by this factor does not set the view
+  const MARKERS = 4000;  // of a plot; each is an element of the page
+  const ROWS = 20, PRINTED_ROWS = 200;  // of a table
 
   // Numbers come as base64 of 32-bit floats.
   const cache = new Map();
@@ -89,6 +93,20 @@
     return out;
   };
 
+  // Whether tracks have labels: as chosen, else where they are few.
+  const labelled = (n) => (state.labels === null ? n <= MANY : state.labels);
+  // The middle 98 % of each coordinate of what moves, with a margin, and whether all that is drawn is much larger: cameras
+  // far away, a track that goes astray. Null where nothing moves.
+  const extent = (r) => {
+    const all = ["x", "y", "z"].map((name) => [r.tracks, r.truth].flatMap((p) => (p && p.ids.length ? Array.from(numbers(p[name])) : [])).filter((q) => !Number.isNaN(q)).sort((a, b) => a - b));
+    if (all.some((values) => !values.length)) return null;
+    const inner = all.map((q) => [q[Math.floor(0.01 * (q.length - 1))], q[Math.ceil(0.99 * (q.length - 1))]]);
+    const outer = all.map((q, a) => { const eyes = r.cameras.map((c) => numbers(c.corners)[a]); return [Math.min(q[0], ...eyes), Math.max(q[q.length - 1], ...eyes)]; });
+    const size = (box) => Math.max(...box.map(([low, high]) => high - low)) || 1, margin = 0.08 * size(inner);
+    return { ranges: inner.map(([low, high]) => [low - margin, high + margin]), far: size(outer) > FAR * size(inner) };
+  };
+  const fitted = (r) => { const box = extent(r); return box && (state.fit === null ? box.far : state.fit) ? box.ranges : null; };
+
   // ---- scene
   const frusta = (r, time) => {
     const out = { x: [], y: [], z: [], names: [], centers: [[], [], []] };
@@ -122,15 +140,16 @@
     const traces = [
       { ...common, name: "truth", mode: "lines", x: truth.x, y: truth.y, z: truth.z, hoverinfo: "skip", line: { width: 3, color: css("--truth") }, opacity: 0.6 },
       { ...common, name: "tracks", mode: "lines", x: all.x, y: all.y, z: all.z, text: all.text, hoverinfo: "text", line: coloured(all.k, 1.5), opacity: 0.55 },
-      { ...common, name: "trails", mode: "lines", x: line.x, y: line.y, z: line.z, text: line.text, hoverinfo: "text", line: coloured(line.k, 7) },
-      { ...common, name: "now", mode: "markers+text", x: now.x, y: now.y, z: now.z, text: now.text, hovertext: now.text.map((t) => `track ${t}`), hoverinfo: "text", textposition: "top center",
-        textfont: { size: 13, color: css("--ink") }, marker: { size: 5, color: now.k.map(colour), symbol: now.k.map(symbol), line: { width: 1, color: css("--paper") } } },
+      { ...common, name: "trails", mode: "lines", x: line.x, y: line.y, z: line.z, text: line.text, hoverinfo: "text", line: coloured(line.k, now.x.length > MANY ? 2.5 : 7) },
+      { ...common, name: "now", mode: labelled(now.x.length) ? "markers+text" : "markers", x: now.x, y: now.y, z: now.z, text: now.text, hovertext: now.text.map((t) => `track ${t}`), hoverinfo: "text", textposition: "top center",
+        textfont: { size: 13, color: css("--ink") }, marker: { size: now.x.length > MANY ? 2.5 : 5, color: now.k.map(colour), symbol: now.k.map(symbol), line: { width: 1, color: css("--paper") } } },
       { ...common, name: "cameras", mode: "lines", x: view.x, y: view.y, z: view.z, hoverinfo: "skip", line: { width: 3, color: css("--camera") } },
       { ...common, name: "names", mode: "text", x: view.centers[0], y: view.centers[1], z: view.centers[2], text: view.names, hoverinfo: "text", textposition: "bottom center", textfont: { size: 13, color: css("--camera") } },
     ];
-    const side = (k) => ({ ...axis(`${r.axes[k]}${u}`), backgroundcolor: css("--panel"), showbackground: false, color: css("--soft") });
+    const ranges = fitted(r);
+    const side = (k) => ({ ...axis(`${r.axes[k]}${u}`), ...(ranges ? { range: ranges[k] } : {}), backgroundcolor: css("--panel"), showbackground: false, color: css("--soft") });
     draw(id, traces, layout(RUNS.length > 1 ? r.name : "", "", "", {
-      margin: { l: 0, r: 0, t: RUNS.length > 1 ? 32 : 0, b: 0 }, uirevision: r.name,
+      margin: { l: 0, r: 0, t: RUNS.length > 1 ? 32 : 0, b: 0 }, uirevision: `${r.name} ${!!ranges}`,
       scene: { aspectmode: "data", xaxis: side(0), yaxis: side(1), zaxis: side(2), camera: viewpoint("free", r), dragmode: "orbit" },
     }));
   };
@@ -174,6 +193,7 @@
     Plotly.restyle(by(id), {
       x: [line.x, now.x, view.x, view.centers[0]], y: [line.y, now.y, view.y, view.centers[1]], z: [line.z, now.z, view.z, view.centers[2]],
       text: [line.text, now.text, [], view.names], hovertext: [[], now.text.map((t) => `track ${t}`), [], []],
+      mode: ["lines", labelled(now.x.length) ? "markers+text" : "markers", "lines", "text"],
       "line.color": [line.k, undefined, undefined, undefined],
       "marker.color": [undefined, now.k.map(colour), undefined, undefined], "marker.symbol": [undefined, now.k.map(symbol), undefined, undefined],
     }, [TRAIL, NOW, CAMERAS, NAMES]);
@@ -195,7 +215,7 @@
         const data = scene.data.map((trace) => (trace.name === "now" ? { ...trace, textfont: { ...trace.textfont, color: "#000" } } : trace));
         image.src = await Plotly.toImage({ data, layout: white, config: CONFIG }, { format: "png", width: 1100, height: 620 });
       }
-    }, 700);
+    }, 2000);
   };
 
   // ---- camera frames
@@ -220,7 +240,7 @@
     draw("frame", [
       { type: "scatter", mode: "markers", name: "detections without a track", x: of(u, not), y: of(v, not), hoverinfo: "x+y", marker: { symbol: "x-thin", size: 9, line: { width: 2, color: css("--truth") } } },
       { type: "scatter", mode: "markers", name: "detections of tracks", x: of(u, owned), y: of(v, owned), text: of(owner, owned).map(id), hoverinfo: "text+x+y", marker: { symbol: "cross-thin", size: 11, line: { width: 2, color: of(owner, owned).map(colour) } } },
-      { type: "scatter", mode: "markers+text", name: "reprojected tracks", x: su, y: sv, text: seen.map((n) => `${r.tracks.ids[n]}`), hovertext: seen.map(id), hoverinfo: "text", textposition: "top right",
+      { type: "scatter", mode: labelled(seen.length) ? "markers+text" : "markers", name: "reprojected tracks", x: su, y: sv, text: seen.map((n) => `${r.tracks.ids[n]}`), hovertext: seen.map(id), hoverinfo: "text", textposition: "top right",
         textfont: { size: 11 }, marker: { symbol: "circle-open", size: 15, color: seen.map(colour), line: { width: 2 } } },
     ], layout(camera.name, "u [px]", "v [px]", {
       xaxis: axis("u [px]", { range: [-0.03 * camera.width, 1.03 * camera.width], constrain: "domain" }),
@@ -247,7 +267,7 @@
         const label = `track ${p.ids[k]}: ${clock(first[k] + r.start)} to ${clock(last[k] + r.start)}`;
         text.push(label, label, "");
       }
-      traces.push({ type: "scatter", mode: "lines+markers", x, y, text, hoverinfo: "text", showlegend: false, line: { width: Math.max(2, Math.min(8, 240 / p.ids.length)), color: colour(c) }, marker: { size: 4, color: colour(c) } });
+      traces.push({ type: "scatter", mode: p.ids.length > MARKERS / 20 ? "lines" : "lines+markers", x, y, text, hoverinfo: "text", showlegend: false, line: { width: Math.max(0.5, Math.min(8, 240 / p.ids.length)), color: colour(c) }, marker: { size: 4, color: colour(c) } });
     }
     const step = Math.ceil(p.ids.length / 30), ticks = p.ids.map((_, k) => k).filter((k) => k % step === 0);
     draw("lives", traces, layout("When each track was reported", "time [s]", "track", {
@@ -282,7 +302,7 @@
       return { type: "box", name: `along ${name}`, x, y, marker: { size: 2, color: COLOURS[n] }, line: { width: 1.5 }, boxpoints: false, boxmean: true };
     });
     draw("residual-cameras", boxes, layout("Residuals by camera", "", "residual [px]", { boxmode: "group" }));
-    const traces = [];
+    const traces = [], total = r.residuals.reduce((sum, one) => sum + numbers(one.t).length, 0), step = Math.ceil(total / MARKERS);
     r.residuals.forEach((one, k) => {
       const t = numbers(one.t), u = numbers(one.u), v = numbers(one.v), order = Array.from(t.keys()).sort((i, j) => t[i] - t[j]);
       const bins = Math.max(1, Math.min(60, Math.floor(order.length / 15))), x = [], rms = [];
@@ -292,7 +312,7 @@
         x.push(part.reduce((s, i) => s + t[i], 0) / part.length + r.start);
         rms.push(Math.sqrt(part.reduce((s, i) => s + u[i] * u[i] + v[i] * v[i], 0) / (2 * part.length)));
       }
-      traces.push({ type: "scatter", mode: "markers", x: since(r, t), y: Array.from(t.keys(), (i) => Math.hypot(u[i], v[i]) / Math.SQRT2), showlegend: false, hoverinfo: "skip", opacity: 0.18, marker: { size: 3, color: colour(k) } });
+      traces.push({ type: "scatter", mode: "markers", x: since(r, t).filter((_, i) => i % step === 0), y: Array.from(t.keys()).filter((i) => i % step === 0).map((i) => Math.hypot(u[i], v[i]) / Math.SQRT2), showlegend: false, hoverinfo: "skip", opacity: 0.18, marker: { size: 3, color: colour(k) } });
       traces.push({ type: "scatter", mode: "lines", x, y: rms, name: r.cameras[k].name, line: { width: 2.5, color: colour(k), dash: dash(k) } });
     });
     draw("residual-time", traces, layout("Residuals over time: each, and the root mean square", "time [s]", "residual [px]", { shapes: cursor() }));
@@ -303,6 +323,7 @@
   const line = (r, t, y, name, c, more) => ({ type: "scatter", mode: "lines", x: since(r, t), y: Array.from(y), name, line: { width: 2, color: c, ...more } });
   const drawScores = () => {
     const r = run(), traces = [];
+    if (!r.evaluation) { clear("ospa"); clear("gospa"); }  // before the others are measured
     if (r.scans) {
       const t = numbers(r.scans.t);
       traces.push(line(r, t, numbers(r.scans.cardinality_mean), "expected", COLOURS[4]));
@@ -312,7 +333,7 @@
     if (e) traces.unshift(line(r, numbers(e.t), numbers(e.n_truth), "truth", css("--truth"), { width: 5 }));
     if (!traces.length) clear("count");
     else draw("count", traces, layout("Number of objects", "time [s]", "objects", { shapes: cursor(), yaxis: axis("objects", { rangemode: "tozero" }) }));
-    if (!e) { clear("ospa"); clear("gospa"); return; }
+    if (!e) return;
     const t = numbers(e.t);
     const spiky = (y) => { const s = Array.from(y).filter((q) => q > 0).sort((p, q) => p - q); return s.length > 4 && s[s.length - 1] > 10 * s[s.length >> 1]; };
     const scale = (name) => (spiky(numbers(e[name])) ? { type: "log", exponentformat: "power" } : { rangemode: "tozero" });
@@ -373,7 +394,7 @@
   const present = () => {
     const r = run();
     return {
-      scene: !!(r.tracks || r.truth || r.cameras.length), frames: !!(r.frames && r.frames.length), tracks: !!(r.tracks && r.tracks.ids.length),
+      scene: !!(r.tracks || r.truth || r.cameras.length), frames: !!(r.frames && r.frames.some((frame) => frame.t.length)), tracks: !!(r.tracks && r.tracks.ids.length),
       residuals: !!(r.residuals && r.residuals.some((one) => one.t.length)), scans: !!(r.scans || r.evaluation), calibration: !!r.calibration,
     };
   };
@@ -395,18 +416,31 @@
       options(by("against"), r.calibration.parameters.map((q, k) => [q.name, k]), by("against").value || Math.min(1, r.calibration.parameters.length - 1));
     }
     sayTime();
+    by("labels").checked = labelled(r.tracks ? r.tracks.ids.length : 0);
+    by("fit").checked = !!fitted(r);
     if (there.scene) { drawScenes(); keepImage(); }
     drawFlat();
   };
-  const drawFlat = () => {
-    const there = present();
-    if (there.frames) drawFrame();
-    if (there.tracks) drawLives();
-    if (there.residuals) drawResiduals();
-    if (there.scans) drawScores();
-    if (there.calibration) drawCalibration();
-    drawComparison();
+  // A section is drawn when it comes near the window, and again when it is stale by then; on paper all are.
+  const DRAW = { comparison: drawComparison, frames: drawFrame, tracks: drawLives, residuals: drawResiduals, scans: drawScores, calibration: drawCalibration };
+  const near = new Set(), stale = new Set();
+  const refresh = () => {
+    const there = { ...present(), comparison: true };
+    for (const name of [...stale].filter((one) => near.has(one) || state.screen !== null)) {
+      stale.delete(name);
+      if (there[name]) DRAW[name]();
+    }
   };
+  const redraw = (...names) => { names.forEach((name) => stale.add(name)); refresh(); };
+  const drawFlat = () => redraw(...Object.keys(DRAW));
+  const watcher = new IntersectionObserver((entries) => {
+    for (const { target, isIntersecting } of entries) {
+      const name = target.dataset.needs || "comparison";
+      if (isIntersecting) near.add(name); else near.delete(name);
+    }
+    refresh();
+  }, { rootMargin: "200px" });
+  document.querySelectorAll("main > section").forEach((section) => watcher.observe(section));
   const sayTime = () => {
     const r = run(), span = r.end - r.start;
     by("time").value = span > 0 ? Math.round((1000 * state.time) / span) : 0;
@@ -423,7 +457,7 @@
       setTimeout(() => {
         waiting = false;
         shownScenes().forEach(([id, one]) => moveScene(id, one));
-        drawFrame();
+        redraw("frames");
         keepImage();
       }, FRAME_MS);
     }
@@ -432,6 +466,41 @@
       for (const id of ["lives", "values", "residual-time", "count", "ospa", "gospa"]) if (by(id).data) Plotly.relayout(by(id), { shapes: cursor(id) });
     }, 250);
   };
+  // ---- long tables: sorted by a click on a heading, a page at a time
+  const paged = (table) => {
+    const body = table.tBodies[0], heads = [...table.tHead.rows[0].cells], pager = document.createElement("div"), range = document.createElement("span");
+    const rows = [...body.rows], value = (row, k) => { const text = row.cells[k].textContent, n = parseFloat(text.replaceAll(",", "")); return Number.isNaN(n) ? text : n; };
+    let first = 0;
+    const present = (from, many) => {
+      first = Math.min(Math.max(from, 0), Math.max(rows.length - 1, 0));
+      body.replaceChildren(...rows.slice(first, first + many));
+      range.textContent = `${first + 1} to ${Math.min(first + many, rows.length)} of ${rows.length}`;
+    };
+    heads.forEach((head, k) => {
+      if (!head.textContent) return;
+      const button = document.createElement("button");
+      button.type = "button"; button.textContent = head.textContent; head.replaceChildren(button);
+      button.onclick = () => {
+        const up = head.getAttribute("aria-sort") !== "ascending", sign = up ? 1 : -1;
+        heads.forEach((other) => other.removeAttribute("aria-sort"));
+        head.setAttribute("aria-sort", up ? "ascending" : "descending");
+        rows.sort((a, b) => { const [p, q] = [value(a, k), value(b, k)]; return sign * (typeof p === typeof q ? (p > q) - (p < q) : typeof p === "number" ? -1 : 1); });
+        present(0, ROWS);
+      };
+    });
+    for (const [text, label, step] of [["\u2039", "Rows before", -ROWS], ["\u203a", "Rows after", ROWS]]) {
+      const button = document.createElement("button");
+      button.type = "button"; button.textContent = text; button.setAttribute("aria-label", label);
+      button.onclick = () => { if (first + step < rows.length) present(first + step, ROWS); };
+      pager.append(button);
+    }
+    pager.className = "controls"; pager.append(range); table.after(pager);
+    addEventListener("beforeprint", () => present(0, PRINTED_ROWS));
+    addEventListener("afterprint", () => present(0, ROWS));
+    present(0, ROWS);
+  };
+  document.querySelectorAll("section.table table").forEach((table) => { if (table.tBodies[0].rows.length > ROWS) paged(table); });
+
   const play = () => {
     const button = by("play"), r = run();
     if (state.playing !== null) { clearInterval(state.playing); state.playing = null; }
@@ -473,6 +542,8 @@
   by("beside").onchange = (event) => { state.beside = +event.target.value; show(); };
   by("time").oninput = (event) => setTime((event.target.value / 1000) * (run().end - run().start));
   by("trail").onchange = (event) => { state.trail = Number(event.target.value); setTime(state.time); };
+  by("labels").onchange = (event) => { state.labels = event.target.checked; setTime(state.time); };
+  by("fit").onchange = (event) => { state.fit = event.target.checked; drawScenes(); };
   by("camera").onchange = (event) => { state.camera = +event.target.value; drawFrame(); };
   by("quantity").onchange = drawLives;
   by("parameter").onchange = drawCalibration;

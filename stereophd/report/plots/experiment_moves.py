@@ -5,17 +5,13 @@ Needs the extra ``plot``.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from stereophd.core.arrays import Array
+from stereophd.experiments.engine.results import Cell, Results
 from stereophd.report.style import INK, TRACK_COLOURS, legend_right
-
-if TYPE_CHECKING:
-    from stereophd.experiments.engine.results import Cell, Results
 
 # The planes of the paper's Figures 4 and 7.
 PLANES = (("u", "v"), ("v", "d"))

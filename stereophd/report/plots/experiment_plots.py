@@ -17,15 +17,14 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from stereophd.core.arrays import Array
+from stereophd.experiments.engine.results import Cell, Results
+from stereophd.experiments.engine.summary import Summary
 from stereophd.report.plots.experiment_moves import draw_moves
 from stereophd.report.style import INK, STYLE, TRACK_COLOURS, dash_of, legend_right, plots_named, save_figures
 from stereophd.wording import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from stereophd.experiments.engine.results import Cell, Results
-    from stereophd.experiments.engine.summary import Summary
 
 BOUND_LABEL = "bound"
 DASHES = (0, (4, 3))

@@ -10,6 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from stereophd.core.arrays import Array, Integers
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.errors.consistency import UNLABELLED
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import in_window
@@ -29,8 +30,6 @@ from stereophd.report.style import (
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from stereophd.core.geometry.camera import Camera
 
 # Crosses on false tracks.
 MOST_CROSSES = 40

@@ -15,6 +15,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from stereophd.errors import InputError
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.columns import Paths
 from stereophd.report.page.frames import camera_residuals, paths_of_run
@@ -34,6 +35,12 @@ MOST_LABELS = 60
 
 def write_track_plots(run: Run, paths: Mapping[str, Path]) -> None:
     """Draw the plots that `paths` names: ``top``, ``side``, ``timelines`` and ``residuals``, as png or svg."""
+    with mpl.rc_context(STYLE):
+        save_figures({plot: draw_track_plot(run, plot) for plot in plots_named(paths)}, paths)
+
+
+def draw_track_plot(run: Run, plot: str) -> Figure:
+    """Return the plot ``top``, ``side``, ``timelines`` or ``residuals`` of a run; InputError for another name."""
     tracks = paths_of_run(run)
     makers: dict[str, Callable[[], Figure]] = {
         "top": lambda: _draw_view(run, tracks, "top"),
@@ -41,8 +48,10 @@ def write_track_plots(run: Run, paths: Mapping[str, Path]) -> None:
         "timelines": lambda: _draw_timelines(tracks),
         "residuals": lambda: _draw_residuals(run, tracks),
     }
+    if plot not in makers:
+        raise InputError(f"plot: expected one of {', '.join(makers)}, found {plot}")
     with mpl.rc_context(STYLE):
-        save_figures({plot: makers[plot]() for plot in plots_named(paths)}, paths)
+        return makers[plot]()
 
 
 def _positions(tracks: Paths) -> NDArray[np.float64]:

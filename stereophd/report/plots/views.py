@@ -4,15 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-
-if TYPE_CHECKING:
-    from stereophd.core.geometry.camera import Camera
-
+from stereophd.core.geometry.camera import Camera
 
 # A view is never drawn narrower or flatter than this: long, thin scenes get wider margins.
 LARGEST_ASPECT = 2.0

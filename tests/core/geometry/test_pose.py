@@ -117,3 +117,17 @@ def test_poses_compare_by_value_and_cannot_be_changed() -> None:
     assert pose != Pose(np.eye(3), [1.0, 0.0, 3.0], time_s=1.0)
     with pytest.raises(ValueError, match="read-only"):
         pose.center[0] = 2.0
+
+
+def test_a_pose_in_steps_is_another_one_from_a_time_on() -> None:
+    poses = [Pose(rotation_from_vector([0.0, 0.1 * k, 0.2]), [float(k), 0.0, 1.0]) for k in range(3)]
+    for start in (0.0, 1.7e9):
+        stepped = Pose.in_steps(poses[0], [(start + 10.0, poses[1]), (start + 20.5, poses[2])])
+        assert not stepped.is_static
+        assert stepped.span[0] < -1e13
+        for time_s, expected in ((-1e6, 0), (start + 9.99, 0), (start + 10.0, 1), (start + 20.4, 1), (start + 1e6, 2)):
+            pose = stepped.at(time_s)
+            np.testing.assert_allclose(pose.rotation, poses[expected].rotation, atol=1e-14)
+            np.testing.assert_array_equal(pose.center, poses[expected].center)
+            np.testing.assert_array_equal(pose.velocity, np.zeros(3))
+            np.testing.assert_array_equal(pose.rotation_rate, np.zeros(3))

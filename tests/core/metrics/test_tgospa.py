@@ -11,6 +11,10 @@ from stereophd.core.metrics.matching.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets
 from stereophd.errors import InputError
 
+# Seed, cost of a switch, and distance by LPTrajMetric_Cluster of github.com/Agarciafernandez/T-GOSPA-metric-python at
+# c6e22b7.
+EXPECTED = [(0, 0.5, 4.154219), (1, 1.0, 4.334684), (2, 2.0, 5.633773), (3, 1.5, 5.005377)]
+
 
 def point_sets(scans: list[dict[int, float]]) -> PointSets:
     """Return points on the x axis by label, scan by scan."""
@@ -62,6 +66,20 @@ def test_without_a_cost_of_switches_it_is_gospa() -> None:
     scores = score_scans(estimates, truth, 2.0, 2.0, mahalanobis=False)
     found = distance(tracks, objects, 1e-9)
     assert found.mean(2.0) ** 2 == pytest.approx(np.mean(scores.gospa**2))
+
+
+@pytest.mark.parametrize(("seed", "switch_cost", "expected"), EXPECTED)
+def test_random_scenes_have_the_distances_of_the_public_code(seed: int, switch_cost: float, expected: float) -> None:
+    """Four tracks change their objects, a fifth is false."""
+    generator = np.random.default_rng(seed)
+    x = np.cumsum(generator.normal(0, 0.4, (15, 4)), axis=0) + generator.uniform(0, 3, 4)
+    objects = [{k: float(x[t, k]) for k in range(4) if 2 * k <= t < 15 - k} for t in range(15)]
+    tracks = [
+        {10 + (k + (t >= 7)) % 4: place + float(generator.normal(0, 0.3)) for k, place in scan.items()}
+        | ({20: float(generator.uniform(0, 3))} if 3 <= t < 9 else {})
+        for t, scan in enumerate(objects)
+    ]
+    assert distance(tracks, objects, switch_cost).mean(2.0) * np.sqrt(15) == pytest.approx(expected, abs=1e-6)
 
 
 def test_nothing_in_common_costs_misses_and_false_tracks() -> None:

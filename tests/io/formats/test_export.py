@@ -16,6 +16,7 @@ from stereophd.commands.export import export
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.interchange.base import ExportOptions
+from stereophd.io.interchange.registry import find, names
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.tables.schemas import TRACKS
 from stereophd.io.tables.writing import TableWriter
@@ -23,6 +24,9 @@ from stereophd.pipeline.inspection.tables import summarise_objects
 
 from .conftest import rig
 
+WRITERS = [name for name in names() if find(name).write_tracks is not None]
+# Packages that formats need, and formats whose files differ each time: the library writes an identity into them.
+EXTRAS, UNIQUE = {"c3d": "ezc3d", "rerun": "rerun"}, {"rerun"}
 TIMES = {3: np.array([0.0, 0.1, 0.2, 0.3]), 8: np.array([0.2, 0.3, 0.5])}
 
 
@@ -47,6 +51,25 @@ def tracks(tmp_path: Path) -> Path:
             columns = {k: float(v) for k, v in columns.items()}
             table.append({**key, **columns, "covariance": covariance, "existence": 0.5, "status": "confirmed"})
     return path
+
+
+@pytest.mark.parametrize("form", WRITERS)
+def test_every_writer_of_tracks_keeps_the_contract(form: str, tracks: Path, tmp_path: Path) -> None:
+    """A known track is written, the same again; what is refused leaves nothing, and replaces nothing."""
+    if form in EXTRAS:
+        pytest.importorskip(EXTRAS[form])
+    first, again = tmp_path / "first", tmp_path / "again"
+    for target in (first, again):
+        report = export(form, tracks, target, ExportOptions([3]))
+        assert (report["format"], report["what"], report["file"]) == (form, "tracks", target.name)
+    if form not in UNIQUE:
+        assert first.read_bytes() == again.read_bytes()
+    assert first.stat().st_size > 0
+    with pytest.raises(InputError, match=r"expected the tracks \[5\]"):
+        export(form, tracks, tmp_path / "refused", ExportOptions([5]))
+    with pytest.raises(InputError, match="exists already"):
+        export(form, tracks, first, ExportOptions([3]))
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["again", "first", "tracks.parquet"]
 
 
 def test_csv_is_exact(tracks: Path, tmp_path: Path) -> None:
@@ -182,7 +205,7 @@ def test_targets_and_sources_are_checked(tracks: Path, tmp_path: Path) -> None:
         export("csv", tracks, target)
     assert target.read_text() == "mine"
     export("csv", tmp_path, target, force=True)
-    with pytest.raises(InputError, match=r"expected a format that holds tracks \(c3d, csv, mot, rerun, trc, tum\)"):
+    with pytest.raises(InputError, match=rf"expected a format that holds tracks \({', '.join(WRITERS)}\)"):
         export("kalibr", tracks, tmp_path / "x.yaml")
     write_cameras(tmp_path / "cameras.yaml", rig(), "cm")
     with pytest.raises(InputError, match="expected a format that holds cameras"):

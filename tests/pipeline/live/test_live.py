@@ -9,15 +9,21 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pyarrow as pa
 import pytest
 
+from stereophd.commands.recalibrate import Recalibration
 from stereophd.commands.track import track
 from stereophd.commands.track_live import LiveOutputs, track_live
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.streams.messages import Message
+from stereophd.io.streams.rows import ArrowRows, JsonLines, Publisher
 from stereophd.io.streams.sources import from_stream
+from stereophd.pipeline.tracking import loop
+from stereophd.pipeline.tracking.knocked import Knock, KnockTest
 
 HALL = Path(__file__).resolve().parents[3] / "sample_data"
 
@@ -45,7 +51,7 @@ def shuffled(frames: Sequence[Message], delay_s: float) -> list[Message]:
 def run(loaded: LoadedConfig, frames: Sequence[Message], out: Path | None = None) -> tuple[dict[str, Any], list[Any]]:
     lines = io.StringIO()
     content = "".join(frame.to_line() + "\n" for frame in frames).encode()
-    report = track_live(loaded, from_stream(io.BytesIO(content)), "frames", LiveOutputs(lines, out))
+    report = track_live(loaded, from_stream(io.BytesIO(content)), "frames", LiveOutputs([JsonLines(lines)], out))
     return report, [json.loads(line) for line in lines.getvalue().splitlines()]
 
 
@@ -136,3 +142,57 @@ def test_a_recording_holds_what_was_used(loaded: LoadedConfig, frames: list[Mess
     assert lines == [frame.to_line() for frame in frames]
     with pytest.raises(InputError, match="the file exists"):
         track_live(loaded, iter(frames), "frames", outputs)
+
+
+def test_a_knocked_camera_is_solved_anew(
+    loaded: LoadedConfig, frames: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Knock and calibration are given: the run passes the camera over, goes on, and keeps the pose."""
+    name, at_s, back_s = next(iter(loaded.cameras)), 2.0, 3.0
+    knock = Knock(name, at_s, at_s - 0.1, 1.0, (5.0, 0.0))
+    found = {"center": [-4.0, -1.5, 0.1], "rotation_matrix": np.eye(3).tolist()}
+
+    def look(test: Any, cameras: Any, event: Any, *rest: Any) -> Any:
+        if event.time_s >= at_s and not test.is_over:
+            return KnockTest(is_over=True), knock
+        return test, None
+
+    monkeypatch.setattr(loop, "look", look)
+    monkeypatch.setattr(
+        Recalibration, "step", lambda self, time_s: {"status": "determined", "pose": found} if time_s > back_s else None
+    )
+    recalibrating = load_config(
+        loaded.path, ["report.times=events", "live.recalibrate=true"], cameras_path=HALL / "hall" / "cameras.yaml"
+    )
+    records, events = io.StringIO(), io.StringIO()
+    track_live(recalibrating, iter(frames), "frames", LiveOutputs([JsonLines(records, events)], tmp_path / "out"))
+    lines = [json.loads(line) for line in records.getvalue().splitlines()]
+    passed_over = [line["time_s"] for line in lines if line["camera"] == name and at_s < line["time_s"] <= back_s]
+    assert passed_over == []
+    assert any(line["camera"] == name and line["time_s"] > back_s + 0.2 for line in lines)
+    told = [json.loads(line)["event"] for line in events.getvalue().splitlines()]
+    assert told[:3] == ["ready", "knocked", "recalibrated"]
+    cameras = load_config(loaded.path, cameras_path=tmp_path / "out" / "cameras.yaml").build_cameras()
+    np.testing.assert_allclose(cameras[0].at(at_s).pose.center, found["center"])
+    np.testing.assert_allclose(cameras[0].at(at_s - 0.2).pose.center, loaded.build_cameras()[0].pose.center)
+
+
+def test_rows_are_arrow_or_messages_as_well(loaded: LoadedConfig, frames: list[Message]) -> None:
+    zmq = pytest.importorskip("zmq")
+    lines, arrow = io.StringIO(), io.BytesIO()
+    publisher = Publisher("tcp://127.0.0.1:*")
+    reader = zmq.Context.instance().socket(zmq.SUB)
+    reader.subscribe("")
+    reader.connect(publisher.address)
+    reader.poll(100)  # a subscription takes a moment
+    track_live(loaded, iter(frames[:40]), "frames", LiveOutputs([JsonLines(lines), ArrowRows(arrow), publisher]))
+    documents = [json.loads(line) for line in lines.getvalue().splitlines()]
+    rows = pa.ipc.open_stream(arrow.getvalue()).read_all().to_pylist()
+    event = ("time_s", "camera", "frame", "revised")
+    assert rows == [{name: d[name] for name in event} | track for d in documents for track in d["tracks"]]
+    messages = []
+    while reader.poll(500):
+        messages.append(json.loads(reader.recv()))
+    assert [message for message in messages if "event" not in message] == documents
+    assert messages[0]["event"] == "ready"
+    reader.close(0)

@@ -127,10 +127,14 @@ class Linearisation:
             matrix[held, held] = parameters.prior_std[held] ** -2
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances, energy, pull)
 
+    def log_scale_of_noise(self, values: Array, log_noise: float) -> float:
+        """Logarithm of the factor on the noise of the motion, at values (m,) and a noise times e^log_noise."""
+        return log_scale(self.problem.parameters, self.problem.reference, values)[0] + log_noise
+
     def of_knots(
         self, values: Array, states: Array, log_noise: float = 0.0, placement: Placement | None = None
-    ) -> tuple[Array, Array]:
-        """Matrix (12, size) and vector (size,) of the knots alone, as `at` has them, at a part of its time.
+    ) -> tuple[float, Array, Array]:
+        """Cost of detections and motion, matrix (12, size) and vector (size,) of the knots, as `at` has them, sooner.
 
         A placement of the values without velocities (`placed`) saves what several knots at the same values share.
         """
@@ -139,17 +143,18 @@ class Linearisation:
         placement = placement or self.placed(values, by_values=False)
         path, errors, visible, by_point, by_value = self.residuals(values, states, placement, by_values=False)
         counted = np.ones(count) if observations.weights is None else observations.weights
-        normal_equations.accumulate(
+        cost = normal_equations.accumulate(
             observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
             path.weights, self.columns[:, :0], problem.loss.kind, problem.loss.scale,
             bands, np.zeros((size, 0)), np.zeros((0, 0)), vector, np.zeros(0), np.empty(count),
         )  # fmt: skip
-        logarithm, _ = log_scale(problem.parameters, problem.reference, values)
-        density = np.exp(-2.0 * (logarithm + log_noise))
+        density = np.exp(-2.0 * self.log_scale_of_noise(values, log_noise))
         bands += density * self.motion.bands
-        product = density * banded_product(self.motion.bands, states.ravel())
+        x = states.ravel()
+        product = density * banded_product(self.motion.bands, x)
         vector -= product - density * self.motion.pull
-        return bands, vector
+        cost += float(x @ product) + density * (self.motion.energy - 2.0 * float(x @ self.motion.pull))
+        return cost, bands, vector
 
     def placed(self, values: Array, by_values: bool = True) -> Placement:
         """Return what the values determine; without `by_values` the velocities are those of the prior mean."""
@@ -170,16 +175,22 @@ class Linearisation:
 
         Without `by_values` the latter are empty, (n, 2, 0).
         """
+        placement = placement or self.placed(values)
+        world = positions(states, *placement.path)
+        velocities = positions(states, *placement.rates) if by_values else np.zeros_like(world)
+        return placement.path, *self.seen(placement, values, world, velocities, by_values)
+
+    def seen(
+        self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True
+    ) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+        """Residuals, visibility, and derivatives by points and values, of points and velocities (n, 3)."""
         observations, parameters = self.problem.observations, self.problem.parameters
-        cameras, times, path, rates = placement or self.placed(values)
-        world = positions(states, *path)
-        velocities = positions(states, *rates) if by_values else np.zeros_like(world)
         count = len(observations)
         errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
         by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
-        for camera, here in zip(cameras, self.members, strict=True):
+        for camera, here in zip(placement.cameras, self.members, strict=True):
             view = look(
-                camera, world[here], velocities[here], times[here], observations.log_times[here],
+                camera, world[here], velocities[here], placement.times[here], observations.log_times[here],
                 observations.rows[here],
             )  # fmt: skip
             errors[here], visible[here] = observations.points[here] - view.pixels, view.visible
@@ -190,4 +201,37 @@ class Linearisation:
             for quantity, index in parameters.unknown(camera.name):
                 by_value[here, :, column : column + len(index)] = quantity.derivative(view, taken(values, index))
                 column += len(index)
-        return path, errors, visible, by_point, by_value
+        return errors, visible, by_point, by_value
+
+    def of_values(self, by_value: Array) -> Array:
+        """Sums (m,) of what detections say of the values of their cameras (n, q)."""
+        out = np.zeros(self.problem.parameters.size)
+        for columns, here in zip(self.columns, self.members, strict=True):
+            used = columns >= 0
+            out[columns[used]] += by_value[here][:, used].sum(axis=0)
+        return out
+
+    def of_states(self, path: Interpolation, by_point: Array) -> Array:
+        """Sums (6 k,) of what detections say of their points (n, 3), over the knots."""
+        size = self.problem.knots.size
+        out = np.zeros(size + 6)  # the last knot of all has none after it
+        for b in range(4):
+            for axis in range(3):
+                np.add.at(out, 6 * path.knot + 3 * b + axis, path.weights[:, b] * by_point[:, axis])
+        return out[:size]
+
+    def time_slopes(self, values: Array) -> Array:
+        """Derivatives (n, q) of the times of the detections by the values of their cameras."""
+        parameters, observations = self.problem.parameters, self.problem.observations
+        out = np.zeros((len(observations), self.columns.shape[1]))
+        now = true_times(parameters.build(values), observations)
+        for camera, here in zip(parameters.cameras, self.members, strict=True):
+            column = 0
+            for quantity, index in parameters.unknown(camera.name):
+                for place in index if quantity.affects == TIMES else ():
+                    later = values.copy()
+                    later[place] += parameters.prior_std[place]
+                    moved = true_times(parameters.build(later), observations)[here] - now[here]
+                    out[here, column + int(np.flatnonzero(index == place)[0])] = moved / parameters.prior_std[place]
+                column += len(index)
+        return out

@@ -31,8 +31,9 @@ and the optimum is looked for again from there, until they are the same.
 **Derivatives.** The residuals of the motion are proportional to e^-u / s, so that u enters the normal equations as the
 logarithm of s does: with the energy E of the motion and the derivative p of E / 2 by the knots, -p is the coupling
 of u with the knots and E its curvature. At knots that minimise the cost the gradient of J / 2 is minus the vector of
-the normal equations. The gradient of the volume is that of differences, the knots minimised at each point: what one
-camera alone sees lies in a valley so flat and curved that the knots do not follow to first order.
+the normal equations. That of the volume is exact (`adjustment.volume`): how the knots follow is found with the second
+derivatives of the cost, as what one camera alone sees lies in a valley so flat and curved that the normal equations do
+not tell it.
 
 **Minimum.** Quasi-Newton steps (limited memory BFGS: J. Nocedal and S. Wright, "Numerical Optimization", 2006,
 algorithm 7.4) on the curvature of the normal equations at each point, which lacks that of the volume. The covariance is
@@ -55,13 +56,15 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment, damped_bands, eliminate, posterior_covariance
+from stereophd.core.calibration.adjustment.trajectories import banded_product
+from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.unknowns.scale import log_scale
 
 # Prior standard deviation of the logarithm of the noise of the motion over what is stated, beside that of the scale.
 NOISE_STD = 0.5
-# Steps of the differences, length at which the steps settle, longest step, and longest step left of a search that has
-# converged, all in posterior standard deviations; most steps, and how many of them the quasi-Newton steps remember.
-DIFFERENCE, SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS, REMEMBERED = 0.05, 0.05, 20.0, 1.0, 100, 6
+# Length at which the steps settle, longest step, and longest step left of a search that has converged, all in posterior
+# standard deviations; most steps, and how many of them the quasi-Newton steps remember.
+SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS, REMEMBERED = 0.05, 20.0, 1.0, 200, 6
 # A search has settled as well where as many steps as are remembered lower the objective by less than this together: no
 # detection tells their points apart. It follows curved valleys of scenes that hold little, step by small step.
 STALLED = 0.5
@@ -73,6 +76,9 @@ LEFT_OUT = 50.0
 MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
 # Most steps of the knots at given values, and the fall of the cost that is left.
 KNOT_STEPS, KNOTS_SETTLED = 15, 1e-8
+# Step of differences by the knots, in standard deviations of all together; part of the residual at which equations of
+# their second derivatives are solved, and most products with these.
+KNOT_DIFFERENCE, KNOTS_SOLVED, MOST_PRODUCTS = 0.1, 1e-3, 12
 # Longest move of the logarithm of the noise, in prior standard deviations, that is believed.
 LONGEST_MOVE_OF_NOISE = 3.0
 
@@ -178,31 +184,9 @@ class MarginalPosterior:
             value_vector=np.append(found.value_vector, found.energy - log_noise / std**2),
         )
 
-    def volume(self, unknowns: Array, states: Array) -> tuple[float, Array]:
-        """Half of the terms that integrating out the knots adds, at their minimum near the given ones (k, 2, 3).
-
-        Also the knots there.
-        """
-        count = self.linearisation.problem.parameters.size
-        values, log_noise = unknowns[:count], float(unknowns[count:].sum())
-        placement = self.linearisation.placed(values, by_values=False)
-        falls = [np.inf, np.inf]
-        for _ in range(KNOT_STEPS):
-            bands, vector = self.linearisation.of_knots(values, states, log_noise, placement)
-            factor = _factor(bands)
-            step = cho_solve_banded((factor, True), vector, check_finite=False)
-            falls.append(float(vector @ step))
-            # what one camera alone sees may drift away from it for ever, each step as long as the one before
-            if falls[-1] <= KNOTS_SETTLED or falls[-1] >= falls[-3]:
-                break
-            states = states + step.reshape(states.shape)
-        return self._volume(unknowns, factor), states
-
     def _volume(self, unknowns: Array, factor: Array) -> float:
-        problem = self.linearisation.problem
-        count = problem.parameters.size
-        scale, _ = log_scale(problem.parameters, problem.reference, unknowns[:count])
-        noise = float(unknowns[count:].sum())
+        problem, (values, noise) = self.linearisation.problem, self._parted(unknowns)
+        scale, _ = log_scale(problem.parameters, problem.reference, values)
         return float(np.log(factor[0]).sum()) + 6.0 * len(problem.knots.times) * scale + 6.0 * self.links * noise
 
     def at(self, unknowns: Array, states: Array) -> Point:
@@ -210,56 +194,103 @@ class MarginalPosterior:
 
         Raises LinAlgError when the normal equations are not positive definite, or the cost is not finite.
         """
-        equations = self.equations(unknowns, states)
-        if not np.isfinite(equations.cost):
-            raise LinAlgError("the cost is not finite")
-        factor = _factor(equations.bands)
+        values, log_noise = self._parted(unknowns)
+        placement = self.linearisation.placed(values, by_values=False)
+        cost, bands, vector = self.linearisation.of_knots(values, states, log_noise, placement)
         for _ in range(KNOT_STEPS):
-            step = cho_solve_banded((factor, True), equations.state_vector, check_finite=False)
-            if float(equations.state_vector @ step) <= KNOTS_SETTLED:
+            if not np.isfinite(cost):
+                raise LinAlgError("the cost is not finite")
+            step = cho_solve_banded((_factor(bands), True), vector, check_finite=False)
+            if float(vector @ step) <= KNOTS_SETTLED:
                 break
-            tried = self._lower(unknowns, states, step.reshape(states.shape), equations.cost)
-            if tried is None:
+            share = 1.0
+            while share >= LEAST_SHARE:
+                moved = states + share * step.reshape(states.shape)
+                tried = self.linearisation.of_knots(values, moved, log_noise, placement)
+                if tried[0] <= cost:
+                    break
+                share *= 0.5
+            else:
                 break
-            states, equations = tried
-            factor = _factor(equations.bands)
-        return Point(unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, factor))
+            states, (cost, bands, vector) = moved, tried
+        equations = self.equations(unknowns, states)
+        return Point(
+            unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, _factor(equations.bands))
+        )
 
-    def _lower(self, unknowns: Array, states: Array, step: Array, cost: float) -> tuple[Array, NormalEquations] | None:
-        """Knots after a step, or a share of it, that lower the cost, with their normal equations."""
-        share = 1.0
-        while share >= LEAST_SHARE:
-            moved = states + share * step
-            found = self.equations(unknowns, moved)
-            if found.cost <= cost:
-                return moved, found
-            share *= 0.5
-        return None
+    def _parted(self, unknowns: Array) -> tuple[Array, float]:
+        """Values (m,), and the logarithm of the noise of the motion over what is stated."""
+        count = self.linearisation.problem.parameters.size
+        return unknowns[:count], float(unknowns[count:].sum())
 
     def gradient(self, at: Point) -> tuple[Array, Array]:
         """Gradient (size,) of the objective, and a root D (size, size) of the covariance D D^T of the unknowns."""
-        eliminated, _ = eliminate(at.equations, 0.0)
-        root = np.linalg.cholesky(self.covariance(at))
-        following = (eliminated[:, :-1] @ root).T.reshape(-1, *at.states.shape)
-
-        def difference(k: int) -> float:
-            step, straight = DIFFERENCE * root[:, k], DIFFERENCE * following[k]
-            ahead, states = self.volume(at.unknowns + step, at.states - straight)
-            bend = states - (at.states - straight)  # on both sides alike
-            return ahead - self.volume(at.unknowns - step, at.states + straight + bend)[0]
-
-        volumes = [difference(k) for k in range(self.size)]
-        by_volume = solve_triangular(root, np.array(volumes) / (2.0 * DIFFERENCE), trans="T", lower=True)
+        linearisation, equations = self.linearisation, at.equations
+        problem, (values, _) = linearisation.problem, self._parted(at.unknowns)
+        factor, slopes = _factor(equations.bands), self.slopes(at)
+        _, by_scale = log_scale(problem.parameters, problem.reference, values)
+        by_noise = float(slopes.by_noise.sum())
+        direct = linearisation.of_values(slopes.by_value) + (6.0 * len(problem.knots.times) + by_noise) * by_scale
+        direct = np.append(direct, np.full(self.size - len(values), by_noise + 6.0 * self.links))
+        across = self._knots_against(at, factor, linearisation.of_states(slopes.path, slopes.by_point))
+        step = _short(equations.bands, across)
+        moved = step * across.reshape(at.states.shape)
+        ahead, behind = (self.equations(at.unknowns, at.states + sign * moved).value_vector for sign in (1.0, -1.0))
         # the knots are at the minimum but for a trace, whose effect is removed to first order
-        by_cost = at.equations.coupling.T @ eliminated[:, -1] - at.equations.value_vector
-        gradient: Array = np.asarray(by_volume + by_cost, dtype=np.float64)
-        if (held := self.linearisation.problem.held) is not None:
+        left = cho_solve_banded((factor, True), equations.state_vector, check_finite=False)
+        gradient: Array = (
+            direct + (ahead - behind) / (2.0 * step) + equations.coupling.T @ left - equations.value_vector
+        )
+        if (held := problem.held) is not None:
             gradient[: len(held)][held] = 0.0
-        return gradient, np.asarray(root, dtype=np.float64)
+        return gradient, np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
+
+    def slopes(self, at: Point) -> VolumeSlopes:
+        """Return how the volume changes with values and points, detection by detection."""
+        values, log_noise = self._parted(at.unknowns)
+        return VolumeSlopes.of(self.linearisation, values, at.states, log_noise, _factor(at.equations.bands))
+
+    def _knots_against(self, at: Point, factor: Array, right: Array) -> Array:
+        """Solve H x = right (6 k,) with the second derivatives H of the cost by the knots, second ones of pixels too.
+
+        Conjugate gradients with the matrix A of the normal equations as preconditioner, which lacks those.
+        """
+        values, log_noise = self._parted(at.unknowns)
+        placement = self.linearisation.placed(values, by_values=False)
+
+        def product(direction: Array) -> Array:
+            step = _short(at.equations.bands, direction)
+            moved = step * direction.reshape(at.states.shape)
+            ahead, behind = (
+                self.linearisation.of_knots(values, at.states + sign * moved, log_noise, placement)[2]
+                for sign in (1.0, -1.0)
+            )
+            return np.asarray((behind - ahead) / (2.0 * step))
+
+        out, residual = np.zeros_like(right), right
+        scaled = cho_solve_banded((factor, True), residual, check_finite=False)
+        direction, energy = scaled, float(residual @ scaled)
+        enough = KNOTS_SOLVED**2 * energy
+        for _ in range(MOST_PRODUCTS):
+            image = product(direction)
+            if energy <= enough or float(direction @ image) <= 0.0:
+                break
+            share = energy / float(direction @ image)
+            out, residual = out + share * direction, residual - share * image
+            scaled = cho_solve_banded((factor, True), residual, check_finite=False)
+            before, energy = energy, float(residual @ scaled)
+            direction = scaled + energy / before * direction
+        return out
 
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point."""
         return posterior_covariance(at.equations, self.prior_std)
+
+
+def _short(bands: Array, direction: Array) -> float:
+    """Share of a direction of the knots (6 k,) that moves them by `KNOT_DIFFERENCE`."""
+    # knots far away have next to no information, so that rounding may make the square negative
+    return KNOT_DIFFERENCE / max(float(np.sqrt(abs(direction @ banded_product(bands, direction)))), 1e-300)
 
 
 def _factor(bands: Array) -> Array:

@@ -24,6 +24,8 @@ from stereophd.core.calibration.adjustment.solver import Adjustment
 PRIOR_REDUNDANCY, DRAWS = 2.0, 4
 # A factor is believed to differ from 1 beyond this part of it, and beyond so many of its standard deviations.
 LEAST_CHANGE, LEAST_SIGMAS = 0.15, 3.0
+# Less noise than stated is believed where at least this part of the coordinates tells.
+LEAST_REDUNDANT = 0.3
 
 
 @dataclass(frozen=True)
@@ -32,12 +34,15 @@ class NoiseFactors:
 
     factors: Array
     redundancy: Array  # Coordinates that tell.
+    coordinates: Array  # All of them.
 
     @property
     def differs(self) -> Booleans:
         """Which cameras' noise differs from what is stated."""
         change = np.abs(np.log(self.factors))
-        return np.asarray(change > np.maximum(np.log1p(LEAST_CHANGE), LEAST_SIGMAS * self._stds))
+        # with less noise trajectories follow the detections more closely, tell less, and show still less noise
+        tells = (self.factors > 1.0) | (self.redundancy > LEAST_REDUNDANT * self.coordinates)
+        return np.asarray(tells & (change > np.maximum(np.log1p(LEAST_CHANGE), LEAST_SIGMAS * self._stds)))
 
     @property
     def _stds(self) -> Array:
@@ -59,4 +64,5 @@ def noise_factors(problem: Problem, adjustment: Adjustment, rng: np.random.Gener
     count = len(problem.parameters.cameras)
     squares = np.bincount(observations.cameras, weights * adjustment.distances, count)
     known = np.maximum(np.bincount(observations.cameras, redundancy, count), 0.0)
-    return NoiseFactors(np.sqrt((PRIOR_REDUNDANCY + squares) / (PRIOR_REDUNDANCY + known)), known)
+    coordinates = 2.0 * np.bincount(observations.cameras, weights, count).astype(np.float64)
+    return NoiseFactors(np.sqrt((PRIOR_REDUNDANCY + squares) / (PRIOR_REDUNDANCY + known)), known, coordinates)

@@ -17,11 +17,12 @@ fit                    detections of a trajectory             holds             
 ``adjusted_anew``      given first, then chosen anew          nothing                     floor   ``method.believe``
 ``marginal_fit``       as the fit given                       as the fit given            fixed   ``method.state``
 ``with_lengths``       as the fit given                       nothing                     fixed   ``method.calibrated``
+``with_control``       as the fit given                       nothing                     floor   ``method.calibrated``
 =====================  =====================================  ==========================  ======  =====================
 
 ``marginal_fit`` integrates the trajectories out, with the weights that the floor loss gave at the optimum;
-``with_lengths`` adds pairs of objects at a known distance. Detections that share errors count less from the third
-refit on (`adjustment.shared_errors`), in every fit that starts from it but ``marginal_fit``. The noise of the motion is
-what is stated until ``marginal_fit`` has found another; the noise of the detections until ``method.believe`` has. A
-known scale is held by the task, and counts in every fit.
+``with_lengths`` adds pairs of objects at a known distance, ``with_control`` a control track of one object. Detections
+that share errors count less from the third refit on (`adjustment.shared_errors`), in every fit that starts from it but
+``marginal_fit``. The noise of the motion is what is stated until ``marginal_fit`` has found another; the noise of the
+detections until ``method.believe`` has. A known scale is held by the task, and counts in every fit.
 """

@@ -15,9 +15,12 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.noise import noise_factors
+from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.selection import Comparison, compare
+from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
+from stereophd.core.calibration.annealing.control import ControlTrack, World, with_control
 from stereophd.core.calibration.annealing.fits import (
     adjusted_to,
     fit_until,
@@ -45,8 +48,10 @@ LEAST_KEPT = 0.8
 AS_STATED, LENSES, FREE = "as_stated", "lenses", "free"
 # An answer whose expected move by what is held exceeds this many of its own standard deviations is not determined.
 LARGEST_MOVE = 1.0
-# A value so many standard deviations from its own prior is said, and noise beyond this factor from what is stated.
+# A value so many standard deviations from its own prior is said, and noise or deviations that change by this factor.
 FAR_FROM_PRIOR, SAID_FACTOR = 3.0, 1.5
+# An answer whose stated deviations are widened by more than this is not determined.
+LARGEST_WIDENING = 3.0
 
 
 @dataclass(frozen=True)
@@ -66,13 +71,14 @@ class Choices:
     model: str = LENSES  # What may be given up of what is stated.
     known: KnownMeasure | None = None
     is_sampled: bool = False  # Whether a sampler states the posterior afterwards.
+    control: ControlTrack | None = None
 
 
 @dataclass(frozen=True)
 class Remark:
     """Something about the answer that has to be said."""
 
-    topic: str  # `noise`, `model`, `sensitivity`, `prior`, `motion`, `scale` or `starts`
+    topic: str  # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `starts` or `control`
     text: str
     is_reservation: bool = False  # Whether the data determine the cameras partly at most.
 
@@ -117,6 +123,7 @@ class Calibrated:
     moves: TrackMoves
     doubt: str  # Why the answer is not to be trusted; empty if it may be.
     remarks: tuple[Remark, ...]
+    world: World | None = None  # That of the control track
 
 
 def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
@@ -130,10 +137,19 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     believed = believe(task, fit, choices)
     task, answer = believed.task, believed.answer
     remarks += (*motion_remarks(answer), *believed.remarks)
+    if not choices.is_sampled:
+        answer, remark = widened(task, answer)
+        remarks += remark
     fit, pairs = answer.fit, None
     if has_known_length(task, choices):
         assert choices.known is not None
         fit, pairs = with_lengths(task, fit, choices.known.value, choices.known.std)
+    world = None
+    if choices.control is not None:
+        try:
+            fit, world = with_control(task, fit, choices.control)
+        except ValueError as error:
+            remarks += (Remark("control", f"the control track was not used: {error}", is_reservation=True),)
     values = fit.adjustment.values
     early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
     doubt = doubt or answer.doubt or early
@@ -143,7 +159,18 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     history, moves = history_of(task, answer.fit, fit), track_moves(problem_of(task, fit), fit.adjustment)
     remarks += prior_remarks(task, values)
     return Calibrated(
-        task, fit, history, answer, believed.noise, believed.suspicions, believed.freed, pairs, moves, doubt, remarks
+        task,
+        fit,
+        history,
+        answer,
+        believed.noise,
+        believed.suspicions,
+        believed.freed,
+        pairs,
+        moves,
+        doubt,
+        remarks,
+        world,
     )
 
 
@@ -233,25 +260,31 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict."""
     count = len(task.parameters.cameras)
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
+    stays = False  # whether the cameras of the fit are those of a marginal optimum
     for number in range(MOST_ROUNDS):
-        independent = with_independent_errors(task, fit)
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
-        estimate = noise_factors(
-            problem_of(task, independent), independent.adjustment, np.random.default_rng(NOISE_SEED)
-        )
+        answer = state(task, fit, choices)
+        if stays and not answer.is_marginal:
+            stays, fit = False, adjusted_anew(task, fit)
+            answer = state(task, fit, choices)
+        # joint optima with little noise follow the detections, and show still less
+        shown = answer.fit if answer.is_marginal else with_independent_errors(task, fit)
+        estimate = noise_factors(problem_of(task, shown), shown.adjustment, np.random.default_rng(NOISE_SEED))
+        begin = replace(answer.fit, knots=answer.joint.knots) if answer.is_marginal else fit
         if estimate.differs.any() and not last:
             factors = np.where(estimate.differs, estimate.factors, 1.0)
-            task, noise = task.with_noise(factors), noise * factors
-            fit = adjusted_anew(task, fit)
+            task, noise, stays = task.with_noise(factors), noise * factors, answer.is_marginal
+            fit = adjusted_anew(task, begin, stays)
             continue
-        answer = state(task, fit, choices)
         enlarged, suspicions = suspected(task, answer)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
         if wrong is None or last:
             break
         given_up.append((enlarged, wrong))
         freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
-        task, fit = with_freed(task, fit, enlarged, wrong)
+        task, begin = with_freed(task, enlarged, wrong, begin)
+        stays = answer.is_marginal
+        fit = adjusted_anew(task, begin, stays)
     held = [(enlarged, suspicion) for suspicion in suspicions]
     remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held_remarks(enlarged, suspicions))
     return Believed(task, answer, noise, (*given_up, *held), freed, remarks)
@@ -260,14 +293,34 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
 def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
     """Test what an answer holds as stated; the statement of the greatest evidence against it first."""
     enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
-    problem = problem_of(task, answer.fit)
-    log_noise = None
-    if answer.is_marginal:
-        # the knots of the answer have the noise that was found; here it is an unknown
-        knots = replace(answer.fit.knots, noise_std=answer.fit.knots.noise_std / answer.noise_factor)
-        problem, log_noise = replace(problem, knots=knots), float(np.log(answer.noise_factor))
+    problem, log_noise = problem_of_answer(task, answer)
     quadratic = quadratic_posterior(problem, enlarged, answer.fit.adjustment, log_noise)
     return enlarged, suspect(quadratic, enlarged, free_of(task.parameters, answer.fit.held))
+
+
+def problem_of_answer(task: Task, answer: Answer) -> tuple[Problem, float | None]:
+    """Return the problem that an answer solves, and the logarithm of its noise of the motion if that is an unknown."""
+    problem = replace(problem_of(task, answer.fit), held=answer.fit.held)
+    if not answer.is_marginal:
+        return problem, None
+    # the knots of the answer have the noise that was found
+    knots = replace(answer.fit.knots, noise_std=answer.fit.knots.noise_std / answer.noise_factor)
+    return replace(problem, knots=knots), float(np.log(answer.noise_factor))
+
+
+def widened(task: Task, answer: Answer) -> tuple[Answer, tuple[Remark, ...]]:
+    """Widen the covariance of an answer by what stretches of the log disagree, and say so where it is much."""
+    problem, log_noise = problem_of_answer(task, answer)
+    more, factor = disagreement_of_stretches(problem, answer.fit.adjustment, log_noise)
+    adjustment = answer.fit.adjustment
+    fit = replace(answer.fit, adjustment=replace(adjustment, covariance=adjustment.covariance + more))
+    text = (
+        f"stretches of the log disagree on the cameras by up to {factor:.1f} times what their noise allows: the stated "
+        "deviations were widened; something of what is stated is wrong"
+    )
+    remark = Remark("stretches", text, factor > LARGEST_WIDENING)
+    joint = answer.joint if answer.is_marginal else fit
+    return replace(answer, joint=joint, fit=fit), (remark,) if factor > SAID_FACTOR else ()
 
 
 def may_be_freed(suspicion: Suspicion, choices: Choices) -> bool:
@@ -275,23 +328,26 @@ def may_be_freed(suspicion: Suspicion, choices: Choices) -> bool:
     return choices.model != AS_STATED and (choices.model == FREE or suspicion.group.is_absent_lens)
 
 
-def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
-    """Return the task with what was contradicted among its unknowns, and the fit from the values that fit."""
-    parameters = enlarged.freed(suspicion.group.places)
-    task = replace(task, parameters=parameters)
+def with_freed(task: Task, enlarged: EnlargedSet, suspicion: Suspicion, fit: Fit) -> tuple[Task, Fit]:
+    """Return the task with what was contradicted among its unknowns, and the fit with the values that fit."""
     values = np.append(fit.adjustment.values, suspicion.values)
-    begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
-    return task, adjusted_anew(task, begin)
+    fit = replace(fit, adjustment=replace(fit.adjustment, values=values), held=None)
+    return replace(task, parameters=enlarged.freed(suspicion.group.places)), fit
 
 
-def adjusted_anew(task: Task, fit: Fit) -> Fit:
-    """Adjust a fit to its detections with the noise and the unknowns of a task, and let it choose them anew."""
+def adjusted_anew(task: Task, fit: Fit, is_marginal: bool = False) -> Fit:
+    """Adjust a fit to its detections with the noise and the unknowns of a task, and let it choose them anew.
+
+    Cameras of a marginal optimum stay until the next one is looked for: joint optima may lie far from it.
+    """
     cameras = task.parameters.build(fit.adjustment.values)
     trajectories = fit.observations.trajectories
     observations = task.observations(cameras, trajectories, fit.detections)
-    adjusted = adjusted_to(task, replace(fit, held=None), observations, trajectories, fit.detections)
-    chosen = refitted(task, adjusted, weighted=True)
-    return adjusted if chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections) else chosen
+    held = np.ones(task.parameters.size, dtype=np.bool_) if is_marginal else None
+    adjusted = adjusted_to(task, replace(fit, held=held), observations, trajectories, fit.detections)
+    chosen = refitted(task, adjusted, weighted=True, held=held)
+    too_few = chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections)
+    return replace(adjusted if chosen is None or too_few else chosen, held=None)
 
 
 def with_independent_errors(task: Task, fit: Fit) -> Fit:

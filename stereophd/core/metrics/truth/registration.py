@@ -133,7 +133,7 @@ def register(
         )[0]
         step = np.zeros(9)
         step[columns] = solved / sizes
-        registration = _stepped(registration, step, found.center, len(found.rows))
+        registration = stepped(registration, step, found.center, len(found.rows))
         change = np.abs(jacobian @ step[columns]).max()
         if number >= EQUAL_STEPS and change <= TOLERANCE * found.reach:
             break
@@ -148,7 +148,7 @@ def residuals(registration: Registration, time_s: Array, positions: Array, truth
     errors = targets - moved
     distances = np.linalg.norm(errors, axis=1)
     reach = max(2.0 * float(np.median(distances)) if len(rows) else 0.0, 1e-12)
-    jacobian = _jacobian(moved - center, velocities, time_s[rows] - registration.at_s)
+    jacobian = derivatives(moved - center, velocities, time_s[rows] - registration.at_s)
     return Residuals(rows, center, errors, 1.0 / (1.0 + (distances / reach) ** 2), reach, jacobian)
 
 
@@ -169,8 +169,11 @@ def _nearest(
     return rows[best], aligned.points.position[places[best]], np.nan_to_num(aligned.points.velocity[places[best]])
 
 
-def _jacobian(from_center: Array, velocities: Array, elapsed: Array) -> Array:
-    """Derivatives (r, 3, 9) of the moved estimates less the truth: by rotation, translation, scale, shift, rate."""
+def derivatives(from_center: Array, velocities: Array, elapsed: Array) -> Array:
+    """Derivatives (r, 3, 9) of moved estimates less the truth: by rotation, translation, log scale, shift, rate.
+
+    Of moved estimates less their middle (r, 3), velocities of the truth (r, 3), and times since `at_s` (r,).
+    """
     out = np.zeros((len(elapsed), 3, 9))
     out[:, :, :3] = -cross_matrices(from_center)
     out[:, :, 3:6] = np.eye(3)
@@ -180,7 +183,7 @@ def _jacobian(from_center: Array, velocities: Array, elapsed: Array) -> Array:
     return out
 
 
-def _stepped(found: Registration, step: Array, center: Array, estimates: int) -> Registration:
+def stepped(found: Registration, step: Array, center: Array, estimates: int) -> Registration:
     """Return a registration that is turned and scaled about a centre, moved, and timed anew."""
     turn, factor = rotation_from_vector(step[:3]), float(np.exp(step[6]))
     translation = center + step[3:6] + factor * turn @ (found.translation - center)

@@ -27,6 +27,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
+from numba.core.runtime import rtsys
 
 from stereophd.core.numerics.compilation import kernel_units
 from stereophd.core.numerics.compilation.kernel_digest import PACKAGE_PARENT, source_digest
@@ -192,9 +193,13 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         return IndexDataCacheFile(str(self.folder_in(folder)), self._impl.filename_base, stamp)
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return a kept form, or None if none is kept or it cannot be read for any reason."""
-        _import_array_functions()
-        target_context.refresh()
+        """Return a kept form, or None if none is kept or it cannot be read for any reason.
+
+        Machine code needs none of what numba knows of Python's functions, which takes a quarter of a second to install
+        (`target_context.refresh`): that waits until a kernel is compiled. It needs the runtime that counts references
+        to arrays; without it the process ends at the first array that a kernel makes.
+        """
+        rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
         for folder in kernel_folders():
             if not is_trusted(self.folder_in(folder)):
@@ -211,6 +216,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
                     return form
             except Exception:  # a damaged file may raise anything
                 continue
+        _import_array_functions()  # before numba's compiler does
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:

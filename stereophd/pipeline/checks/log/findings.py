@@ -23,7 +23,7 @@ CLUTTER_FACTOR = 1.5
 # Detections of a frame that no neighbouring frame continues, over the stated clutter; and at least this many.
 ISOLATED_FACTOR, LEAST_ISOLATED = 5.0, 0.3
 # Share of the detections in chains that go on, over the probability of detection, from which chains follow objects.
-LEAST_CONTINUED = 0.75
+LEAST_CONTINUED = 0.9
 # Measured over stated noise of a detection.
 NOISE_FACTOR = 4.0
 # Share of the shorter period that the periods of two cameras must share.
@@ -154,9 +154,12 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             detector.clutter_per_frame, round(rate, 3), camera.name,
             "state the false detections of a frame, or estimate them (detector: estimate)", "clutter",
         )  # fmt: skip
-    isolated = sample.isolated_per_frame
-    # where noise or motion outrun the chains, what they leave over are objects
-    follows = (sample.continued_share or 0.0) >= LEAST_CONTINUED * detector.p_detect
+    # where noise or motion outrun the chains, what they leave over are objects, and what they hold is not one object;
+    # what is missed before and after is left over too
+    continued = sample.continued_share or 0.0
+    follows = continued >= LEAST_CONTINUED * detector.p_detect
+    missed = max(rate - detector.clutter_per_frame, 0.0) * (1.0 - continued) ** 2
+    isolated = sample.isolated_per_frame - missed
     many = isolated > max(LEAST_ISOLATED, ISOLATED_FACTOR * detector.clutter_per_frame) and isolated > 0.15 * rate
     if follows and many:
         yield Finding(
@@ -167,7 +170,7 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             f"set clutter_per_frame near {isolated:.2g}, or estimate it (detector: estimate)", "clutter",
         )  # fmt: skip
     noise = sample.noise_px
-    if noise is not None and noise > NOISE_FACTOR * float(detector.sigma.mean()):
+    if follows and noise is not None and noise > NOISE_FACTOR * float(detector.sigma.mean()):
         yield Finding(
             "detector.sigma", "warning",
             f"{camera.name}: detections scatter by about {noise:.2g} px about one-camera tracks, but sigma_px is "

@@ -32,6 +32,8 @@ LEAST_CONTINUED_FRAMES, LEAST_CONTINUED = 8, 20
 # A place in an image is told apart to this many pixels; it lasts if it detects in so many frames and in this share of
 # them, unless this share of all detections is at such places: then the scene rests.
 PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.5
+# Differences from which noise is told.
+LEAST_DIFFERENCES = 60
 # Frames of the shortest track that counts.
 LEAST_LENGTH = 6
 
@@ -143,17 +145,25 @@ class CameraSample:
     def noise_px(self) -> float | None:
         """Standard deviation of a detection about its one-camera track, px; None without long tracks.
 
-        From third differences, which a steady acceleration does not change; the median resists wrong links.
+        From third differences, which a steady acceleration does not change; the median resists wrong links. What white
+        acceleration adds to their variance grows with the cube of the step, so that two steps tell it from noise.
         """
-        differences = [
-            np.diff(self.pixels[track], n=3, axis=0).ravel()
-            for track in self.tracks
-            if np.ptp(np.diff(self.times[self.frame_of[track]])) < 0.2 * self.interval_s
-        ]
-        if sum(map(len, differences)) < 60:
+        once, twice = (self._third_differences(step) for step in (1, 2))
+        if min(len(once), len(twice)) < LEAST_DIFFERENCES:
             return None
         # 1 + 9 + 9 + 1 = 20 times the variance of one detection
-        return float(np.median(np.abs(np.concatenate(differences))) / (0.6745 * np.sqrt(20.0)))
+        single, double = (float(np.median(np.abs(each)) / 0.6745) ** 2 / 20.0 for each in (once, twice))
+        return float(np.sqrt(max(8.0 * single - double, 0.0) / 7.0))
+
+    def _third_differences(self, step: int) -> Array:
+        """Return third differences (n,), px, of one-camera tracks with even times, over steps of so many frames."""
+        differences = [
+            np.diff(self.pixels[track[first::step]], n=3, axis=0).ravel()
+            for track in self.tracks
+            for first in range(step)
+            if np.ptp(np.diff(self.times[self.frame_of[track]])) < 0.2 * self.interval_s
+        ]
+        return np.concatenate(differences) if differences else np.empty(0)
 
     @cached_property
     def tracks(self) -> tuple[Integers, ...]:

@@ -20,6 +20,9 @@ LEAST_EXPLAINED, LEAST_EFFECT, LEAST_SCORE = 0.15, 0.4, 6.0
 # The same for a pose, which has six numbers and therefore explains more of any distances; and pairs of tracks that it
 # needs.
 POSE_EXPLAINED, POSE_EFFECT, POSE_TRACKS = 0.3, 0.6, 8
+# Parts of the time, each predicted from the others, and the least singular value over the largest of a
+# number that these determine.
+FOLDS, DETERMINED = 4, 1e-2
 # Steps of numerical derivatives: s, radians, and of k1.
 STEP_S, STEP_ANGLE, STEP_K1 = 1e-3, 1e-6, 1e-5
 
@@ -91,11 +94,19 @@ def explain(pair: Partners, first: Camera, second: Camera) -> PairFits:
 
 
 def _fit_all(pair: Partners, design: Array) -> CauseFit:
-    """Fit a cause with several numbers; those that the data do not determine (the scale) stay 0."""
+    """Fit a cause with several numbers; those that the data do not determine (the scale) stay 0.
+
+    What it explains of a part of the time is predicted from the others: two objects that pass each other's epipolar
+    line meet smoothly for a while, which a fit to all of it would explain.
+    """
     design = design / np.maximum(np.abs(design).max(axis=0), 1e-12)
     if not np.isfinite(design).all():
         return CauseFit(0.0, float("inf"), 0.0, 0.0)
-    fitted = design @ np.linalg.lstsq(design, -pair.distance, rcond=1e-6)[0]
+    fold = np.arange(len(design)) * FOLDS // max(len(design), 1)
+    fitted = np.zeros(len(design))
+    for part in range(FOLDS):
+        out = fold == part
+        fitted[out] = design[out] @ np.linalg.lstsq(design[~out], -pair.distance[~out], rcond=DETERMINED)[0]
     total = float((pair.distance**2).sum())
     explained = 1.0 - float(((pair.distance + fitted) ** 2).sum()) / max(total, 1e-12)
     return CauseFit(0.0, float("inf"), explained, float(np.sqrt((fitted**2).mean())))

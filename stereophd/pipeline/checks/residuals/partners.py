@@ -97,6 +97,7 @@ def partners(samples: list[CameraSample], motion: list[tuple[Array, Integers]], 
     rows = np.arange(len(chosen))
     best = np.abs(found).argmin(axis=1)
     near = np.abs(found[rows, best]) <= FARTHEST
+    near &= _nearest_of_frame(first.frame_of[chosen], index[rows, best], np.abs(found[rows, best]))
     index, following = index[rows, best], following[rows, best]
     lasting, tracks = _lasting(track_a[chosen][near], track_b[index][near])
     if lasting.sum() < LEAST_DETECTIONS:
@@ -109,6 +110,15 @@ def partners(samples: list[CameraSample], motion: list[tuple[Array, Integers]], 
         other = other + speed * delay[:, None]
         distance = signed_distances(first.camera, second.camera, own, other)
     return Partners(a, b, own, other, speed, distance, tracks[lasting])
+
+
+def _nearest_of_frame(frames: Integers, others: Integers, distances: Array) -> NDArray[np.bool_]:
+    """Return which detections (n,) of these frames are nearest to their partner of all that have the same."""
+    order = np.lexsort((distances, others, frames))
+    repeated = (np.diff(frames[order], prepend=-1) == 0) & (np.diff(others[order], prepend=-1) == 0)
+    nearest = np.empty(len(frames), dtype=np.bool_)
+    nearest[order] = ~repeated
+    return nearest
 
 
 def _delays(camera: Camera, pixels: Array) -> Array:

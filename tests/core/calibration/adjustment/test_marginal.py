@@ -54,7 +54,7 @@ def test_the_equations_of_the_knots_alone_are_those_of_all(motion: Motion) -> No
     problem = replace(problem, knots=replace(problem.knots, motion=motion))
     linearisation = Linearisation.of(problem)
     whole = linearisation.at(drawn, states, 0.3)
-    bands, vector = linearisation.of_knots(drawn, states, 0.3)
+    _, bands, vector = linearisation.of_knots(drawn, states, 0.3)
     np.testing.assert_allclose(bands, whole.bands, rtol=1e-12)
     np.testing.assert_allclose(vector, whole.state_vector, rtol=1e-9, atol=1e-9 * np.abs(whole.state_vector).max())
 
@@ -68,10 +68,8 @@ def test_the_marginal_posterior_does_not_tell_the_scale(factor: float) -> None:
     posterior = MarginalPosterior(Linearisation.of(problem))
 
     def without_prior(values: np.ndarray, knots: np.ndarray) -> float:
-        unknowns_there = np.append(values, 0.2)
-        equations = posterior.equations(unknowns_there, knots)
-        cost = equations.cost - (((values - parameters.prior_mean) / parameters.prior_std) ** 2).sum()
-        return 0.5 * cost + posterior.volume(unknowns_there, knots)[0]
+        at = posterior.at(np.append(values, 0.2), knots)
+        return at.objective - 0.5 * float((((values - parameters.prior_mean) / parameters.prior_std) ** 2).sum())
 
     stretched = drawn.copy()
     for camera in parameters.build(drawn)[1:]:

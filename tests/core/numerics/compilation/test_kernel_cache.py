@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import errno
 import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -82,6 +84,16 @@ def full(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
 
     monkeypatch.setattr(IndexDataCacheFile, "save", fails)
     return found
+
+
+def test_a_kept_kernel_that_makes_arrays_may_be_the_first_of_a_process() -> None:
+    """A process compiles it, or loads it from the tests' cache; the next one loads it before anything else."""
+    words = (
+        "from stereophd.core.geometry.lens import Lens; print(Lens('radial', k1=-0.1).distort([[0.5, 0.0]])[0][0, 0])"
+    )
+    for _ in range(2):
+        done = subprocess.run([sys.executable, "-c", words], capture_output=True, text=True, check=False)
+        assert (done.returncode, done.stdout.strip()) == (0, "0.4875"), done.stderr
 
 
 @pytest.mark.parametrize(("suffix", "content"), [("nbi", b""), ("nbc", b"rubbish")])

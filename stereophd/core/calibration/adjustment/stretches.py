@@ -1,0 +1,124 @@
+"""Whether the stretches of a log agree with one another as well as their noise allows, and how uncertain they leave it.
+
+The gradient of the posterior is a sum over detections and links of trajectories, which a right model makes independent:
+with the trajectories following the values, the scores s_b of the stretches b of a log then have the covariance H of the
+information that the log holds, and the answer moves by C s_b with a stretch. A model that is wrong (a lens, a clock, a
+motion, a noise, an association) leaves residuals that stay alike within a stretch and differ between stretches. The
+covariance of the answer is then C (sum s_b s_b^T) C, whatever the model says (P. J. Huber, 1967; H. White, "Maximum
+likelihood estimation of misspecified models", 1982). It is known from few stretches: in units of C, its eigenvalues
+spread up to (1 + sqrt(d / B))^2 with d directions that the data determine and B stretches (V. A. Marchenko and L. A.
+Pastur, 1967). Only directions beyond that are widened. Errors may stay alike for longer than a stretch, so that
+stretches are joined and looked at again.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from stereophd.core.arrays import Array
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior
+from stereophd.core.calibration.adjustment.problem import Problem
+from stereophd.core.calibration.adjustment.solver import Adjustment, eliminate, posterior_covariance
+from stereophd.core.calibration.adjustment.trajectories import motion_links
+from stereophd.core.calibration.adjustment.volume import VolumeSlopes
+from stereophd.core.calibration.unknowns.scale import log_scale
+
+# Stretches of a log; how many of them are joined, one after the other; part of the largest eigenvalue of chance from
+# which a direction is widened.
+STRETCHES, JOINED, BEYOND_CHANCE = 64, (1, 2, 4), 1.5
+
+
+def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, log_noise: float | None) -> tuple[Array, float]:
+    """Return the covariance (m, m) that disagreeing stretches add to that of a fit, and by how much it widens it most.
+
+    At the marginal optimum `log_noise` is the logarithm of the noise of the motion over what is stated, and the problem
+    has the stated one; None if the fit is the joint optimum. The factor is one of standard deviations, 1 where the
+    stretches agree.
+    """
+    size = problem.parameters.size
+    linearisation = Linearisation.of(problem.weighted(problem.weights(adjustment.distances)))
+    if log_noise is None:
+        equations = linearisation.at(adjustment.values, adjustment.states)
+        covariance, volume = posterior_covariance(equations, problem.parameters.prior_std), None
+        prior_std = problem.parameters.prior_std
+    else:
+        posterior = MarginalPosterior(linearisation)
+        point = posterior.at(np.append(adjustment.values, log_noise), adjustment.states)
+        equations, covariance, volume = point.equations, posterior.covariance(point), posterior.slopes(point)
+        prior_std = posterior.prior_std
+    scores = _scores(linearisation, adjustment.values, adjustment.states, log_noise or 0.0, equations, volume)
+    if problem.held is not None:
+        scores[:, :size][:, problem.held] = 0.0
+    determined = max(float((1.0 - np.diag(covariance) / prior_std**2).sum()), 1.0)
+    root = np.linalg.cholesky(covariance)
+    widened = widening((scores - scores.mean(axis=0)) @ root, determined)
+    more = root @ (widened @ widened.T - np.eye(len(root))) @ root.T
+    return np.asarray((more + more.T)[:size, :size] / 2.0, dtype=np.float64), float(np.linalg.norm(widened, 2))
+
+
+def widening(scores: Array, determined: float) -> Array:
+    """Return the root (m, m) of the covariance of an answer of unit covariance, whose stretches have scores (b, m)."""
+    root = np.eye(scores.shape[1])
+    for joined in JOINED:
+        count = len(scores) // joined
+        if count < 2:
+            break
+        sums = scores[: count * joined].reshape(count, joined, -1).sum(axis=1)
+        eigenvalues, vectors = np.linalg.eigh(sums.T @ sums * count / (count - 1.0))
+        chance = (1.0 + np.sqrt(determined / count)) ** 2
+        stds = np.sqrt(np.where(eigenvalues > BEYOND_CHANCE * chance, eigenvalues, 1.0))
+        root = root + root @ (vectors * (stds - 1.0)) @ vectors.T
+        scores = scores + scores @ (vectors * (1.0 / stds - 1.0)) @ vectors.T
+    return root
+
+
+def _scores(
+    linearisation: Linearisation,
+    values: Array,
+    states: Array,
+    log_noise: float,
+    equations: NormalEquations,
+    volume: VolumeSlopes | None,
+) -> Array:
+    """Scores (b, u) of the stretches of a log, each of as many detections, by all unknowns."""
+    problem, observations = linearisation.problem, linearisation.problem.observations
+    unknowns = equations.coupling.shape[1]
+    assert observations.weights is not None
+    eliminated, _ = eliminate(equations, 0.0)
+    following = -eliminated[:, :-1].reshape(len(states), 2, 3, unknowns)
+    path, errors, visible, by_point, by_value = linearisation.residuals(values, states)
+    pulls = np.einsum("n,nij,nj->ni", visible * observations.weights, observations.precisions, errors)
+    direct = np.einsum("nrq,nr->nq", np.where(visible[:, None, None], by_value, 0.0), pulls)
+    of_point = np.einsum("nra,nr->na", np.where(visible[:, None, None], by_point, 0.0), pulls)
+    if volume is not None:
+        direct, of_point = direct - volume.by_value, of_point - volume.by_point
+    ends = np.quantile(observations.times, np.linspace(0.0, 1.0, STRETCHES + 1))[1:-1]
+    scores, after = np.zeros((STRETCHES, unknowns)), np.minimum(path.knot + 1, len(states) - 1)
+    rows_of = np.searchsorted(ends, observations.times)
+    for stretch in range(STRETCHES):
+        rows = np.flatnonzero(rows_of == stretch)
+        for place, (knot, moved) in enumerate((k, j) for k in (path.knot, after) for j in (0, 1)):
+            pull = path.weights[rows, place, None] * of_point[rows]
+            scores[stretch] += np.einsum("na,nau->u", pull, following[knot[rows], moved])
+    for columns, here in zip(linearisation.columns, linearisation.members, strict=True):
+        used = columns >= 0
+        np.add.at(scores, (rows_of[here][:, None], columns[used]), direct[here][:, used])
+    links, knots = motion_links(problem.knots), problem.knots
+    if not len(links.knot):
+        return scores
+    density = np.exp(-2.0 * linearisation.log_scale_of_noise(values, log_noise)) / knots.noise_std**2
+    both = np.concatenate([states[links.knot], states[links.knot + 1]], axis=1)
+    product = links.precisions @ both
+    forces = -density * (product - links.pull)
+    energies = (density * ((both * (product - 2.0 * links.pull)).sum(axis=1) + links.energy)).sum(axis=1)
+    if volume is not None:
+        energies = energies - volume.by_noise - 6.0
+    stretch_of = np.searchsorted(ends, 0.5 * (knots.times[links.knot] + knots.times[links.knot + 1]))
+    _, by_scale = log_scale(problem.parameters, problem.reference, values)
+    by_energy = np.append(by_scale, np.ones(unknowns - len(by_scale)))
+    for stretch in range(STRETCHES):
+        rows = np.flatnonzero(stretch_of == stretch)
+        pulled = np.concatenate([following[links.knot[rows]], following[links.knot[rows] + 1]], axis=1)
+        scores[stretch] += np.einsum("lja,ljau->u", forces[rows], pulled) + energies[rows].sum() * by_energy
+    return scores

@@ -1,0 +1,109 @@
+"""How the volume of the trajectories, half of log det A, changes with values and points, detection by detection.
+
+With the covariance S of the point of a detection, of weight w, precision P and derivative J by the point, a change of
+A by any of its unknowns changes the volume by w tr(S J^T P dJ). The second derivatives of the pixel that this needs
+are differences of first ones, along the two rows of K = P J S: dJ by a value is the change by the point of the
+derivative by the value. A later time of a detection also moves the weights of its knots, from those of the position to
+those of the velocity. The covariances are those parts of the inverse of A that lie within its band (K. Takahashi,
+J. Fagan and M.-S. Chin, "Formation of a sparse bus impedance matrix", 1973).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereophd.core.arrays import Array, Integers
+from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.trajectories import Interpolation, motion_links, positions
+from stereophd.core.numerics.compilation.compiled import compiled
+
+# Step of the differences, in pixels.
+STEP_PX = 0.1
+
+
+@compiled
+def inverse_in_band(factor: Array, inverse: Array) -> None:
+    """Fill in the inverse (b, n) of a matrix within its band, from its Cholesky factor (b, n), both lower banded."""
+    width, size = factor.shape
+    for j in range(size - 1, -1, -1):
+        last = min(j + width, size)
+        for i in range(last - 1, j - 1, -1):
+            total = 1.0 / factor[0, j] if i == j else 0.0
+            for k in range(j + 1, last):
+                total -= factor[k - j, j] * inverse[abs(k - i), min(k, i)]
+            inverse[i - j, j] = total / factor[0, j]
+
+
+@compiled
+def covariances_of_points(inverse: Array, knots: Integers, left: Array, right: Array, out: Array) -> None:
+    """Covariances (n, 3, 3) of the sums of two knots with the weights `left` and `right` (n, 4)."""
+    size = inverse.shape[1]
+    for n in range(knots.shape[0]):
+        start = 6 * knots[n]
+        for b in range(4):
+            for c in range(4):
+                weight = left[n, b] * right[n, c]
+                if weight == 0.0:
+                    continue
+                for i in range(3):
+                    for j in range(3):
+                        row, column = start + 3 * b + i, start + 3 * c + j
+                        if row < size and column < size:
+                            out[n, i, j] += weight * inverse[abs(row - column), min(row, column)]
+
+
+@dataclass(frozen=True)
+class VolumeSlopes:
+    """Derivatives of half of log det A, its parts summing up to the whole."""
+
+    path: Interpolation
+    by_value: Array  # (n, q): by the values of the camera of each detection
+    by_point: Array  # (n, 3): by the point of each detection
+    by_noise: Array  # (l,): of each link, by the logarithm of the noise of the motion
+
+    @staticmethod
+    def of(linearisation: Linearisation, values: Array, states: Array, log_noise: float, factor: Array) -> VolumeSlopes:
+        """Return the derivatives at values (m,) and knots (k, 2, 3); `factor` (12, 6 k) is that of A, lower banded."""
+        problem = linearisation.problem
+        observations, knots = problem.observations, problem.knots
+        inverse = np.zeros_like(factor)
+        inverse_in_band(factor, inverse)
+        placement = linearisation.placed(values)
+        path, rates = placement.path, placement.rates
+        world, velocities = positions(states, *path), positions(states, *rates)
+        _, visible, by_point, _ = linearisation.seen(placement, values, world, velocities)
+        by_point = np.where(visible[:, None, None], by_point, 0.0)
+        precisions = observations.precisions
+        if observations.weights is not None:
+            precisions = observations.weights[:, None, None] * precisions
+        count = len(observations)
+        spread = np.zeros((2, count, 3, 3))
+        covariances_of_points(inverse, path.knot, path.weights, path.weights, spread[0])
+        covariances_of_points(inverse, path.knot, path.weights, rates.weights, spread[1])
+        rows = precisions @ by_point @ spread[0]
+        of_value, of_point = np.zeros((count, linearisation.columns.shape[1])), np.zeros((count, 3))
+        for r in (0, 1):
+            size = np.linalg.norm(rows[:, r], axis=1)
+            steps = STEP_PX / np.maximum(np.linalg.norm(by_point, axis=(1, 2)), 1e-300)
+            moved = rows[:, r] * (steps / np.maximum(size, 1e-300))[:, None]
+            (_, seen_after, point_after, value_after), (_, seen_before, point_before, value_before) = (
+                linearisation.seen(placement, values, world + sign * moved, velocities) for sign in (1.0, -1.0)
+            )
+            told = visible & seen_after & seen_before
+            scale = (size / (2.0 * steps))[told, None]
+            of_value[told] += scale * (value_after - value_before)[told, r]
+            of_point[told] += scale * (point_after - point_before)[told, r]
+        by_time = np.einsum("nri,nrs,nsj,nij->n", by_point, precisions, by_point, spread[1])
+        of_value += by_time[:, None] * linearisation.time_slopes(values)
+        links = motion_links(knots)
+        moved_by_noise = np.zeros(len(links.knot))
+        density = np.exp(-2.0 * linearisation.log_scale_of_noise(values, log_noise))
+        for axis in range(3):
+            for b in range(4):
+                for c in range(4):
+                    row, column = 6 * links.knot + 3 * b + axis, 6 * links.knot + 3 * c + axis
+                    covariance = inverse[np.abs(row - column), np.minimum(row, column)]
+                    moved_by_noise -= density / knots.noise_std[axis] ** 2 * links.precisions[:, b, c] * covariance
+        return VolumeSlopes(path, of_value, of_point, moved_by_noise)

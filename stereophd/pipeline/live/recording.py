@@ -1,0 +1,81 @@
+"""Recorded frames, lines of JSON in the order of their arrival, as a detection log in the order of their times."""
+
+from __future__ import annotations
+
+import functools
+import heapq
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import pyarrow as pa
+
+from stereophd.io.logs.rows import OPTIONAL
+from stereophd.io.outputs.provenance import provenance, to_metadata
+from stereophd.io.streams.messages import Message, parse_line
+from stereophd.io.tables.schemas import DETECTIONS
+from stereophd.io.tables.writing import TableWriter
+
+if TYPE_CHECKING:
+    from stereophd.config.loading import LoadedConfig
+
+# Optional columns of a log, as the filters read them.
+FIELDS = {name: pa.field(name, kind, nullable=True) for name, kind in OPTIONAL.items()}
+
+
+def write_log(loaded: LoadedConfig, recording: Path, log: Path) -> None:
+    """Write recorded frames (lines of JSON) as a detection log, in order of time.
+
+    A frame that is more than ``live.span_s`` older than one before it was too late for the run, and is left out. Raises
+    InputError if a line is no frame; a last line that a killed run left incomplete is passed over.
+    """
+    columns = _columns_of(recording)
+    schema = functools.reduce(lambda schema, name: schema.append(FIELDS[name]), columns, DETECTIONS)
+    with TableWriter(log, schema, to_metadata(provenance("track", loaded.record))) as table:
+        for message in _in_order(loaded, _messages(recording)):
+            row: dict[str, Any] = {"time_s": message.time_s, "camera": message.camera, "frame": message.frame}
+            empty = not len(message.pixels)
+            row |= (
+                {"u_px": [None], "v_px": [None]}
+                if empty
+                else {"u_px": message.pixels[:, 0], "v_px": message.pixels[:, 1]}
+            )
+            for name in columns:
+                values = message.columns.get(name)
+                row[name] = [None] * max(len(message.pixels), 1) if values is None or empty else values
+            table.append(row)
+
+
+def _messages(recording: Path) -> Iterator[Message]:
+    with open(recording, encoding="utf-8") as stream:
+        for number, line in enumerate(stream, start=1):
+            if line.endswith("\n"):
+                yield parse_line(line, f"{recording}: line {number}")
+
+
+def _columns_of(recording: Path) -> list[str]:
+    """Return the optional columns that some frame has, in the order of the schema."""
+    present = {name for message in _messages(recording) for name in message.columns}
+    return [name for name in FIELDS if name in present]
+
+
+def _in_order(loaded: LoadedConfig, messages: Iterable[Message]) -> Iterator[Message]:
+    """Yield messages in order of true time, then of the cameras; memory holds those of ``live.span_s``."""
+    span_s = loaded.config.live.span_s
+    cameras = {camera.name: (index, camera.clock) for index, camera in enumerate(loaded.build_cameras())}
+    waiting: list[tuple[float, int, int, int, Message]] = []
+    written: tuple[float, int, int] = (-math.inf, 0, 0)
+    newest = -math.inf
+    for number, message in enumerate(messages):
+        index, clock = cameras[message.camera]
+        key = (clock.to_true(message.time_s), index, message.frame)
+        if key < written:
+            continue
+        newest = max(newest, key[0])
+        heapq.heappush(waiting, (*key, number, message))
+        while waiting and waiting[0][0] < newest - span_s:
+            time_s, camera, frame, _, oldest = heapq.heappop(waiting)
+            written = (time_s, camera, frame)
+            yield oldest
+    yield from (entry[-1] for entry in sorted(waiting, key=lambda entry: entry[:4]))

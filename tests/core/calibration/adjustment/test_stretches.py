@@ -1,0 +1,51 @@
+"""Stretches of a log that disagree widen what is stated; those of a right model do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereophd.core.calibration.adjustment.marginal import marginal_optimum
+from stereophd.core.calibration.adjustment.solver import adjust
+from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches, widening
+from stereophd.core.geometry.lens import Lens
+from tests.core.calibration.problems_of_unknowns import observe, problem_of, rig, some_problem, unknowns
+
+
+def test_scores_of_the_stated_information_widen_nothing() -> None:
+    scores = np.random.default_rng(0).standard_normal((64, 8)) / 8.0
+    np.testing.assert_array_equal(widening(scores, 8.0), np.eye(8))
+
+
+def test_errors_that_outlast_a_stretch_are_seen_when_stretches_are_joined() -> None:
+    rng = np.random.default_rng(0)
+    scores = np.repeat(rng.standard_normal((16, 3)), 4, axis=0) / 8.0
+    scores[:, 0] *= 3.0
+    root = widening(scores, 3.0)
+    # each error is that of four stretches: the answer is 6 times as uncertain as is stated along the first direction
+    assert np.linalg.norm(root[0]) == pytest.approx(6.0, rel=0.4)
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_stretches_of_a_right_model_agree(seed: int) -> None:
+    problem, states, drawn = some_problem(("center", "rotation", "focal"), seed)
+    joint = adjust(problem, drawn, states)
+    marginal = marginal_optimum(problem, joint)
+    log_noise = float(np.log(marginal.noise_factor))
+    for adjustment, noise in ((joint, None), (marginal.adjustment, log_noise)):
+        more, factor = disagreement_of_stretches(problem, adjustment, noise)
+        assert factor < 1.5
+        np.testing.assert_array_equal(more, more.T)
+
+
+def test_stretches_disagree_where_an_unstated_lens_is_strong() -> None:
+    true = tuple(replace(camera, lens=Lens("radial", k1=-0.4)) for camera in rig())
+    observations, _, points = observe(true, 1, 4, 8.0)
+    cameras = tuple(replace(camera, lens=Lens()) for camera in true)
+    problem, states = problem_of(unknowns(cameras, ("center", "rotation")), observations, points)
+    adjustment = adjust(problem, np.zeros(problem.parameters.size), states)
+    more, factor = disagreement_of_stretches(problem, adjustment, None)
+    assert factor > 3.0
+    assert (np.linalg.eigvalsh(more) > -1e-12).all()
