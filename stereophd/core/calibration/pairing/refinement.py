@@ -186,7 +186,7 @@ def _meeting(parameters: ParameterSet, pairs: TrackPairs, values: Array, rows: I
 
 
 def behind(parameters: ParameterSet, pairs: TrackPairs, values: Array) -> Booleans:
-    """Pairs (p,) of which most rays meet behind a camera. Rays that are nearly parallel may meet anywhere."""
+    """Pairs (p,) most of whose rays meet behind a camera. Rays that are nearly parallel may meet anywhere."""
     met = _meeting(parameters, pairs, values, np.arange(len(pairs.pair)))
     wrong = met.seen & (met.depths.min(axis=1) < 0.0) & (met.sines > PARALLEL)
     count = np.bincount(pairs.pair, weights=met.seen, minlength=len(pairs.cameras))
