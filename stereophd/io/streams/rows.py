@@ -134,7 +134,7 @@ class Publisher:
         self._socket.send(_encode(document))
 
     def tell(self, event: dict[str, Any]) -> None:
-        """See `RowSink`; that the run is ready is said again every few seconds."""
+        """See `RowSink`; where the cameras are is said again every few seconds."""
         if event["event"] == "ready":
             self._ready, self._told_s = event, time.monotonic()
         self._socket.send(_encode(event))
