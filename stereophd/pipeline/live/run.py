@@ -16,7 +16,7 @@ import numpy as np
 from stereophd.config.tracking import LiveConfig
 from stereophd.core.disparity.events import make_event
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.multi.compiling import prepare
+from stereophd.core.multi.build import prepare
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.numerics.random_streams import WARM_UP_SEED
 from stereophd.io.logs.reading import Frame

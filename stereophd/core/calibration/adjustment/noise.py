@@ -6,6 +6,9 @@ Kovarianzkomponenten", 1979). The redundancy of a camera is a part of the trace 
 errors to what the fit absorbs of them; it is estimated by drawing errors e with the stated covariance: the mean of
 e^T P (I - H) e (M. F. Hutchinson, 1990). The prior of a variance is worth `PRIOR_REDUNDANCY` coordinates of the stated
 size.
+
+A noise that is stated too small hides itself: trajectories follow the detections, and gates drop those that they do
+not reach. What is left fits. Such a camera shows by its redundancy, and its noise is then looked for from above.
 """
 
 from __future__ import annotations
@@ -24,7 +27,7 @@ from stereophd.core.calibration.adjustment.solver import Adjustment
 PRIOR_REDUNDANCY, DRAWS = 2.0, 4
 # A factor is believed to differ from 1 beyond this part of it, and beyond so many of its standard deviations.
 LEAST_CHANGE, LEAST_SIGMAS = 0.15, 3.0
-# Less noise than stated is believed where at least this part of the coordinates tells.
+# Residuals tell less noise than stated where at least this part of the coordinates is redundant.
 LEAST_REDUNDANT = 0.3
 
 
@@ -40,9 +43,13 @@ class NoiseFactors:
     def differs(self) -> Booleans:
         """Which cameras' noise differs from what is stated."""
         change = np.abs(np.log(self.factors))
-        # with less noise trajectories follow the detections more closely, tell less, and show still less noise
-        tells = (self.factors > 1.0) | (self.redundancy > LEAST_REDUNDANT * self.coordinates)
+        tells = (self.factors > 1.0) | ~self.hides
         return np.asarray(tells & (change > np.maximum(np.log1p(LEAST_CHANGE), LEAST_SIGMAS * self._stds)))
+
+    @property
+    def hides(self) -> Booleans:
+        """Which cameras' trajectories follow the detections too closely for residuals to tell the noise."""
+        return np.asarray(self.redundancy < LEAST_REDUNDANT * self.coordinates)
 
     @property
     def _stds(self) -> Array:

@@ -128,18 +128,11 @@ def _annealed(task: Task) -> tuple[int, float]:
     return (MOST_ITERATIONS, TOLERANCE) if only_moves else (ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
 
 
-def refitted(
-    task: Task,
-    fit: Fit,
-    tracked: bool = False,
-    weighted: bool = False,
-    last: bool = True,
-    held: Booleans | None = None,
-) -> Fit | None:
+def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False, last: bool = True) -> Fit | None:
     """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
 
     `weighted`: detections whose errors are shared count less (`adjustment.shared_errors`), as the residuals of the
-    fit show. `last`: no other adjustment follows. `held` (m,) are values that stay.
+    fit show. `last`: no other adjustment follows.
     """
     counts = np.bincount(fit.observations.trajectories, minlength=fit.knots.count)
     cameras = task.parameters.build(fit.adjustment.values)
@@ -158,7 +151,7 @@ def refitted(
         return None
     rows, numbers = keep(trajectories, chosen)
     chosen_detections = scans.source[detections[rows]]
-    fit = replace(fit, held=held)
+    fit = replace(fit, held=None)
     observations = task.observations(cameras, numbers, chosen_detections)
     if weighted and task.settings.shared_error_px > 0.0:
         weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), chosen_detections)

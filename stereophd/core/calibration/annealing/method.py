@@ -41,7 +41,9 @@ from stereophd.core.numerics.random_streams import NOISE_SEED
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 25
 # Largest number of refits under a better model.
-MOST_ROUNDS = 8
+MOST_ROUNDS = 12
+# Factor on a noise that hides itself, and how often.
+LOOSENED, MOST_LOOSENED = 4.0, 2
 # A refit with other noise or other unknowns keeps at least this part of the detections, or the association stays.
 LEAST_KEPT = 0.8
 # Which configured values may be freed: none, lenses that are configured as none, all.
@@ -260,21 +262,18 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict."""
     count = len(task.parameters.cameras)
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
-    stays = False  # whether the cameras of the fit are those of a marginal optimum
+    loosened = np.zeros(count, dtype=np.int64)
     for number in range(MOST_ROUNDS):
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
-        if stays and not answer.is_marginal:
-            stays, fit = False, adjusted_anew(task, fit)
-            answer = state(task, fit, choices)
         # joint optima with little noise follow the detections, and show still less
         shown = answer.fit if answer.is_marginal else with_independent_errors(task, fit)
         estimate = noise_factors(problem_of(task, shown), shown.adjustment, np.random.default_rng(NOISE_SEED))
-        begin = replace(answer.fit, knots=answer.joint.knots) if answer.is_marginal else fit
-        if estimate.differs.any() and not last:
-            factors = np.where(estimate.differs, estimate.factors, 1.0)
-            task, noise, stays = task.with_noise(factors), noise * factors, answer.is_marginal
-            fit = adjusted_anew(task, begin, stays)
+        hides = estimate.hides & (loosened < MOST_LOOSENED)
+        if (estimate.differs | hides).any() and not last:
+            factors = np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
+            task, noise, loosened = task.with_noise(factors), noise * factors, loosened + hides
+            fit = adjusted_anew(task, fit)
             continue
         enlarged, suspicions = suspected(task, answer)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
@@ -282,9 +281,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             break
         given_up.append((enlarged, wrong))
         freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
-        task, begin = with_freed(task, enlarged, wrong, begin)
-        stays = answer.is_marginal
-        fit = adjusted_anew(task, begin, stays)
+        task, fit = with_freed(task, fit, enlarged, wrong)
     held = [(enlarged, suspicion) for suspicion in suspicions]
     remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held_remarks(enlarged, suspicions))
     return Believed(task, answer, noise, (*given_up, *held), freed, remarks)
@@ -328,26 +325,23 @@ def may_be_freed(suspicion: Suspicion, choices: Choices) -> bool:
     return choices.model != AS_STATED and (choices.model == FREE or suspicion.group.is_absent_lens)
 
 
-def with_freed(task: Task, enlarged: EnlargedSet, suspicion: Suspicion, fit: Fit) -> tuple[Task, Fit]:
-    """Return the task with what was contradicted among its unknowns, and the fit with the values that fit."""
+def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
+    """Return the task with what was contradicted among its unknowns, and the fit from the values that fit."""
+    parameters = enlarged.freed(suspicion.group.places)
+    task = replace(task, parameters=parameters)
     values = np.append(fit.adjustment.values, suspicion.values)
-    fit = replace(fit, adjustment=replace(fit.adjustment, values=values), held=None)
-    return replace(task, parameters=enlarged.freed(suspicion.group.places)), fit
+    begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
+    return task, adjusted_anew(task, begin)
 
 
-def adjusted_anew(task: Task, fit: Fit, is_marginal: bool = False) -> Fit:
-    """Adjust a fit to its detections with the noise and the unknowns of a task, and let it choose them anew.
-
-    Cameras of a marginal optimum stay until the next one is looked for: joint optima may lie far from it.
-    """
+def adjusted_anew(task: Task, fit: Fit) -> Fit:
+    """Adjust a fit to its detections with the noise and the unknowns of a task, and let it choose them anew."""
     cameras = task.parameters.build(fit.adjustment.values)
     trajectories = fit.observations.trajectories
     observations = task.observations(cameras, trajectories, fit.detections)
-    held = np.ones(task.parameters.size, dtype=np.bool_) if is_marginal else None
-    adjusted = adjusted_to(task, replace(fit, held=held), observations, trajectories, fit.detections)
-    chosen = refitted(task, adjusted, weighted=True, held=held)
-    too_few = chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections)
-    return replace(adjusted if chosen is None or too_few else chosen, held=None)
+    adjusted = adjusted_to(task, replace(fit, held=None), observations, trajectories, fit.detections)
+    chosen = refitted(task, adjusted, weighted=True)
+    return adjusted if chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections) else chosen
 
 
 def with_independent_errors(task: Task, fit: Fit) -> Fit:

@@ -18,7 +18,7 @@ from stereophd.core.calibration.discovery.essential import essential_of, poses_o
 from stereophd.core.calibration.discovery.pair_search import Hypothesis, common_pieces, log_gains, total_gain
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
-from stereophd.core.two_views.meeting import nearest_depths
+from stereophd.core.two_views.epipolar import nearest_depths
 
 # Tolerances, px, and Gauss-Newton steps at each; the first ones alone rank the hypotheses.
 TOLERANCES, QUICK, STEPS = (40.0, 20.0, 10.0, 5.0, 2.5, 1.25), 3, 10

@@ -16,8 +16,7 @@ from stereophd.core.calibration.pairing.choice import Pairing, choose_pairs, pai
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import MOVES
-from stereophd.core.two_views.epipolar import ray_distances
-from stereophd.core.two_views.meeting import nearest_depths
+from stereophd.core.two_views.epipolar import nearest_depths, ray_distances
 from stereophd.core.two_views.track_rays import ray_poses
 
 # Tolerances in units of the noise of the distance, step by step.
