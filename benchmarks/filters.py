@@ -25,7 +25,7 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.core.arrays import Array
-from stereophd.core.metrics.errors.confirmation_delay import Waits
+from stereophd.core.metrics.errors import Waits
 from stereophd.core.metrics.matching.clear_mot import match_within
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import figures as figures_of_run

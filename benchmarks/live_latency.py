@@ -8,7 +8,8 @@ Two scenes in a room of 8 x 8 x 2.5 m, whose objects come and go: six objects be
 before eight of 100 Hz; the cameras are not synchronised, 5 false detections a frame. A process of its own sends each
 frame at its time, by its own clock, whether or not the tracker is ready; this process stamps each row as it reads it.
 Both clocks are the monotonic one of the machine. Beside the latencies it states the processor time of the tracker for
-each frame, which other programs on the machine hardly change, and its resident memory along the way (Linux).
+each frame, which other programs on the machine change little, and its resident memory along the way (Linux). The
+tracker's own summary, with percentiles of the processor time of a frame, goes to standard error.
 """
 
 from __future__ import annotations
@@ -110,6 +111,7 @@ def measure(name: str, minutes: float, speed: float, options: Sequence[str]) -> 
                 memory.append(_resident_mb(tracker.pid))
                 cpu_s = _cpu_s(tracker.pid)
         source.wait()
+        print(tracker.stderr.read().decode().splitlines()[-1], file=sys.stderr, flush=True)
         tracker.wait()
         sent = np.fromfile(stamps)
     if not len(sent) == len(arrived) == count:

@@ -16,16 +16,15 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import os
 import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-os.environ["OMP_NUM_THREADS"] = "1"
-os.environ["OPENBLAS_NUM_THREADS"] = "1"
+from common import DrawnScene
 
+# isort: split
 import numpy as np
 import yaml
 
@@ -36,15 +35,6 @@ from stereophd.config.loading import load_config
 
 # Standard deviations beyond which an error of a parameter is wrong: one in 90,000 sets of 20 right ones.
 WRONG_Z = 5.0
-IMAGES = ((640, 480), (800, 600), (1280, 720), (1920, 1080))
-
-
-def facing(center: np.ndarray[Any, Any], target: np.ndarray[Any, Any]) -> list[list[float]]:
-    """Rotation (3, 3) from world to camera of a camera at `center` that looks at `target`, y down."""
-    forward = (target - center) / np.linalg.norm(target - center)
-    right = np.cross([0.0, 1.0, 0.0], forward)
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(forward, right), forward]).tolist()
 
 
 def draw(seed: int, misstated: bool) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
@@ -54,7 +44,7 @@ def draw(seed: int, misstated: bool) -> tuple[dict[str, Any], dict[str, Any], di
     size = 10.0 ** rng.uniform(0.0, 1.5)  # half the side of the scene, m
     layout = str(rng.choice(["row", "ring"]))
     distance = size * rng.uniform(2.0, 4.0)
-    middle = np.array([0.0, 0.0, distance])
+    scene = DrawnScene(rng, count, size, distance, layout)
     start = rng.uniform(-math.pi, math.pi)
     objects = int(rng.choice([1, 2, 3, 6, 12, 20]))
     speed = size * rng.uniform(0.1, 0.5)
@@ -65,24 +55,12 @@ def draw(seed: int, misstated: bool) -> tuple[dict[str, Any], dict[str, Any], di
     known = str(rng.choice(["baseline", "prior"]))
     cameras, priors = {}, {}
     for k in range(count):
-        width, height = IMAGES[rng.integers(len(IMAGES))]
-        if layout == "row":
-            spread = distance * rng.uniform(0.15, 0.5)
-            center = np.array([spread * (k - (count - 1) / 2.0), *(rng.normal(0.0, 0.1 * distance, 2))])
-        else:
-            angle = start + 2.0 * math.pi * (k + rng.uniform(-0.3, 0.3)) / count
-            center = middle + distance * np.array([math.sin(angle), -rng.uniform(0.0, 0.5), math.cos(angle)])
-        focal = float(0.35 * height * distance / size * rng.uniform(0.8, 1.4))
+        place = scene.place(k, start)
         sigma = float(rng.uniform(0.3, 2.0))
         k1 = float(rng.uniform(-0.2, 0.1)) if "k1" in lenses else 0.0
         own_rate = rate if rng.random() < 0.6 else float(rate * rng.choice([0.5, 0.7, 0.999]))
         cameras[f"cam{k}"] = {
-            "image_size_px": [width, height],
-            "intrinsics": {"fx": focal, "fy": focal, "cx": (width - 1) / 2.0, "cy": (height - 1) / 2.0},
-            "pose": {
-                "center": center.tolist(),
-                "rotation_matrix": facing(center, middle + rng.normal(0.0, 0.1 * size, 3)),
-            },
+            **scene.camera(*place),
             "distortion": {"model": "radial", "k1": k1},
             "detector": {
                 "sigma_px": [sigma, sigma],
@@ -107,44 +85,13 @@ def draw(seed: int, misstated: bool) -> tuple[dict[str, Any], dict[str, Any], di
             prior["principal_point_std_px"] = 10.0
         if prior:
             priors[f"cam{k}"] = prior
-    acceleration = speed / math.sqrt(time_constant)
-    motion = {
-        "model": "damped_velocity",
-        "time_constant_s": time_constant,
-        "acceleration_std": acceleration,
-        "max_speed": 8.0 * speed,
-    }
     calibration: dict[str, Any] = {"reference": "cam0", "priors": priors}
     if known == "baseline":
         apart = math.dist(cameras["cam0"]["pose"]["center"], cameras["cam1"]["pose"]["center"])
         calibration["scale"] = {
             "kind": "baseline", "cameras": ["cam0", "cam1"], "distance": apart, "std": 0.003 * apart,
         }  # fmt: skip
-    tree = {
-        "units": {"length": "m"},
-        "seed": seed,
-        "cameras": cameras,
-        "disparity": {"baseline": 0.1 * distance},
-        "motion": motion,
-        "filter": {
-            "kind": "pmb",
-            "birth": {"per_s": 0.1, "depth_range": [0.4 * distance, 2.0 * distance], "velocity_std": speed},
-        },
-        "calibration": calibration,
-        "simulate": {
-            "duration_s": frames / rate,
-            "object_id": True,
-            "motion": {key: motion[key] for key in ("model", "time_constant_s", "acceleration_std")},
-            "objects": {
-                "count": objects,
-                "box": {
-                    axis: [float(m - size), float(m + size)] for axis, m in zip("xyz", middle, strict=True)
-                },
-                "velocity_std": speed,
-                "stay_in_view": "any",
-            },
-        },
-    }  # fmt: skip
+    tree = {**scene.tree(seed, cameras, objects, speed, time_constant, frames / rate), "calibration": calibration}
     stated = json.loads(json.dumps(tree))
     if misstated:
         for camera in stated["cameras"].values():

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import importlib.util
 import posixpath
 import re
 import shlex
+import sys
 import tomllib
+import types
 from pathlib import Path
 
 import pytest
@@ -70,6 +73,24 @@ def test_addresses_are_one() -> None:
     assert f"home: {SITE}" in text("recipe/meta.yaml")
 
 
+def test_the_readme_of_the_index_has_addresses_that_the_site_has(monkeypatch: pytest.MonkeyPatch) -> None:
+    interface = types.SimpleNamespace(MetadataHookInterface=object)  # hatchling is there only while it builds
+    monkeypatch.setitem(sys.modules, "hatchling.metadata.plugin.interface", interface)
+    spec = importlib.util.spec_from_file_location("index_readme", DOCS / "index_readme.py")
+    assert spec is not None
+    assert spec.loader is not None
+    hook = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(hook)
+    shown = hook.with_addresses(text("README.md"), SITE, "SOURCE")
+    addresses = LINK.findall(shown)
+    assert [address for address in addresses if not address.startswith((SITE, "SOURCE/blob/main/"))] == []
+    assert f"{SITE}figures/demo.gif" in addresses
+    for address in addresses:
+        place = address.split("#")[0].removeprefix(SITE).rstrip("/")
+        found = [DOCS / place, DOCS / f"{place}.md", DOCS / place / "index.md"]
+        assert address.startswith("SOURCE") or any(path.exists() for path in found), address
+
+
 def test_pages_that_messages_name_exist() -> None:
     named = set()
     for path in (ROOT / "stereophd").rglob("*.py"):
@@ -94,7 +115,9 @@ def command_lines() -> list[tuple[str, str]]:
     """Return the lines with `stereophd` in the shell blocks of the documents, continued lines joined."""
     found = []
     for name in OF_THE_PRESENT:
-        for block in re.findall(r"^```(?:sh|bash|yaml|)\n(.*?)^```", text(name), re.MULTILINE | re.DOTALL):
+        for language, block in re.findall(r"^```(\w*)\n(.*?)^```", text(name), re.MULTILINE | re.DOTALL):
+            if language not in ("sh", "bash", "yaml", ""):
+                continue
             for line in re.sub(r"\\\n\s*", " ", block).splitlines():
                 match = re.match(r"^(?:\$ |- run: )?(stereophd .*)$", line.strip())
                 if match:

@@ -6,13 +6,16 @@ table says why it is not run.
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import shutil
 from pathlib import Path
 
 import pytest
+import yaml
 
+import stereophd
 from stereophd.cli.app import run
 from stereophd.commands.demo import config_text, demo
 
@@ -27,6 +30,7 @@ ELSEWHERE: dict[str, dict[str, str]] = {
         "import csv|init study|track study|report recording": "tests/io/formats/test_tutorial.py",
     },
     "docs/start/import.md": {
+        "csv detections": "test_detections_of_your_own_program",
         "session|quiet|info study": "the session of caliscope is not part of the project",
         ".*": "tests/io/formats/test_tutorial.py",
     },
@@ -47,7 +51,9 @@ GATES = re.compile(r"--fail-above ospa\.mean=0\.05|--strict")
 def commands(page: str) -> list[list[str]]:
     """Return the command lines of a page, continued lines joined."""
     found = []
-    for block in re.findall(r"^```(?:sh|yaml|)\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL):
+    for language, block in re.findall(r"^```(\w*)\n(.*?)^```", (ROOT / page).read_text(), re.MULTILINE | re.DOTALL):
+        if language not in ("sh", "yaml", ""):
+            continue
         for line in re.sub(r"(\\|>)\n\s+(?=-|stereophd)", " ", block).splitlines():
             match = re.match(r"^(?:\$ |- run: +)?(stereophd .*)$", line.strip())
             if match and "..." not in line:
@@ -117,3 +123,31 @@ def test_what_is_run_elsewhere_is_on_the_page() -> None:
             assert any(re.search(pattern, line) for line in lines), (page, pattern)
             for name in re.findall(r"tests/[\w/]+\.py", reason):
                 assert (ROOT / name).exists(), name
+
+
+def test_detections_of_your_own_program(ready: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The section of docs/start/import.md: lines of JSON through pandas, and a table with names of its own."""
+    pytest.importorskip("pandas")
+    monkeypatch.chdir(tmp_path)
+    stereophd.export("kalibr", ready / "out" / "simulated" / "cameras.yaml", "chain.yaml")
+    names = {name: f"cam{index}" for index, name in enumerate(("left", "right", "middle"))}
+    chain = yaml.safe_load((tmp_path / "chain.yaml").read_text())
+    (tmp_path / "camchain.yaml").write_text(yaml.safe_dump({names[name]: chain[name] for name in names}))
+    frames: dict[tuple[float, str, int], list[dict[str, float]]] = {}
+    for row in stereophd.Outputs(ready / "out" / "simulated", {}).table("detections").to_pylist():
+        points = frames.setdefault((row["time_s"], row["camera"], row["frame"]), [])
+        points += [] if row["u_px"] is None else [{"x": row["u_px"], "y": row["v_px"]}]
+    lines, rows = [], ["stamp_ns,frame_id,seq,x,y"]
+    for (time_s, camera, number), points in frames.items():
+        frame = {"stamp": time_s, "camera": names[camera], "seq": number, "detections": points}
+        lines.append(json.dumps(frame))
+        rows += [f"{int(time_s * 1e9)},{camera},{number},{point['x']},{point['y']}" for point in points]
+    (tmp_path / "detections.jsonl").write_text("\n".join(lines))
+    (tmp_path / "detections.csv").write_text("\n".join(rows))
+    text = (ROOT / "docs/start/import.md").read_text()
+    (block,) = re.findall(r"^```python\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    exec(compile(block, "docs/start/import.md", "exec"), {})
+    (words,) = [words for words in commands("docs/start/import.md") if "detections.csv" in words]
+    assert run(words) == 0
+    log = stereophd.Outputs(tmp_path / "from_csv", {}).table("detections")
+    assert set(log["camera"].to_pylist()) == {"cam0", "cam1", "middle"}

@@ -34,6 +34,7 @@ from stereophd.cli import (
     report,
     simulate,
     track,
+    watch,
 )
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import PlainCommand, PlainGroup, Session
@@ -91,6 +92,10 @@ for _name, _command, _purpose, *_examples in (
         "track", track.track_command, "Estimate 3-D tracks from detection logs.",
         "track study/config.yaml rec/detections.parquet --smooth --out tracks",
         "track study/config.yaml 'day1/*.parquet' --jobs 4 --out tracks",
+    ),
+    (
+        "watch", watch.watch_command, "Show a run that is still going on in a browser.",
+        "watch tcp://127.0.0.1:5556",
     ),
     (
         "calibrate", calibrate.calibrate_command, "Estimate cameras from the log of moving objects.",

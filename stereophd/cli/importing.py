@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
@@ -83,12 +84,18 @@ def _lines(report: dict[str, Any], out: Path) -> list[str]:
             lines.append(f"{name}: {size}")
             continue
         rate = f"{row['rate_hz']:.6g} Hz" if row["rate_hz"] else "no rate"
+        first, last = (f"{row[key]:.{_digits(row['first_s'], row['last_s'])}g}" for key in ("first_s", "last_s"))
         lines.append(
             f"{name}: {row['detections']} detections in {row['frames']} frames ({row['empty_frames']} empty, "
-            f"{row['filled_frames']} of them filled in), {row['first_s']:.6g} to {row['last_s']:.6g} s, {rate}, {size}"
+            f"{row['filled_frames']} of them filled in), {first} to {last} s, {rate}, {size}"
         )
     files = [name for name in ("detections.parquet", "cameras.yaml", "truth.parquet") if (out / name).exists()]
     return [*lines, f"Written to {out}: {', '.join(files)}, report.json"]
+
+
+def _digits(first: float, last: float) -> int:
+    """Return how many digits show six of the time between two, such as stamps since 1970."""
+    return 6 + max(0, int(math.log10(max(abs(last), 1.0) / max(last - first, 1e-3))))
 
 
 def _pairs(option: str, words: Sequence[str] | None) -> dict[str, str]:

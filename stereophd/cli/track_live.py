@@ -40,11 +40,11 @@ def run_live(
         return
     if session.quiet:
         return
-    latency = done["latency_ms"]
+    latency, processor = done["latency_ms"], done["processor_ms"]
     typer.echo(
         f"{done['frames']['frames']} frames, {done['late_frames']} of them late ({done['revised_events']} events "
         f"revised), {done['frames']['too_late']} too late; from frame to row {latency['p50']:.1f} ms in the median, "
-        f"{latency['p99.9']:.1f} ms for 99.9 %",
+        f"{latency['p99.9']:.1f} ms for 99.9 % (processor time {processor['p50']:.1f} and {processor['p99.9']:.1f} ms)",
         err=True,
     )
 

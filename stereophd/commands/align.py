@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 from scipy.linalg import block_diag
 
 from stereophd.commands.options import AlignOptions
@@ -28,7 +27,7 @@ from stereophd.pipeline.alignment.control import alignment_report, read_control
 from stereophd.pipeline.alignment.tables import write_moved
 from stereophd.pipeline.calibration.unknowns import with_quantities
 from stereophd.pipeline.cameras_covariance import in_world, rows_of, stated_uncertainty
-from stereophd.pipeline.evaluation.inputs import Tracks, read_tracks
+from stereophd.pipeline.evaluation.inputs import read_tracks
 from stereophd.validated import NO_LENGTH
 
 CAMERAS_FILE, TRACKS_FILE, REPORT_FILE = "cameras.yaml", "tracks.parquet", "report.json"
@@ -132,7 +131,7 @@ def _alignment(
     tracks = read_tracks(tracks_path)
     if tracks.length_unit not in (None, unit):
         raise InputError(f"{tracks_path}: expected lengths in {unit} as in {path}, found {tracks.length_unit}")
-    time_s, rows = confirmed_rows(tracks)
+    time_s, rows = tracks.confirmed_rows()
     position, pose = tracks.position[rows], built[forward].pose
     try:
         if control is None and str(to) == FLOOR:
@@ -149,12 +148,3 @@ def _alignment(
         return found, target, control.origin
     except ValueError as error:
         raise InputError(f"{tracks_path}: `to` {to}: {error}") from None
-
-
-def confirmed_rows(tracks: Tracks) -> tuple[Any, Any]:
-    """Return times (n,) and rows (n,) of the confirmed estimates of tracks, in order of time."""
-    events = tracks.events
-    counts = events.row_end - events.row_start
-    rows = np.arange(int(counts.sum())) + np.repeat(events.row_start - (np.cumsum(counts) - counts), counts)
-    time_s = np.repeat(events.time_s, counts)
-    return time_s[tracks.confirmed[rows]], rows[tracks.confirmed[rows]]

@@ -166,7 +166,7 @@ def calibrate(
 
 
 def _findings_of(report: dict[str, Any], outcome: Outcome) -> list[dict[str, Any]]:
-    """Return the findings about the result: the data leave something open, or say what was not stated."""
+    """Return the findings about the result: what the data leave open, and what they contradict."""
     found = []
     if report["status"] != DETERMINED:
         text = f"{report['status']}: {report['reason']}"

@@ -48,7 +48,7 @@ def _check_simulate(loaded: LoadedConfig) -> None:
 
 
 def _check_experiment(loaded: LoadedConfig) -> None:
-    from stereophd.experiments.engine.plan import check_experiment
+    from stereophd.experiments.engine.work import check_experiment
 
     if loaded.config.experiment is None:
         raise InputError(f"{loaded.path}: experiment: expected a section `experiment`, found none")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from typing import Any
 
-from stereophd.core.multi.compiling import prepare, prepare_last_first
+from stereophd.core.multi.build import prepare, prepare_last_first
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.numerics.compilation.kernel_cache import place_to_keep
 from stereophd.errors import InputError

@@ -15,7 +15,6 @@ from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
 from stereophd.experiments.engine.execution import execute
 from stereophd.experiments.engine.parts import PartStore
-from stereophd.experiments.engine.plan import memory_of, plan_parts
 from stereophd.experiments.engine.results import (
     RUNS_FILE,
     SUMMARY_FILE,
@@ -27,7 +26,7 @@ from stereophd.experiments.engine.results import (
     write_results,
 )
 from stereophd.experiments.engine.summary import QuantityCheck
-from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN
+from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, memory_of, plan_parts
 from stereophd.io.outputs.atomic import OutputFolder, output_lock
 from stereophd.options import takes
 from stereophd.pipeline.runs.progress import Progress

@@ -10,8 +10,7 @@ from typing import Any
 
 import stereophd
 from stereophd.config.loading import load_cameras, load_config, make_config
-from stereophd.config.overrides import apply_override, parse_override
-from stereophd.config.yaml import Tree
+from stereophd.config.yaml import Tree, apply_override, parse_override
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.io.outputs.disk import write_error

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import contextlib
 import io
+import math
 import tempfile
+import time
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -22,7 +24,7 @@ from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.streams.messages import Message
-from stereophd.io.streams.rows import JsonLines, RowSink, document_of
+from stereophd.io.streams.rows import JsonLines, Publisher, RowSink, document_of
 from stereophd.io.streams.sources import Arrivals
 from stereophd.pipeline.build import report_times
 from stereophd.pipeline.live.frames import FrameChecks
@@ -33,7 +35,8 @@ from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run import TrackingRun, build_tracking, estimated_cameras
 
 LOG_FILE = "detections.parquet"
-PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
+# Time between two reports of how a run goes, s.
+STATUS_EVERY_S = 2.0
 
 
 @dataclass(frozen=True)
@@ -50,9 +53,10 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
     """Track frames as they arrive, by a configuration with a ``filter`` section of several objects and cameras.
 
     Arrivals come from a source as in `stereophd.io.streams.sources`, whose name serves messages; an interrupt ends them
-    like the end of the stream. Returns counts of frames, late, revised and bad ones, and ``latency_ms``: percentiles of
-    the time from the arrival of a frame to its row. Raises InputError if the configuration is for whole logs only, if a
-    frame is bad and ``input.on_bad_row`` is ``error``, or if an output cannot be written.
+    like the end of the stream. Returns counts of frames, late, revised and bad ones, percentiles: ``latency_ms``, of
+    the time from the arrival of a frame to its row, and ``processor_ms``, of the processor time of a frame. Raises
+    InputError if the configuration is for whole logs only, if a frame is bad and ``input.on_bad_row`` is ``error``, or
+    if an output cannot be written.
     """
     _check(loaded)
     if outputs.recording is not None and outputs.recording.exists():
@@ -89,6 +93,7 @@ class _Session:
         self.run = LiveRun(tracking.estimator, times, self.checks, config.live, self._keep)
         self._rows, self._stream = rows, stream
         self._most_std = config.report.max_position_std
+        self._told_s = -math.inf
         self._knock: Knock | None = None
         self._recalibration: Recalibration | None = None
 
@@ -99,6 +104,7 @@ class _Session:
 
     def work(self, arrivals: Arrivals, source: str) -> None:
         """Work all arrivals."""
+        processor_s = time.thread_time()
         with contextlib.suppress(KeyboardInterrupt):
             for live in self.run.records(arrivals, source):
                 if self._rows and live.record.reported:
@@ -106,8 +112,25 @@ class _Session:
                     for sink in self._rows:
                         sink.add(document)
                 if not live.is_revised:
-                    self.run.counts.add_latency(live.arrived_s)
+                    before_s, processor_s = processor_s, time.thread_time()
+                    self.run.counts.add_row(live.arrived_s, processor_s - before_s)
                 self._look_after_cameras(live.record)
+                if time.monotonic() > self._told_s + STATUS_EVERY_S:
+                    self._told_s = time.monotonic()
+                    self._tell_status()
+
+    def _tell_status(self) -> None:
+        """Tell those who watch how the run goes."""
+        counts, residuals = self.checks.counts, self.run.residuals
+        status = {"event": "status", "frames": counts["frames"], "late": self.run.counts.late}
+        status |= {
+            "too_late": counts["too_late"],
+            "residuals": residuals,
+            "latency_ms": self.run.counts.latency.percentiles_ms(),
+        }
+        for sink in self._rows:
+            if isinstance(sink, Publisher):
+                sink.tell(status)
 
     def _keep(self, message: Message) -> None:
         """Write a frame before it is worked: a killed run has lost none."""
@@ -180,11 +203,12 @@ def _document(live: LiveRecord, max_position_std: float | None) -> dict[str, Any
 
 
 def _summary(run: LiveRun) -> dict[str, Any]:
-    latencies = run.counts.latency_percentiles_ms(PERCENTILES)
+    counts = run.counts
     return {
-        "late_frames": run.counts.late,
-        "revised_events": run.counts.revised,
-        "latency_ms": {f"p{p:g}": value for p, value in zip(PERCENTILES, latencies, strict=True)},
+        "late_frames": counts.late,
+        "revised_events": counts.revised,
+        "latency_ms": counts.latency.percentiles_ms(),
+        "processor_ms": counts.processor.percentiles_ms(),
     }
 
 

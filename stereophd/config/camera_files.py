@@ -38,7 +38,7 @@ def read_camera_tree(path: Path) -> CameraTree:
     if native is not None and isinstance(native.tree.data, dict) and {"units", "cameras"} <= native.tree.data.keys():
         return native
     # Imported here: native files do not need the other formats.
-    from stereophd.io.interchange.camera_files import read_foreign_cameras
+    from stereophd.io.interchange.reading import read_foreign_cameras
 
     foreign = read_foreign_cameras(path)
     if foreign is None:

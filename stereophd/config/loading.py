@@ -17,9 +17,8 @@ from pydantic import BaseModel, ValidationError
 from stereophd.config.camera_files import read_camera_tree
 from stereophd.config.errors import describe
 from stereophd.config.model import Config
-from stereophd.config.overrides import apply_override, key_path, parse_override
 from stereophd.config.report import CameraTimes
-from stereophd.config.yaml import Place, Tree, read_yaml
+from stereophd.config.yaml import Place, Tree, apply_override, key_path, parse_override, read_yaml
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.cameras.models import CameraConfig, CamerasFile
@@ -266,7 +265,7 @@ def read_camera_file(
     Raises InputError as `load_cameras`, or of the foreign format.
     """
     # Imported here: configurations with native cameras do not need the other formats.
-    from stereophd.io.interchange.camera_files import read_foreign_cameras
+    from stereophd.io.interchange.reading import read_foreign_cameras
 
     foreign = read_foreign_cameras(path, options)
     if foreign is not None:

@@ -1,4 +1,4 @@
-"""YAML read with the place of every key: nodes are kept, so that an error can name its line.
+"""YAML read with the place of every key, and overrides: nodes are kept, so that an error can name its line.
 
 Scalars follow the YAML 1.2 core schema (``1e-6`` is a number, ``yes`` and ``2020-01-01`` are text),
 keys are taken as written, and a key that occurs twice is an error.
@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
 from stereophd.io.documents import MAX_DOCUMENT_BYTES, SAFE_LOADER, compose_yaml
 from stereophd.io.file_kinds import CONFIGURATION, CSV, HDF5, HEAD_BYTES, PARQUET, kind_of_content, remedy
 from stereophd.io.outputs.commit import refuse_unsettled
@@ -267,3 +267,46 @@ def read_yaml(path: Path, what: str = CONFIGURATION) -> tuple[Tree, bytes]:
     if (found := kind_of_content(content[:HEAD_BYTES])) in (PARQUET, HDF5, CSV):
         raise InputError(f"{path}: expected a {what} (YAML), found {found}{remedy(what, found)}")
     return parse_yaml(content, str(path)), content
+
+
+# A longer number in a key path is a name, not the index of a list.
+MAX_INDEX_DIGITS = 9
+# A longer override is shortened in messages.
+MAX_SHOWN_OVERRIDE = 200
+
+
+def parse_override(text: str) -> tuple[KeyPath, Tree]:
+    """Return the key path and the value of `KEY.PATH=VALUE`."""
+    key, separator, value = text.partition("=")
+    source = f"`overrides` {text}" if len(text) <= MAX_SHOWN_OVERRIDE else f"`overrides` {text[:MAX_SHOWN_OVERRIDE]}..."
+    if not separator or not all(key.strip().split(".")):
+        raise InputError(f"{source}: expected KEY.PATH=VALUE")
+    return key_path(key), parse_yaml(value, source, numbered=False)
+
+
+def key_path(key: str) -> KeyPath:
+    """Return the parts of a dotted key; a part of digits is the index of a list."""
+    return tuple(
+        int(part) if part.isdecimal() and len(part) <= MAX_INDEX_DIGITS else part for part in key.strip().split(".")
+    )
+
+
+def apply_override(tree: Tree, path: KeyPath, value: Tree, key: KeyPath = ()) -> None:
+    """Put a value at a path of the tree; an InputError if something on the path is no mapping or list."""
+    _refuse_unknown_camera(tree, path, value)
+    try:
+        tree.graft(path, value, key)
+    except TypeError as error:
+        where = ".".join(map(str, path))
+        raise InputError(
+            f"{value.place(())}: {where}: expected the path of a key, found no mapping or list that has {error}"
+        ) from None
+
+
+def _refuse_unknown_camera(tree: Tree, path: KeyPath, value: Tree) -> None:
+    """Refuse a single value of a camera that is not there: its other values would be missed one by one."""
+    cameras = tree.data.get("cameras") if isinstance(tree.data, dict) else None
+    if path[0] != "cameras" or len(path) <= 2 or not isinstance(cameras, dict) or not cameras:
+        return
+    if str(path[1]) not in cameras:
+        raise InputError(f"{value.place(())}: {'.'.join(map(str, path))}: {unknown_camera(path[1], cameras)}")

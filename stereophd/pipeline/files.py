@@ -20,8 +20,10 @@ from stereophd.io.outputs.atomic import atomic_write
 from stereophd.io.tables.schemas import DETECTIONS
 from stereophd.io.tables.writing import TableWriter
 
+# Columns that a log may have; no filter reads the score.
+_OPTIONAL = {**OPTIONAL, "score": pa.float64()}
 # Columns that a frame without detections leaves empty.
-_OF_DETECTIONS = frozenset({"u_px", "v_px", *OPTIONAL})
+_OF_DETECTIONS = frozenset({"u_px", "v_px", *_OPTIONAL})
 
 
 def read_cameras(path: Path | str) -> tuple[Camera, ...]:
@@ -107,8 +109,8 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
     path : path
     table : mapping of str to array_like, pandas.DataFrame or similar
         The columns of a detection log: ``time_s, camera, frame, u_px, v_px``, and optionally
-        ``sigma_u_px, sigma_v_px, object_id``. A frame without detections is one row with NaN in the other columns
-        than the first three. Rows may be in any order: they are sorted by time.
+        ``sigma_u_px, sigma_v_px, width_px, height_px, score, object_id``. A frame without detections is one row with
+        NaN in the other columns than the first three. Rows may be in any order: they are sorted by time.
     force : bool
         Whether an existing file may be replaced.
 
@@ -119,17 +121,17 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
     """
     target = _target(path, force)
     names = [str(name) for name in (table.keys() if hasattr(table, "keys") else table.column_names)]
-    missing, unknown = [n for n in REQUIRED if n not in names], [n for n in names if n not in {**REQUIRED, **OPTIONAL}]
+    missing, unknown = [n for n in REQUIRED if n not in names], [n for n in names if n not in {**REQUIRED, **_OPTIONAL}]
     if missing or unknown:
         found = f"no {', '.join(missing)}" if missing else f"also {', '.join(unknown)}"
-        known = f"{', '.join(REQUIRED)} and perhaps {', '.join(OPTIONAL)}"
+        known = f"{', '.join(REQUIRED)} and perhaps {', '.join(_OPTIONAL)}"
         raise InputError(f"{target}: expected the columns {known}, found {found}")
     columns = {name: _column(table[name], name, target) for name in names}
     if len({len(column) for column in columns.values()}) > 1:
         lengths = ", ".join(f"{name} {len(column)}" for name, column in columns.items())
         raise InputError(f"{target}: expected columns of one length, found {lengths}")
     order = np.argsort(np.ma.getdata(columns["time_s"]), kind="stable")
-    extra = [pa.field(name, OPTIONAL[name], nullable=True) for name in OPTIONAL if name in names]
+    extra = [pa.field(name, _OPTIONAL[name], nullable=True) for name in _OPTIONAL if name in names]
     schema = pa.schema([*DETECTIONS, *extra])
     with atomic_write(target, replace=force) as temporary, TableWriter(temporary, schema) as writer:
         writer.append({name: columns[name][order] for name in schema.names})
@@ -146,7 +148,7 @@ def _column(values: Any, name: str, path: Path) -> Any:
     """Return a column as an array of its type; NaN and None become nulls where a frame may have no detection."""
     if name == "camera":
         return np.array([str(value) for value in values], dtype=object)
-    kind = {**REQUIRED, **OPTIONAL}[name]
+    kind = {**REQUIRED, **_OPTIONAL}[name]
     try:
         numbers = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:

@@ -9,7 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd import Camera, Clock, Detector, InputError, Lens, Pose, align, read_cameras, write_cameras
+from stereophd import Camera, Clock, Detector, InputError, Lens, Pose, read_cameras, write_cameras
+from stereophd.commands.align import align
 from stereophd.core.alignment.to_track import align_to_track
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.core.metrics.truth.interpolation import Truth

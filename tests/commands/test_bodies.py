@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import io
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -13,7 +16,9 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
+from stereophd.core.multi.state.estimates import Estimates
 from stereophd.errors import InputError
+from stereophd.io.streams.rows import ArrowRows, document_of
 
 CONFIG = "configs/crowd.yaml"
 SMALL = ["simulate.duration_s=6", "simulate.walkers.count=4"]
@@ -154,3 +159,15 @@ def test_tracks_are_scored_on_the_ground_and_in_a_region(log: Path, tmp_path: Pa
 def test_places_that_cannot_be_are_refused(words: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
         evaluate("tracks.parquet", "truth.parquet", cutoff=1.0, **words)
+
+
+def test_bodies_have_their_extents_in_live_documents() -> None:
+    one = np.ones((1, 4))
+    estimates = Estimates(np.array([3]), np.ones((1, 6)), np.eye(6)[None], np.ones(1), np.array([3]), extents=1.7 * one)
+    track_of_body = document_of(0.5, "a", 2, estimates, False)["tracks"][0]
+    assert [track_of_body[name] for name in ("height", "width", "height_std", "width_std")] == [1.7] * 4
+    records = io.BytesIO()
+    rows = ArrowRows(records)
+    for shown in (estimates, replace(estimates, extents=None)):
+        rows.add(document_of(0.5, "a", 2, shown, False))
+    assert pa.ipc.open_stream(records.getvalue()).read_all()["height"].to_pylist() == [1.7, None]

@@ -9,7 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd import Camera, Detector, InputError, Lens, Pose, calibrate, make_config, read_cameras, write_log
+from stereophd import Camera, Detector, InputError, Lens, Pose, make_config, read_cameras, write_log
+from stereophd.commands.calibrate import calibrate
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.io.cameras.writing import camera_config, plain_cameras
 
@@ -81,7 +82,7 @@ def test_scale_frame_and_clock_are_those_of_the_control(cameras: list[Camera], l
     found = report["control"]
     assert report["scale"]["determined_by"] == "data"
     assert 0.5 * NOISE < found["std"] < 2.0 * NOISE
-    turn = rotation_from_vector(np.deg2rad(found["rotation_vector_deg"]))
+    turn = rotation_from_vector(np.deg2rad(found["rotation_deg"]))
     assert np.linalg.norm(rotation_to_vector(turn @ TURN.T)) < 4.0 * np.deg2rad(np.max(found["rotation_std_deg"]))
     clock = found["clock"]
     late = clock["at_s"] + clock["shift_s"] - (RATE * clock["at_s"] + SHIFT)

@@ -9,7 +9,7 @@ import pytest
 
 from stereophd.cli.app import run
 from stereophd.commands import compile
-from stereophd.core.multi import compiling
+from stereophd.core.multi import build as compiling
 from stereophd.pipeline.workers import compile_ahead
 
 

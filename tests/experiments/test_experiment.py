@@ -17,7 +17,7 @@ from stereophd.errors import InputError, StereophdError
 from stereophd.experiments.engine import work
 from stereophd.experiments.engine.base import Kind, Series, method_clock
 from stereophd.experiments.engine.parts import experiment_hash
-from stereophd.experiments.engine.plan import cases_of
+from stereophd.experiments.engine.work import cases_of
 from stereophd.experiments.kinds import multi_object
 from stereophd.io.outputs.provenance import METADATA_KEY
 from stereophd.io.outputs.saved import MARK

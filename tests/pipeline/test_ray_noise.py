@@ -15,8 +15,11 @@ from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.detectors.ray_noise import (
     BETWEEN_CAMERAS,
+    BORDERS,
     NOISE_SPREAD,
+    NOISES,
     USUAL_NOISE_PX,
+    _mixture,
     noise_from_rays,
     starting_detectors,
 )
@@ -122,3 +125,29 @@ def test_nothing_to_compare_gives_the_prior() -> None:
     assert used[0] is cameras[0]
     assert used[1].detector.sigma.tolist() == [1.0, 1.0]
     assert priors["cam1"].spread == NOISE_SPREAD
+
+
+def test_noise_of_a_crowd_between_frames_that_no_track_links() -> None:
+    """Five frames of 80 objects, whose cameras are not synchronised: one-camera tracks are mostly wrong."""
+    rng = np.random.default_rng(2)
+    cameras = cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0))
+    start = rng.uniform([-3.0, -2.0, 8.0], [3.0, 2.0, 12.0], (80, 3))
+    velocity = rng.normal(0.0, 0.02, start.shape)
+    frames = []
+    for k in range(5):
+        for c, camera in enumerate(cameras):
+            time = k / 5.0 + 0.07 * c
+            pixels = camera.project(start + velocity * time)
+            pixels = pixels[camera.contains(pixels) & (rng.random(len(pixels)) < 0.9)]
+            frames.append(Frame(time, c, k, pixels + rng.normal(0.0, 1.0, pixels.shape)))
+    found = noise_from_rays(sample_log(frames, tuple(cameras)))
+    np.testing.assert_array_less(np.abs(np.log(found.sigma_px)), np.log(2.0))
+
+
+def test_a_background_that_is_slightly_wrong_is_no_noise() -> None:
+    """A hundred thousand distances with a density that bends by a hundredth leave the noise to the prior."""
+    chance = np.diff(BORDERS) * (BORDERS[1:] < 1000.0)
+    bent = chance * (1.0 + 0.01 * np.cos(np.clip(BORDERS[1:], 0.0, 1000.0) / 300.0))
+    likelihoods, _, _ = _mixture(1e5 * bent / bent.sum(), np.zeros(len(chance)), 1e5 * chance / chance.sum(), 300)
+    large = NOISES > 30.0
+    assert np.ptp(likelihoods[large]) < 2.0

@@ -14,10 +14,10 @@ from stereophd.core.metrics.truth.registration import Registration
 def moved_camera(camera: Camera, registration: Registration) -> Camera:
     """Return a camera in the world; its pose still holds at ``pose.time_s``, now on the world's clock.
 
-    Raises ValueError for a camera on a known trajectory, which is in a world already.
+    Raises ValueError for a camera on a known trajectory, or whose pose changes from a time on.
     """
     if camera.pose.path is not None:
-        raise ValueError(f"camera {camera.name} follows a known trajectory, whose frame is the world's")
+        raise ValueError(f"camera {camera.name} follows a known trajectory, or changes its pose: its frame stays")
     at = camera.pose.at(float(registration.track_times(np.array(camera.pose.time_s))))
     pose = Pose(
         at.rotation @ registration.rotation.T,

@@ -8,7 +8,7 @@ import numpy as np
 
 from stereophd.core.alignment.start import OTHER_GAIN, OTHER_UNEXPLAINED, Curve, CurveFit, fits_to
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.metrics.errors.consistency import independent_count
+from stereophd.core.metrics.errors import independent_count
 from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS, Truth
 from stereophd.core.metrics.truth.registration import Freedom, Registration, Residuals, register, residuals
 

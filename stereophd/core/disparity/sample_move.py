@@ -48,7 +48,7 @@ def carry_components(
     region: Array,
     moved: Moved,
 ) -> None:
-    """Move the components `which` into the destination's space, with a second look at corners of what is important.
+    """Move the components `which` into the destination's space; important ones at a corner are sampled a second time.
 
     Component by component, with no state shared between them: results do not depend on how the
     components are shared out over threads. Parameters as in `stereophd.core.disparity.moments.move`;

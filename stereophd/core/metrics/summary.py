@@ -12,17 +12,25 @@ from stereophd.core.arrays import Array
 from stereophd.core.metrics.distances.hota import hota
 from stereophd.core.metrics.distances.ospa import Ospa
 from stereophd.core.metrics.distances.ospa2 import ospa2_of_windows
-from stereophd.core.metrics.errors.confirmation_delay import Waits
-from stereophd.core.metrics.errors.consistency import UNLABELLED, independent_count, nees, nees_interval, whitened
-from stereophd.core.metrics.errors.rmse import (
+from stereophd.core.metrics.errors import (
+    UNLABELLED,
+    Waits,
     cardinality_error,
     error_percentiles,
+    independent_count,
     mean_per_group,
+    nees,
+    nees_interval,
     root_mean_square,
     root_mean_square_per_group,
+    whitened,
 )
-from stereophd.core.metrics.identities.figures import clear_mot_figures, has_identities, identity_figures
-from stereophd.core.metrics.identities.idf1 import identity_score
+from stereophd.core.metrics.identities import (
+    clear_mot_figures,
+    has_identities,
+    identity_figures,
+    identity_score,
+)
 from stereophd.core.metrics.matching.identity import identity_switches
 from stereophd.core.metrics.matching.near_pairs import NearPairs
 from stereophd.core.metrics.scans import PointSets, ScanScores

@@ -120,7 +120,7 @@ class DisparityFilter(ABC):
     def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
         """Large kernels that an event needs late, the last one at the end, each with arguments of the types of a call.
 
-        They are what a second process compiles first (`stereophd.core.multi.compiling`).
+        They are what a second process compiles first (`stereophd.core.multi.build`).
         """
 
     def compile_tests(self) -> None:

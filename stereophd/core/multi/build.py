@@ -1,19 +1,30 @@
 """From settings to the filter: the module of their word (``multi/WORD/filter.py``) has it as ``FILTER``.
 
 Of a plug-in it is the module ``filter`` inside the package that holds the settings. Settings are read without compiled
-code, so that they do not know their filters.
+code, so that they do not know their filters. The kernels of a filter are compiled before its first event, by two
+processes from the two ends of a step: one finds what the other made.
 """
 
 from __future__ import annotations
 
+from functools import cache
 from importlib import import_module
 from typing import Any
 
-from stereophd.core.disparity.events import Rig
+import numba
+import numpy as np
+
+from stereophd.core.disparity.events import Event, Rig, make_rig
+from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.pose import Pose
 from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import DisparityFilter
-from stereophd.core.multi.filter_settings.common import FilterSettings
-from stereophd.core.numerics.samples import SampleSets
+from stereophd.core.multi.filter_settings import filters
+from stereophd.core.multi.filter_settings.common import BirthPrior, FilterSettings
+from stereophd.core.numerics.random_streams import COMPILED_SAMPLES_SEED
+from stereophd.core.numerics.samples import SampleSets, draw_sample_sets
 from stereophd.plugins import module_names
 
 SETTINGS = "stereophd.core.multi.filter_settings"
@@ -32,3 +43,47 @@ def make_filter(
     module: Any = import_module(f"{home}.filter")
     built: DisparityFilter = module.FILTER(rig, motion, sets, settings, threads)
     return built
+
+
+_SAMPLES = 64
+
+
+def small_filter(kind: str) -> DisparityFilter:
+    """Return a filter of a kind, with one camera: its kernels are those of any filter of this kind."""
+    detector = Detector((1.0, 1.0), 0.9, 1.0)
+    camera = Camera("camera", 640, 480, 500.0, 500.0, 320.0, 240.0, Pose(np.eye(3), np.zeros(3)), Lens(), detector)
+    motion = ConstantVelocity(1.0)
+    sets = draw_sample_sets("qmc", _SAMPLES, motion.sample_rows, np.random.SeedSequence(COMPILED_SAMPLES_SEED))
+    birth = BirthPrior(depth_range=(1.0, 10.0), velocity_std=1.0)
+    settings: Any = filters()[kind]
+    return make_filter(settings(birth=birth), make_rig((camera,), 1.0, "horizontal"), motion, sets)
+
+
+@cache
+def last_kernel(kind: str) -> Any:
+    """Return the kernel that ends a filter's update: what is kept of it tells whether the filter has been compiled.
+
+    None for the words that name no filter for many objects.
+    """
+    return small_filter(kind).last_kernels[-1][0] if kind in filters() else None
+
+
+def prepare(kind: str) -> None:
+    """Compile the kernels of a filter, in the order in which an event needs them."""
+    multi_filter = small_filter(kind)
+    state = multi_filter.init()
+    for time_s in (0.0, 1.0):
+        event = Event(time_s, 0, np.full((1, 2), 100.0), np.eye(2)[None], np.ones(1))
+        state, _, _ = multi_filter.step(state, event)
+    multi_filter.compile_tests()
+
+
+def prepare_last_first(kind: str) -> None:
+    """Compile the same kernels, those that an event needs last first."""
+    multi_filter = small_filter(kind)
+    for kernel, arguments in multi_filter.last_kernels:
+        # the form for other kernels that call it with such arguments
+        kernel.compile(tuple(map(numba.typeof, arguments)))
+    multi_filter.extract(multi_filter.init())
+    multi_filter.compile_tests()
+    prepare(kind)

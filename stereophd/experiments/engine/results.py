@@ -17,9 +17,8 @@ from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series
 from stereophd.experiments.engine.parts import PartStore, RunResult, parquet_metadata
-from stereophd.experiments.engine.plan import cases_of
 from stereophd.experiments.engine.summary import Summary, summarise, with_windows
-from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part
+from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part, cases_of
 from stereophd.io.outputs.atomic import OutputFolder, output_folder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import from_metadata, provenance, to_metadata

@@ -100,7 +100,7 @@ def _scene_bounds(loaded: LoadedConfig, number: int) -> Array:
 
 
 def _times(loaded: LoadedConfig) -> Array:
-    """Times at which the estimate is looked at: multiples of the interval, in the run."""
+    """Times at which the estimate is scored: multiples of the interval within the run."""
     assert loaded.config.simulate is not None
     every_s, duration_s = scenario_of(loaded.config, CalibrationScenario).every_s, loaded.config.simulate.duration_s
     count = math.ceil(duration_s / every_s - SAME_TIME_S) - 1

@@ -8,7 +8,7 @@ from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.disparity.events import Rig, make_rig
-from stereophd.core.metrics.errors.consistency import nees
+from stereophd.core.metrics.errors import nees
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series

@@ -132,7 +132,8 @@ def _batches(path: Path, separator: str, header: Sequence[str], columns: Mapping
     import pyarrow as pa
 
     kinds = {column: pa.string() if name == "camera" else pa.float64() for name, column in columns.items()}
-    yield from read_batches(path, separator, kinds, str(path), list(header), skip=1)
+    taken = ", ".join(f"{name} from {column}" for name, column in columns.items())
+    yield from read_batches(path, separator, kinds, f"{path} ({taken})", list(header), skip=1)
 
 
 def _split(

@@ -16,7 +16,7 @@ import numpy as np
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import PARQUET, kind_of_file
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions, Piece
-from stereophd.io.interchange.registry import find
+from stereophd.io.interchange.registry import find, recognise_cameras
 
 # Exceptions that readers raise where a file has another structure than its format. RuntimeError includes nesting that
 # is too deep; errors of the operating system are not among them.
@@ -90,3 +90,17 @@ def _malformed_is_input_error(form: str, sources: Sequence[Path]) -> Iterator[No
 
 def _listed(sources: Sequence[Path]) -> str:
     return ", ".join(map(str, sources))
+
+
+def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tuple[str, ForeignRecording] | None:
+    """Read a camera file (or folder) of another program; None where the content is of no foreign format.
+
+    Returns the name of the format and the recording. Raises InputError when it is of a foreign format, and cannot be
+    read.
+    """
+    if not path.exists():
+        return None
+    name = recognise_cameras(path)
+    if name is None:
+        return None
+    return name, read_foreign(name, [path], options or ImportOptions())

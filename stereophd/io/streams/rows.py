@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.io.streams.sources import bind
-from stereophd.io.tables.schemas import CONFIRMED, TENTATIVE
+from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, TENTATIVE
 
 STATE = ("x", "y", "z", "vx", "vy", "vz")
 ROWS = pa.schema(
@@ -27,6 +27,7 @@ ROWS = pa.schema(
         ("position_covariance", pa.list_(pa.float64(), 6)),
         ("existence", pa.float64()),
         ("status", pa.string()),
+        *((field.name, pa.float64()) for field in EXTENTS),
     ]
 )
 # Time between two repetitions of where the cameras are, s.
@@ -39,15 +40,17 @@ def document_of(time_s: float, camera: str, frame: int, estimates: Estimates, is
     """Return the document of a record: its event, and the objects then with the columns of ``tracks.parquet``.
 
     ``position_covariance`` holds the upper triangle (xx, xy, xz, yy, yz, zz) of the covariance of the position; the
-    whole covariance is in the tables. A revised document replaces the earlier one of the same camera and frame.
+    whole covariance is in the tables. Bodies have their extents too. A revised document replaces the earlier one of
+    the same camera and frame.
     """
     tracks: list[dict[str, Any]] = []
     for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
         if level is None:
             continue
         upper = level.covariances[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)].tolist()
-        columns = (level.track_ids.tolist(), level.states.tolist(), upper, level.existence.tolist())
-        for track_id, state, covariance, existence in zip(*columns, strict=True):
+        extents = [()] * len(upper) if level.extents is None else level.extents.tolist()
+        columns = (level.track_ids.tolist(), level.states.tolist(), upper, level.existence.tolist(), extents)
+        for track_id, state, covariance, existence, sizes in zip(*columns, strict=True):
             tracks.append(
                 {
                     "track_id": track_id,
@@ -55,6 +58,7 @@ def document_of(time_s: float, camera: str, frame: int, estimates: Estimates, is
                     "position_covariance": covariance,
                     "existence": existence,
                     "status": status,
+                    **dict(zip((field.name for field in EXTENTS), sizes, strict=False)),
                 }
             )
     return {"time_s": time_s, "camera": camera, "frame": frame, "revised": is_revised, "tracks": tracks}
@@ -130,7 +134,7 @@ class Publisher:
         self._socket.send(_encode(document))
 
     def tell(self, event: dict[str, Any]) -> None:
-        """See `RowSink`; that the run is ready is said again every few seconds."""
+        """See `RowSink`; where the cameras are is said again every few seconds."""
         if event["event"] == "ready":
             self._ready, self._told_s = event, time.monotonic()
         self._socket.send(_encode(event))

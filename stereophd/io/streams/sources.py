@@ -10,7 +10,7 @@ import io
 import os
 import select
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, BinaryIO, Literal, cast
 
@@ -158,13 +158,24 @@ def listen(address: str) -> Arrivals:
 
 def bind(kind: Literal["PULL", "PUB"], address: str) -> Any:
     """Return a ZeroMQ socket that is bound to an address; InputError when it cannot be, or ZeroMQ is not installed."""
+    return _socket(kind, address, lambda socket: socket.bind(address))
+
+
+def connect(address: str) -> Any:
+    """Return a ZeroMQ socket (SUB) with all that a publisher at an address sends; errors as `bind`."""
+    socket = _socket("SUB", address, lambda socket: socket.connect(address))
+    socket.subscribe("")
+    return socket
+
+
+def _socket(kind: str, address: str, join: Callable[[Any], object]) -> Any:
     try:
         import zmq
     except ImportError as error:
         raise InputError("messages over the network need pyzmq, which is not installed: pip install pyzmq") from error
     socket: Any = zmq.Context.instance().socket(getattr(zmq, kind))
     try:
-        socket.bind(address)
+        join(socket)
     except zmq.ZMQError as error:
         raise InputError(f"{address}: expected an address such as tcp://127.0.0.1:5555, found: {error}") from error
     return socket

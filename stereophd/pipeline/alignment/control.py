@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from stereophd.core.alignment.to_track import Alignment
 from stereophd.core.arrays import Array
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
 from stereophd.io.outputs.provenance import length_unit
 from stereophd.io.tables.reading import open_parquet, read_table
 from stereophd.io.tables.schemas import FLOAT
+from stereophd.pipeline.evaluation.registering import registration_report
 
 PLACE, GEOGRAPHIC = ("x", "y", "z"), ("latitude_deg", "longitude_deg", "altitude_m")
 # Fewer rows hold no motion.
@@ -84,26 +86,20 @@ def _earth_centred(geographic: Array) -> Array:
     return np.column_stack([across * np.cos(longitude), across * np.sin(longitude), along])
 
 
-def alignment_report(found: Any, unit: str) -> dict[str, Any]:
-    """Return what an `Alignment` states, with its standard deviations, for ``report.json``."""
-    from stereophd.core.geometry.pose import rotation_to_vector
-
-    registration, std = found.registration, found.std
+def alignment_report(found: Alignment, unit: str) -> dict[str, Any]:
+    """Return what an alignment states, with its standard deviations, for ``report.json``."""
+    std, registered = found.std, registration_report(found.registration) or {}
+    clock = {**registered["clock"], "shift_std_s": float(std[7]), "rate_std": float(std[8])}
     out: dict[str, Any] = {
+        **registered,
         "length_unit": unit,
-        "scale": registration.scale,
-        "scale_std": registration.scale * float(std[6]),
-        "rotation_vector_deg": np.rad2deg(rotation_to_vector(registration.rotation)).tolist(),
+        "scale_std": found.registration.scale * float(std[6]),
         "rotation_std_deg": np.rad2deg(std[:3]).tolist(),
-        "translation": registration.translation.tolist(),
         "translation_std": std[3:6].tolist(),
         "translation_std_at": found.center.tolist(),
-        "clock": {
-            "at_s": registration.at_s, "shift_s": registration.shift_s, "shift_std_s": float(std[7]),
-            "rate": registration.rate, "rate_std": float(std[8]),
-        },
+        "clock": clock,
         "tracks": found.members.tolist(),
-    }  # fmt: skip
+    }
     if len(found.distances):
         median, p90 = np.quantile(found.distances, [0.5, 0.9]).tolist()
         out["residual"] = {"median": median, "p90": p90, "n": len(found.distances)}

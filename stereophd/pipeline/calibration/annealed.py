@@ -184,7 +184,7 @@ def _result_report(result: Calibrated, best: Start) -> dict[str, Any]:
 
 
 def _statements(result: Calibrated) -> list[dict[str, Any]]:
-    """What the data say of each statement: the offset that fits, its evidence, and how far it moves tracks."""
+    """The evidence against each configured value: the offset that fits, and how far it moves tracks."""
     return [
         {
             "unknowns": {

@@ -1,4 +1,4 @@
-"""Cameras of which nothing is known: found from the tracks, and made the prior means that `calibrate` starts from.
+"""Cameras without a known pose: found from the tracks, as the prior means that `calibrate` starts from.
 
 Where a pose or a clock is `unknown`, `stereophd.core.calibration.discovery` finds the cameras first. What it finds
 replaces the unknown values of the configuration, with priors about them; the methods of `calibrate` then run as from a

@@ -27,7 +27,9 @@ from stereophd.pipeline.tracking.loop import FORGET_EVERY, run_estimator
 
 # Frames of a log that are looked at, stretches of it that a filter runs over, events and detections of them all: more
 # add little, and the time stays bounded for logs of any length.
-MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 2400, 12_000
+MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 1500, 12_000
+# Frames of each camera in a stretch, at least: in fewer no track is settled.
+LEAST_FRAMES = 10
 # Passes end when no value changes by more than this share (probabilities of detection: of the misses) or this part
 # of its standard error.
 MOST_PASSES = 5
@@ -126,10 +128,12 @@ def stretches(stream: EventStream) -> list[EventStream]:
     frames = list(islice(stream.frames, MOST_FRAMES))
     detections = sum(len(frame.pixels) for frame in frames)
     most = int(min(MOST_EVENTS, len(frames) * MOST_DETECTIONS / max(detections, 1)))
-    if len(frames) <= most or most < STRETCHES:
+    least = LEAST_FRAMES * len(stream.cameras)
+    count = min(max(most // least, 1), STRETCHES)
+    length = max(most // count, least)
+    if count * length >= len(frames):
         return [EventStream(stream.cameras, frames)]
-    length = most // STRETCHES
-    starts = np.linspace(0, len(frames) - length, STRETCHES).astype(int)
+    starts = np.linspace(0, len(frames) - length, count).astype(int)
     return [EventStream(stream.cameras, frames[start : start + length]) for start in starts.tolist()]
 
 

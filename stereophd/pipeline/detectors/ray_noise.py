@@ -87,7 +87,7 @@ class RayNoise:
 
 @dataclass(frozen=True)
 class _PairEvidence:
-    """What one pair of cameras says of the standard deviation of the distances between rays of one object."""
+    """The evidence of one pair of cameras about the standard deviation of distances between rays of one object."""
 
     cameras: tuple[int, int]
     shares: Array  # (2,): of that variance, by the squared noise of either camera

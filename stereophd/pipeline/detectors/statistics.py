@@ -85,7 +85,7 @@ class DetectorSums:
 
 @dataclass(frozen=True)
 class NoisePrior:
-    """What is known of the noise of a detector without tracks: log-normal."""
+    """Prior of the noise of a detector, before there are tracks: log-normal."""
 
     sigma_px: Array  # (2,): median along u and v
     spread: float  # standard deviation of the logarithm

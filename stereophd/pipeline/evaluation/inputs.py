@@ -50,6 +50,13 @@ class Tracks:
     length_unit: str | None  # Unit that the file names
     cameras_part: Array | None = None  # (n, 3, 3) array: The part of the covariance that comes from uncertain cameras
 
+    def confirmed_rows(self) -> tuple[Array, Integers]:
+        """Return times (k,), in order, and rows (k,) of the confirmed estimates."""
+        counts = self.events.row_end - self.events.row_start
+        rows = np.arange(int(counts.sum())) + np.repeat(self.events.row_start - (np.cumsum(counts) - counts), counts)
+        used = self.confirmed[rows]
+        return np.repeat(self.events.time_s, counts)[used], rows[used]
+
 
 def read_tracks(path: Path) -> Tracks:
     """Read ``tracks.parquet`` and, where it is there, ``scans.parquet`` beside it.

@@ -30,12 +30,8 @@ def registration_of(
     freedom = Freedom(options.align != "none", options.align == "similarity", options.align_clock)
     if not len(freedom.columns):
         return None
-    events = tracks.events
-    counts = events.row_end - events.row_start
-    starts = np.cumsum(counts) - counts
-    rows = np.arange(int(counts.sum())) + np.repeat(events.row_start - starts, counts)
-    time_s = np.repeat(events.time_s, counts)
-    used = tracks.confirmed[rows] & in_window(time_s, options.from_s, options.to_s)
+    time_s, rows = tracks.confirmed_rows()
+    used = in_window(time_s, options.from_s, options.to_s)
     try:
         found = register(time_s[used], tracks.position[rows[used]], truth, max_gap_s, freedom)
     except ValueError as error:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
-from stereophd.core.metrics.errors.confirmation_delay import FirstReports, first_reports, waits
+from stereophd.core.metrics.errors import FirstReports, first_reports, waits
 from stereophd.core.metrics.matching.assignment import is_positive_definite
 from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
 from stereophd.core.metrics.matching.near_pairs import near_pairs

@@ -63,7 +63,7 @@ class AccelerationEstimate:
 def estimate_acceleration(
     loaded: LoadedConfig, cameras: tuple[Camera, ...], parts: Sequence[Sequence[Event]], start: float
 ) -> AccelerationEstimate:
-    """Return the acceleration of the objects, from stretches of a log and a value to begin with, length/s^2.
+    """Return the acceleration of the objects, length/s^2, from stretches of a log and a starting value.
 
     The configuration has a filter for many objects; its own acceleration does not count. The cameras are those of the
     events, with their detectors.

@@ -22,8 +22,9 @@ CERTAIN = 0.05
 LEAST_ESTIMATES, LEAST_SHARE, LEAST_TOTAL = 20, 0.3, 12
 # Pixels of each image side and depths (over the distance between cameras) at which it is asked what two cameras see.
 VIEW_PIXELS, VIEW_DEPTHS = 5, np.geomspace(0.02, 50.0, 60)
-# Share of a stretch after which a track that begins is a new object.
-STARTED = 0.15
+# Share of a stretch after which a track that begins is a new object, and frames of a camera that pass in any case: so
+# many may miss an object that was there.
+STARTED, SETTLED_FRAMES = 0.15, 5
 
 
 @dataclass(frozen=True)
@@ -55,12 +56,13 @@ def measure_with_filter(
         tracks = _tracks(estimator, part, centers, min(LEAST_ESTIMATES, int(np.ceil(LEAST_SHARE * len(part)))))
         begin, end = part[0].time_s, part[-1].time_s
         duration += end - begin
+        settling = max(STARTED, SETTLED_FRAMES * len(cameras) / len(part)) * (end - begin)
         for states, times in tracks:
             counted.append(len(states))
             depths.append(_depths(states[:, :3], cameras))
             speeds.append(states[:, 3:])
-            births += bool(times[0] > begin + STARTED * (end - begin))
-            deaths += bool(times[-1] < end - STARTED * (end - begin))
+            births += bool(times[0] > begin + settling)
+            deaths += bool(times[-1] < end - settling)
             seen += float(times[-1] - times[0])
     if sum(counted) < LEAST_TOTAL or not sum(map(len, depths)):
         return None

@@ -55,6 +55,11 @@ class RewindingRun:
         self._forget()
         return new
 
+    @property
+    def knocks(self) -> KnockTest:
+        """The test for cameras that were knocked, after the last event."""
+        return self._run.knocks
+
     def go_on(self, estimator: Estimator[Any]) -> None:
         """Go on with an estimator whose cameras have other poses; cameras may be knocked again."""
         self._estimator = estimator

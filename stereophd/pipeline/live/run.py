@@ -14,10 +14,9 @@ from typing import Any
 import numpy as np
 
 from stereophd.config.tracking import LiveConfig
-from stereophd.core.arrays import Integers
 from stereophd.core.disparity.events import make_event
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.multi.compiling import prepare
+from stereophd.core.multi.build import prepare
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.numerics.random_streams import WARM_UP_SEED
 from stereophd.io.logs.reading import Frame
@@ -33,6 +32,7 @@ WARM_UP_FRAMES, WARM_UP_INTERVAL_S, WARM_UP_DETECTIONS = 20, 0.02, 4
 WARM_UP_BOX_PX = 50.0
 # Classes of latencies: to 10 s.
 LATENCY_STEP_S, LATENCY_STEPS = 1e-4, 100_000
+PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 
 
 @dataclass(frozen=True)
@@ -44,27 +44,37 @@ class LiveRecord:
     arrived_s: float  # When the frame came that made it (`time.perf_counter`)
 
 
+class Histogram:
+    """Numbers of durations, in steps of `LATENCY_STEP_S`: memory does not grow with them."""
+
+    def __init__(self) -> None:
+        self._counts = np.zeros(LATENCY_STEPS, dtype=np.int64)
+
+    def add(self, duration_s: float) -> None:
+        """Count a duration."""
+        self._counts[min(int(duration_s / LATENCY_STEP_S), LATENCY_STEPS - 1)] += 1
+
+    def percentiles_ms(self) -> dict[str, float]:
+        """Return `PERCENTILES` of the durations by name, ms, rounded up to a step; NaN without durations."""
+        total = self._counts.sum()
+        places = np.searchsorted(np.cumsum(self._counts), np.ceil(total * np.asarray(PERCENTILES) / 100.0))
+        values = [1e3 * LATENCY_STEP_S * (place + 1) if total else math.nan for place in places.tolist()]
+        return {f"p{p:g}": value for p, value in zip(PERCENTILES, values, strict=True)}
+
+
 @dataclass
 class LiveCounts:
     """What happened to the frames of a run so far."""
 
     late: int = 0  # Frames that took the filter back
     revised: int = 0  # Events that were worked again
-    # Frames by the time from their arrival to their row, in steps of `LATENCY_STEP_S`; memory does not grow with them.
-    latencies: Integers = field(default_factory=lambda: np.zeros(LATENCY_STEPS, dtype=np.int64))
+    latency: Histogram = field(default_factory=Histogram)  # From the arrival of a frame to its row
+    processor: Histogram = field(default_factory=Histogram)  # Processor time from one row to the next
 
-    def add_latency(self, arrived_s: float) -> None:
+    def add_row(self, arrived_s: float, processor_s: float) -> None:
         """Count a frame whose row is written now."""
-        step = int((time.perf_counter() - arrived_s) / LATENCY_STEP_S)
-        self.latencies[min(step, LATENCY_STEPS - 1)] += 1
-
-    def latency_percentiles_ms(self, percentiles: Sequence[float]) -> list[float]:
-        """Return percentiles of the latencies, ms, rounded up to a step; NaN without frames."""
-        total = self.latencies.sum()
-        if not total:
-            return [math.nan] * len(percentiles)
-        places = np.searchsorted(np.cumsum(self.latencies), np.ceil(total * np.asarray(percentiles) / 100.0))
-        return [1e3 * LATENCY_STEP_S * (place + 1) for place in places.tolist()]
+        self.latency.add(time.perf_counter() - arrived_s)
+        self.processor.add(processor_s)
 
 
 class LiveRun:
@@ -85,6 +95,11 @@ class LiveRun:
         self._waiting: list[tuple[float, int, int, Frame, float]] = []
         self._newest = np.full(len(self._cameras), -np.inf)
         self._passed_over: set[int] = set()
+
+    @property
+    def residuals(self) -> dict[str, float]:
+        """Residuals of each camera in the deviations that its noise and the tracks lead to expect, at least 1."""
+        return {name: math.sqrt(looks.spread) for name, looks in self._run.knocks.cameras.items()}
 
     def pass_over(self, name: str) -> None:
         """Track no more frames of a camera, for the present."""

@@ -33,6 +33,8 @@ from stereophd.core.two_views.turns import all_turns, turn_ratios
 FALSE_ALARM_S = 864_000.0
 # Shortest time between two looks at a camera, s; tracks of a look, the most certain ones; the fewest that must agree.
 LOOK_S, MOST_TRACKS, FEWEST_TRACKS = 0.1, 10, 2
+# Pairs of a track and a detection of a look: in a crowd fewer tracks are predicted.
+MOST_PAIRS = 20_000
 # Age from which a track counts, s: a new one may be wrong.
 LEAST_AGE_S = 1.0
 # Tracks that were not looked at for this long count no more, s.
@@ -117,7 +119,8 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     predicted = _predict(camera, before, event.time_s - since_s)
     if predicted is None:
         return test, None
-    ids, points, covariances = predicted
+    most_known = max(MOST_TRACKS, MOST_PAIRS // len(event.points))
+    ids, points, covariances = predicted[0][:most_known], predicted[1][:most_known], predicted[2][:most_known]
     noise = covariances + event.covariances.mean(axis=0)
     residuals = event.points[None] - points[:, None]
     squares = np.einsum("nmi,nij,nmj->nm", residuals, np.linalg.inv(noise), residuals)

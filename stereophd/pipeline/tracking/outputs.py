@@ -107,7 +107,7 @@ class RecordWriter:
         if self._uncertainty is None:
             return _columns(estimates, self._report.std_columns)
         moves = self._uncertainty.moves(np.full(len(estimates.states), time_s), estimates.states, estimates.covariances)
-        sums = CommonPart.of(estimates.states[:, :3], moves, self._uncertainty.covariance)
+        sums = CommonPart.of(estimates.states[:, :3], moves @ self._uncertainty.root)
         before = self._writing.cameras_part
         self._writing.cameras_part = sums if before is None else before.joined(sums)
         added = self._uncertainty.added(moves)

@@ -109,7 +109,7 @@ def smoothed_records(
 
 
 def _names(continued: dict[int, int]) -> Callable[[int], int]:
-    """Return what gives the name of a track: that of the first one that it continues."""
+    """Return a function that names a track: the name of the first track that it continues."""
 
     def name(track_id: int) -> int:
         while track_id in continued:

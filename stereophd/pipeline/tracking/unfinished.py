@@ -191,7 +191,7 @@ class UnfinishedTracking:
         return lasting.records(records)
 
     def _state(self, run: RunState[Any]) -> TrackingState[Any]:
-        """Return what is to be kept of a run; what it has written is on the disk then."""
+        """Return the state of a run to keep, after flushing what it has written to the disk."""
         if self._records is not None:
             lengths = {RECORDS: self._records.flush()}
         else:

@@ -25,7 +25,7 @@ def compiling_ahead(kind: str) -> Iterator[bool]:
 
     Yields whether there is such a process: not if the kernels are kept already or cannot be, or there is one core.
     """
-    from stereophd.core.multi.compiling import last_kernel
+    from stereophd.core.multi.build import last_kernel
 
     kernel = last_kernel(kind)
     if kernel is None or is_kept(kernel) or place_to_keep() is None or _cores() < 2:
@@ -58,7 +58,7 @@ def main(kind: str, parent: int) -> None:
     """Compile the kernels of a filter, last ones first; end when the process `parent` is gone."""
     import signal
 
-    from stereophd.core.multi.compiling import prepare_last_first
+    from stereophd.core.multi.build import prepare_last_first
     from stereophd.pipeline.workers.worker_process import end_with
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to both, and the run ends this process

@@ -1,4 +1,4 @@
-"""A process that does calls for the one that started it: pickles over its standard input and output."""
+"""A worker process: it receives calls as pickles on standard input, and answers on standard output."""
 
 from __future__ import annotations
 

@@ -86,6 +86,7 @@ def comparison(runs: Sequence[Run]) -> SummaryTable:
 _FIGURES = (
     "command", "seed", "filter", "tracks", "estimates", "detections", "explained", "residual", "log-likelihood",
     "warnings", "OSPA", "GOSPA", "position error, RMSE", "identity switches", "consistency (NEES of position)",
+    "NEES without uncertain cameras", "uncertain cameras: common move, other move",
 )  # fmt: skip
 
 
@@ -112,6 +113,9 @@ def _figures(run: Run) -> Iterator[str | None]:
     yield f"{number(score['rmse']['position'])} {unit}" if score else None
     yield str(score["identity_switches"]) if score and score["identity_switches"] is not None else None
     yield number(score["nees"]["position"]) if score else None
+    yield number(score["nees"]["without_cameras"]) if score and "without_cameras" in score["nees"] else None
+    part = tracking.get("cameras_part")
+    yield f"{number(part['common_std'])}, {number(part['other_std'])} {unit}" if part else None
 
 
 def _details(run: Run, index: int) -> str:

@@ -124,7 +124,7 @@ def _vary_with_time(results: Results, quantities: Sequence[str]) -> bool:
 
 
 def _groups(results: Results, over: str | None) -> dict[str, list[Cell]]:
-    """Return the cells of every column of panels: cases that differ along other axes than that of the figure."""
+    """Return the cells of every column of panels: cases that differ along an axis which the figure does not show."""
     axes = list(results.config.cases)
     groups: dict[str, list[Cell]] = {}
     for cell in results.cells:

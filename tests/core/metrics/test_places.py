@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereophd.core.metrics.identities.figures import clear_mot_figures
+from stereophd.core.metrics.identities import clear_mot_figures
 from stereophd.core.metrics.matching.clear_mot import match_within
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import pair_errors

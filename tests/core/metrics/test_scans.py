@@ -7,10 +7,12 @@ import pytest
 
 from stereophd.core.metrics import scans as scans_module
 from stereophd.core.metrics.distances.ospa import gospa, ospa
-from stereophd.core.metrics.errors.consistency import independent_count, nees, nees_interval
-from stereophd.core.metrics.errors.rmse import (
+from stereophd.core.metrics.errors import (
     cardinality_error,
     error_percentiles,
+    independent_count,
+    nees,
+    nees_interval,
     root_mean_square,
     root_mean_square_per_group,
 )

@@ -12,8 +12,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.two_views.epipolar import essential_matrices, ray_distances, sampson_distances
-from stereophd.core.two_views.meeting import nearest_depths
+from stereophd.core.two_views.epipolar import essential_matrices, nearest_depths, ray_distances, sampson_distances
 from stereophd.core.two_views.track_rays import Rays
 
 ROWS = 12

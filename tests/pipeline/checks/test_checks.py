@@ -81,6 +81,31 @@ def test_one_camera_tracks_hold_the_objects(samples: list[CameraSample]) -> None
         assert sample.noise_px == pytest.approx(1.0, abs=0.4)
 
 
+def test_noise_is_told_from_acceleration() -> None:
+    """White acceleration of 20 px at a step, integrated twice, and a noise of 1 px."""
+    rng = np.random.default_rng(1)
+    frames, noise = 400, 1.0
+    steps = rng.normal(0.0, 20.0, (frames, 2))
+    place = np.array([400.0, 300.0]) + np.cumsum(np.cumsum(steps, axis=0) / 8.0, axis=0) / 8.0
+    place = 400.0 + (place - place.mean(axis=0)) * 200.0 / np.abs(place - place.mean(axis=0)).max()
+    pixels = place + rng.normal(0.0, noise, (frames, 2))
+    sample = sample_log([Frame(k / RATE, 0, k, pixels[k : k + 1]) for k in range(frames)], CAMERAS[:1])[0]
+    assert sample.noise_px == pytest.approx(noise, rel=0.3)
+
+
+@pytest.mark.parametrize(
+    ("scale", "warned"), [((1.0, 1.0), False), ((0.5, 0.5), True), ((2.0, 2.0), True), ((1.6, 0.9), False)]
+)
+def test_a_principal_point_of_another_resolution_is_scaled_alike(
+    samples: list[CameraSample], scale: tuple[float, float], warned: bool
+) -> None:
+    """The principal point of a long lens, or of an image that was cut, may be anywhere."""
+    camera = samples[0].camera
+    wrong = _with(samples[:1], replace(camera, cx=scale[0] * camera.cx, cy=scale[1] * camera.cy))
+    causes = {found.cause for found in check_files(wrong) if found.status == "warning"}
+    assert ("principal_point_resolution" in causes) == warned
+
+
 MISTAKES = {
     "rotation_transposed": lambda c: _turned(c, c.pose.rotation.T),
     "center_is_translation": lambda c: _turned(c, c.pose.rotation, -c.pose.rotation @ c.pose.center),

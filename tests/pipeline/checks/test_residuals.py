@@ -14,9 +14,9 @@ from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, distances, signed_distances
 from stereophd.pipeline.checks.log.sample import sample_log
-from stereophd.pipeline.checks.residuals.causes import _fit
-from stereophd.pipeline.checks.residuals.findings import check_residuals
-from stereophd.pipeline.checks.residuals.partners import Partners
+from stereophd.pipeline.checks.residuals.causes import POSE_EXPLAINED, CauseFit, PairFits, _fit, _fit_all
+from stereophd.pipeline.checks.residuals.findings import _warning, check_residuals
+from stereophd.pipeline.checks.residuals.partners import Partners, _nearest_of_frame
 
 FRAMES, RATE, OBJECTS = 90, 12.0, 4
 READOUT_S = 0.04
@@ -129,3 +129,38 @@ def test_errors_follow_from_the_spread_between_tracks() -> None:
         values.append(fit.value / fit.error)
     # by the number of detections the spread would be sqrt(30) = 5.5; a few tracks underestimate it somewhat
     assert 0.8 < np.std(values) < 2.0
+
+
+def _partners(tracks: np.ndarray, distance: np.ndarray) -> Partners:
+    empty = np.zeros((len(tracks), 2))
+    return Partners(0, 1, empty, empty, empty, distance, tracks)
+
+
+@pytest.mark.parametrize(("everywhere", "explained"), [(True, True), (False, False)])
+def test_a_cause_of_several_numbers_predicts_what_it_explains(everywhere: bool, explained: bool) -> None:
+    """Two objects that pass each other's epipolar line once are smooth too, but for a while only."""
+    rng = np.random.default_rng(3)
+    design = rng.normal(size=(400, 6))
+    smooth = design @ [2.0, -1.0, 1.0, 0.5, 0.0, 1.0]
+    if not everywhere:
+        smooth[100:] = 0.0
+    found = _fit_all(_partners(np.arange(400) // 20, smooth + rng.normal(size=400)), design)
+    assert (found.explained >= POSE_EXPLAINED) == explained
+
+
+def test_clocks_that_contradict_each_other_are_no_finding() -> None:
+    """A remedy that changes nothing is none: every pair wants a shift, and no clock can give it to all of them."""
+    clock = CauseFit(0.05, 0.001, 0.6, 2.0)
+    none = CauseFit(0.0, 0.01, 0.0, 0.0)
+    pairs = [(0, 1), (1, 2), (2, 0)]  # each later than the one before, in a circle
+    empty = np.zeros((10, 2))
+    partners = [Partners(a, b, empty, empty, empty, np.zeros(10), np.zeros(10, dtype=np.int64)) for a, b in pairs]
+    together = [(pair, PairFits(clock, none, none, none)) for pair in partners]
+    samples = sample_log([Frame(0.0, c, 0, np.zeros((1, 2))) for c in range(3)], CAMERAS)
+    assert _warning(samples, together, together, {"clock"}) is None
+
+
+def test_a_partner_belongs_to_the_nearest_detection_of_a_frame() -> None:
+    frames, others = np.array([0, 0, 0, 1, 1]), np.array([7, 7, 8, 7, 9])
+    kept = _nearest_of_frame(frames, others, np.array([2.0, 1.0, 3.0, 5.0, 5.0]))
+    assert kept.tolist() == [False, True, True, True, True]

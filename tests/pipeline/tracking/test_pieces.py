@@ -22,7 +22,7 @@ from stereophd.pipeline.tracking import pieces
 from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces
 from tests.commands.test_batches import SCENE
 
-from .test_checkpoint import Killed, files
+from .test_unfinished import Killed, files
 
 pytestmark = pytest.mark.usefixtures("without_checks")
 

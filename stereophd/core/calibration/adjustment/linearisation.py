@@ -204,7 +204,7 @@ class Linearisation:
         return errors, visible, by_point, by_value
 
     def of_values(self, by_value: Array) -> Array:
-        """Sums (m,) of what detections say of the values of their cameras (n, q)."""
+        """Sums (m,) over detections of their contributions (n, q) to the values of their cameras."""
         out = np.zeros(self.problem.parameters.size)
         for columns, here in zip(self.columns, self.members, strict=True):
             used = columns >= 0
@@ -212,7 +212,7 @@ class Linearisation:
         return out
 
     def of_states(self, path: Interpolation, by_point: Array) -> Array:
-        """Sums (6 k,) of what detections say of their points (n, 3), over the knots."""
+        """Sums (6 k,) over the knots of the contributions (n, 3) of detections to their points."""
         size = self.problem.knots.size
         out = np.zeros(size + 6)  # the last knot of all has none after it
         for b in range(4):

@@ -1,4 +1,4 @@
-"""A detection log as it was recorded, and the events that cameras make of it.
+"""A detection log as recorded, and its events for given cameras.
 
 Raw pixels and times on the cameras' own clocks are kept, so that lenses and clocks can be unknown: other cameras
 make other events of the same recording.
@@ -114,7 +114,7 @@ class Recording:
 
 @dataclass(frozen=True)
 class Scans:
-    """The events that cameras make of a recording, and their detections in one array."""
+    """The events of a recording for given cameras, and their detections in one array."""
 
     events: tuple[Event, ...]  # In order of true time, ties in the order of the cameras
     # `times`, `cameras`: arrays (e,): True times, s, and indices of the cameras of the events.

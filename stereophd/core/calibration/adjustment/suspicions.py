@@ -38,7 +38,7 @@ LARGEST_LOG_ODDS = 700.0
 
 @dataclass(frozen=True)
 class Suspicion:
-    """A statement, and what the data say of it."""
+    """A configured value, and the evidence of the data against it."""
 
     group: HeldGroup
     # `values`, `stds`: arrays (k,): Offsets from what is stated that fit, and their posterior standard deviations.

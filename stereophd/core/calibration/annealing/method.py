@@ -40,17 +40,17 @@ from stereophd.core.numerics.random_streams import NOISE_SEED
 
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 25
-# Most times that the answer is stated anew under a better model.
+# Largest number of refits under a better model.
 MOST_ROUNDS = 12
 # Factor on a noise that hides itself, and how often.
 LOOSENED, MOST_LOOSENED = 4.0, 2
 # A refit with other noise or other unknowns keeps at least this part of the detections, or the association stays.
 LEAST_KEPT = 0.8
-# What may be given up of what is stated: nothing, lenses that are stated as none, everything.
+# Which configured values may be freed: none, lenses that are configured as none, all.
 AS_STATED, LENSES, FREE = "as_stated", "lenses", "free"
 # An answer whose expected move by what is held exceeds this many of its own standard deviations is not determined.
 LARGEST_MOVE = 1.0
-# A value so many standard deviations from its own prior is said, and noise or deviations that change by this factor.
+# A value this many standard deviations from its prior is reported, and noise or deviations that change by this factor.
 FAR_FROM_PRIOR, SAID_FACTOR = 3.0, 1.5
 # An answer whose stated deviations are widened by more than this is not determined.
 LARGEST_WIDENING = 3.0
@@ -355,7 +355,7 @@ def with_independent_errors(task: Task, fit: Fit) -> Fit:
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     """Return the posterior over time: joint optima of the log so far, and the result as the last row.
 
-    Integrating the trajectories out each time takes too long.
+    Marginalising the trajectories at every time would take too long.
     """
     times = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:]
     rows = [

@@ -18,7 +18,7 @@ from stereophd.core.calibration.discovery.essential import essential_of, poses_o
 from stereophd.core.calibration.discovery.pair_search import Hypothesis, common_pieces, log_gains, total_gain
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
-from stereophd.core.two_views.meeting import nearest_depths
+from stereophd.core.two_views.epipolar import nearest_depths
 
 # Tolerances, px, and Gauss-Newton steps at each; the first ones alone rank the hypotheses.
 TOLERANCES, QUICK, STEPS = (40.0, 20.0, 10.0, 5.0, 2.5, 1.25), 3, 10
@@ -40,7 +40,7 @@ STEP, VELOCITY_FRAMES = 1e-6, 1.0
 
 @dataclass(frozen=True)
 class PairPrior:
-    """What is known of two cameras besides their tracks: prior deviations, 0 of what is known."""
+    """Prior knowledge about two cameras: standard deviations, 0 for what is known exactly."""
 
     offset_is_known: bool
     rate_std: float
@@ -120,7 +120,7 @@ def straightened(slopes: Array, coefficient: float) -> Array:
 
 @dataclass(frozen=True)
 class PairProblem:
-    """The tracks of two cameras and what is known of them."""
+    """The tracks of two cameras, and the prior knowledge about the cameras."""
 
     found: SlopeTracks
     cameras: tuple[int, int]
@@ -192,7 +192,7 @@ class PairProblem:
         return np.asarray((b * line_b).sum(axis=1) / np.sqrt(np.maximum(variance, 1e-300)))
 
     def _paired(self, state: PairState, tolerance: float) -> _Paired:
-        """Pair tracks at a state: those of which one is the other's best partner."""
+        """Pair tracks at a state: those that are each other's best partner."""
         rows = self._rows(state)
         a, b = (self.found.of_camera(number) for number in self.cameras)
         shape = (len(a), len(b))
@@ -276,7 +276,7 @@ class PairProblem:
         return distances, jacobian
 
     def _judged(self, state: PairState, paired: _Paired, covariance: Array, tolerance: float) -> PairFit:
-        """Choose the pose of the most points in front of both cameras, and say how well the tracks fit."""
+        """Choose the pose with the most points in front of both cameras, and return how well the tracks fit it."""
         rows = paired.rows
         a, b = state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)
         distances = np.abs(self._distances(state, rows, rows.slopes_b))

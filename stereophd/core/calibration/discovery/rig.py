@@ -32,7 +32,7 @@ LOOP_ANGLE = np.deg2rad(6.0)
 
 @dataclass(frozen=True)
 class View:
-    """What is known of a camera whose pose is not: its intrinsics, lens and clock are those of the prior mean."""
+    """A camera of unknown pose: its intrinsics, lens and clock are those of the prior mean."""
 
     camera: Camera
     focal_std: float  # relative; 0 if known

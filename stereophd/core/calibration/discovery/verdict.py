@@ -74,7 +74,7 @@ def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool) -
 
 
 def _second_optimum(pair: PairResult, two: str) -> str:
-    """Say how the next optimum of two cameras differs."""
+    """Return a sentence: how the second-best pose of two cameras differs from the best."""
     best, other = pair.best, next(fit for fit in pair.fits[1:] if fit.front >= LEAST_FRONT)
     turn, _ = distance_of(best.state, other.state)
     apart = other.state.offset_s - best.state.offset_s

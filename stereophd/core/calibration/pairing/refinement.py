@@ -16,8 +16,7 @@ from stereophd.core.calibration.pairing.choice import Pairing, choose_pairs, pai
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import MOVES
-from stereophd.core.two_views.epipolar import ray_distances
-from stereophd.core.two_views.meeting import nearest_depths
+from stereophd.core.two_views.epipolar import nearest_depths, ray_distances
 from stereophd.core.two_views.track_rays import ray_poses
 
 # Tolerances in units of the noise of the distance, step by step.
@@ -187,7 +186,7 @@ def _meeting(parameters: ParameterSet, pairs: TrackPairs, values: Array, rows: I
 
 
 def behind(parameters: ParameterSet, pairs: TrackPairs, values: Array) -> Booleans:
-    """Pairs (p,) of which most rays meet behind a camera. Rays that are nearly parallel may meet anywhere."""
+    """Pairs (p,) most of whose rays meet behind a camera. Rays that are nearly parallel may meet anywhere."""
     met = _meeting(parameters, pairs, values, np.arange(len(pairs.pair)))
     wrong = met.seen & (met.depths.min(axis=1) < 0.0) & (met.sines > PARALLEL)
     count = np.bincount(pairs.pair, weights=met.seen, minlength=len(pairs.cameras))

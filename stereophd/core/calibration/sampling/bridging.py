@@ -107,7 +107,7 @@ AfterStep = Callable[[BridgeState, Sequence[BridgeInfo]], None]
 
 
 class DensityPath(Protocol):
-    """Densities that lead from one that can be drawn from to the one that is wanted."""
+    """A sequence of densities, from one that can be sampled to the target."""
 
     @property
     def particles(self) -> Sequence[int]:

@@ -15,6 +15,7 @@ to navigation problems", 1966, for parameters that are considered but not estima
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import loo
 from stereophd.core.geometry.rotations import cross_matrices
 
 # Sweeps in which the weights are found, and the part of the information of a track that is taken as not of its rays.
-SWEEPS, OTHER = 30, 1e-2
+SWEEPS, OTHER = 15, 1e-2
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,12 @@ class CameraUncertainty:
 
     parameters: ParameterSet  # About the cameras
     covariance: Array
+
+    @cached_property
+    def root(self) -> Array:
+        """Return a root (m, m) of the covariance."""
+        eigenvalues, vectors = np.linalg.eigh(self.covariance)
+        return np.asarray(vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))
 
     def moves(self, times: Array, states: Array, covariances: Array) -> Array:
         """Derivatives (n, 3, m) of the positions of estimates at times (n,), s, by the values.
@@ -63,8 +70,8 @@ class CameraUncertainty:
 
     def added(self, moves: Array) -> Array:
         """Covariances (n, 6, 6) that uncertain cameras add to estimates that move so (n, 3, m): of positions alone."""
-        out = np.zeros((len(moves), 6, 6))
-        out[:, :3, :3] = moves @ self.covariance @ np.swapaxes(moves, 1, 2)
+        out, shifts = np.zeros((len(moves), 6, 6)), moves @ self.root
+        out[:, :3, :3] = shifts @ np.swapaxes(shifts, 1, 2)
         return out
 
 
@@ -91,10 +98,8 @@ class CommonPart:
     total: float  # Sum of the squared moves
 
     @staticmethod
-    def of(positions: Array, moves: Array, covariance: Array) -> CommonPart:
-        """Return the sums of estimates at positions (n, 3) that move so (n, 3, m)."""
-        eigenvalues, vectors = np.linalg.eigh(covariance)
-        shifts = moves @ (vectors * np.sqrt(np.maximum(eigenvalues, 0.0)))
+    def of(positions: Array, shifts: Array) -> CommonPart:
+        """Return the sums of estimates at positions (n, 3) that move by the columns of a root so (n, 3, m)."""
         basis = np.concatenate(
             [np.broadcast_to(np.eye(3), (len(positions), 3, 3)), -cross_matrices(positions), positions[:, :, None]],
             axis=2,

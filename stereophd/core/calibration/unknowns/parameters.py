@@ -163,7 +163,7 @@ class ParameterSet:
         )
 
     def guess(self, values: ArrayLike) -> tuple[Camera, ...]:
-        """Return the prior-mean cameras from which values (m,) lead to the cameras of this set.
+        """Return the prior-mean cameras that the values (m,) turn into the cameras of this set.
 
         With values drawn from the prior the cameras of this set are a draw from the prior about the guess.
         """

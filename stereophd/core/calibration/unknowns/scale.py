@@ -1,4 +1,4 @@
-"""The scale of a scene: what of it is free, and what is known of it.
+"""The scale of a scene: which part of it is free, and the knowledge that fixes it.
 
 Moving every camera and object away from the reference camera by a common factor changes no pixel. The size
 of a scene is measured here by the root mean square distance of the cameras from the reference,

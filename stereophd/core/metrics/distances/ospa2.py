@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.distances.ospa import Ospa, check_parameters, match, ospa_of_matching
-from stereophd.core.metrics.errors.consistency import UNLABELLED
+from stereophd.core.metrics.errors import UNLABELLED
 from stereophd.core.metrics.matching.assignment import is_positive_definite
 from stereophd.core.metrics.scans import PointSets, batches_of_one_size
 

@@ -25,7 +25,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.metrics.errors.consistency import UNLABELLED
+from stereophd.core.metrics.errors import UNLABELLED
 from stereophd.core.metrics.matching.near_pairs import NearPairs, most_gain, near_pairs
 from stereophd.core.metrics.scans import PointSets, ScanScores, score_scans
 

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.metrics.errors.consistency import UNLABELLED
+from stereophd.core.metrics.errors import UNLABELLED
 
 
 @dataclass(frozen=True)

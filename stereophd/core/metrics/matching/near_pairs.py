@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.metrics.errors.consistency import UNLABELLED
+from stereophd.core.metrics.errors import UNLABELLED
 from stereophd.core.metrics.matching.assignment import optimal_assignment
 from stereophd.core.metrics.scans import PointSets, base_distances, batches_of_one_size
 

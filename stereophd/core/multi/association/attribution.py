@@ -1,4 +1,4 @@
-"""Which labels an event detected, and by which detections."""
+"""The labels that an event detected, and the detections of each."""
 
 from __future__ import annotations
 

@@ -87,7 +87,7 @@ def group(keys: Integers) -> tuple[Integers, int]:
 
 @compiled
 def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[ChosenOutcomes, Existences]:
-    """Outcomes worth making, in their order: those of the most probable tracks that are no negligible part of theirs.
+    """Outcomes to keep, in order: those of the most probable tracks that are not a negligible part of their track.
 
     With them, of the intensity of undetected objects, what is not below the pruning weight; and all tracks. Where they
     are too many, the likeliest are kept (`_likeliest`), and more tracks are recycled.

@@ -81,6 +81,9 @@ def read_batches(
         )
     except pa.ArrowException as error:
         reason = str(error).splitlines()[0]
+        column = re.match(r"In CSV column #(\d+): ", reason)
+        if column is not None and names is not None and int(column[1]) < len(names):
+            reason = f"in column {names[int(column[1])]}: {reason.removeprefix(column[0])}"
         hint = "; the last line is too short: the file seems to be cut off" if _is_cut_off(source, reason) else ""
         raise InputError(f"{where}: expected rows of a table of numbers, found: {reason}{hint}") from error
 

@@ -17,8 +17,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.two_views.epipolar import essential_matrices, sampson_distances
-from stereophd.core.two_views.meeting import nearest_depths
+from stereophd.core.two_views.epipolar import essential_matrices, nearest_depths, sampson_distances
 from stereophd.pipeline.checks.log.sample import CameraSample, by_interval
 
 # Of the detections of both cameras of a pair; None: not computed.

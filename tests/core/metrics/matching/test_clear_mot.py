@@ -9,7 +9,7 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from stereophd.core.metrics.distances.hota import THRESHOLDS, hota
-from stereophd.core.metrics.identities.idf1 import identity_score
+from stereophd.core.metrics.identities import identity_score
 from stereophd.core.metrics.matching.clear_mot import beside_another, follow, match_within
 from stereophd.core.metrics.matching.identity import identity_switches
 from stereophd.core.metrics.matching.near_pairs import NearPairs, most_gain, near_pairs

@@ -1,0 +1,215 @@
+"""Errors of matched pairs, whether covariances (NEES) and labels (identity switches) keep to them, and confirmation.
+
+References
+----------
+Y. Bar-Shalom, X. R. Li, T. Kirubarajan, "Estimation with Applications to Tracking and Navigation",
+2001, section 5.4.2 (NEES and its chi-square interval).
+K. Bernardin, R. Stiefelhagen, "Evaluating multiple object tracking performance: the CLEAR MOT metrics",
+EURASIP Journal on Image and Video Processing, 2008 (identity switches, there "mismatches").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereophd.core.arrays import Array, Integers
+from stereophd.core.metrics.matching.assignment import is_positive_definite
+from stereophd.core.metrics.scans import PointSets, ScanScores
+
+
+def root_mean_square(errors: Array) -> float:
+    """Return the root of the mean squared length of errors (n, d); NaN without a finite row.
+
+    Rows that are not finite (an unknown velocity, say) are left out.
+    """
+    squared = np.einsum("nd,nd->n", errors, errors)
+    squared = squared[np.isfinite(squared)]
+    return float(np.sqrt(squared.mean())) if squared.size else float("nan")
+
+
+def root_mean_square_per_group(errors: Array, group: Integers, groups: int) -> Array:
+    """Return `root_mean_square` (groups,) of the rows of each group; `group` (n,) is in [0, groups)."""
+    squared = np.einsum("nd,nd->n", errors, errors)
+    return np.asarray(np.sqrt(mean_per_group(squared, group, groups)))
+
+
+def mean_per_group(values: Array, group: Integers, groups: int) -> Array:
+    """Return the mean of the finite values of each group, NaN for a group without any."""
+    finite = np.isfinite(values)
+    count = np.bincount(group[finite], minlength=groups)
+    total = np.bincount(group[finite], weights=values[finite], minlength=groups)
+    return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+
+
+@dataclass(frozen=True)
+class ErrorPercentiles:
+    """Median and 90th percentile of n lengths of error; NaN when n is zero."""
+
+    median: float
+    p90: float
+    n: int
+
+
+def error_percentiles(errors: Array) -> ErrorPercentiles:
+    """Return percentiles of the lengths of error vectors (n, d), with linear interpolation."""
+    if len(errors) == 0:
+        return ErrorPercentiles(float("nan"), float("nan"), 0)
+    length = np.sqrt(np.einsum("nd,nd->n", errors, errors))
+    median, p90 = np.percentile(length, [50.0, 90.0])
+    return ErrorPercentiles(float(median), float(p90), len(length))
+
+
+@dataclass(frozen=True)
+class CardinalityError:
+    """Error of the number of objects: bias (estimates minus truth) and mean absolute error."""
+
+    bias: float
+    mae: float
+
+
+def cardinality_error(n_estimates: Integers, n_truth: Integers) -> CardinalityError:
+    """Return the error of the numbers of objects (k,) over scans; the bias of too many estimates is positive."""
+    if len(n_truth) == 0:
+        return CardinalityError(float("nan"), float("nan"))
+    error = n_estimates.astype(np.float64) - n_truth
+    return CardinalityError(float(error.mean()), float(np.abs(error).mean()))
+
+
+# A track without an identity (filters that do not label their estimates) carries a negative label.
+UNLABELLED = -1
+
+# Errors are no longer alike where the squared norm of their correlation is below this many times its mean by chance.
+CHANCE = 2.0
+
+
+def whitened(errors: Array, covariance: Array) -> Array:
+    """Return ``L^-1 e`` of each error, with ``P = L L^T``: of identity covariance for a consistent filter.
+
+    Errors (n, d) are estimate minus truth, the covariance P (n, d, d) is the filter's. Rows are NaN where it is not
+    positive definite. The sum of squares of a row is the normalised estimation error squared (NEES) ``e^T P^-1 e``, d
+    on average for a consistent filter.
+    """
+    good = is_positive_definite(covariance)
+    result = np.full(errors.shape, np.nan)
+    result[good] = np.linalg.solve(np.linalg.cholesky(covariance[good]), errors[good, :, None])[:, :, 0]
+    return result
+
+
+def nees(errors: Array, covariance: Array) -> Array:
+    """Return the NEES of each error, (n,), NaN where the covariance is not positive definite; see `whitened`."""
+    return np.asarray((whitened(errors, covariance) ** 2).sum(axis=1))
+
+
+def independent_count(errors: Array, group: Integers) -> float:
+    """Return the number of independent errors, at most n, that would determine the mean NEES as well as these do.
+
+    `errors` (n, d) are whitened (see `whitened`), finite, and of each object in order of time. `group` (n,) is the
+    object of each; errors of different objects are taken as independent.
+
+    Errors w of one object at successive times are alike. For two Gaussian errors with the (d, d) covariance R, the
+    covariance of their NEES is ``2 |R|^2`` (Frobenius norm). The mean of n has the variance ``2 sum_ij |R_ij|^2 /
+    n^2``, that of m independent ones ``2 d / m``:
+
+        m = d n^2 / sum_ij |R_ij|^2.
+
+    R is taken to depend on the number of steps between the two alone, and is estimated over all objects. The sum ends
+    where the errors are no longer alike: where the trace of R is not positive (cf. the initial positive sequence of C.
+    J. Geyer, "Practical Markov chain Monte Carlo", 1992), or |R|^2 what chance makes of independent errors.
+    """
+    order = np.argsort(group, kind="stable")
+    w, group = errors[order], group[order]
+    count, dimension = w.shape
+    scale = float((w**2).mean()) if count else 0.0
+    if count < 2 or scale == 0.0:
+        return float(count)
+    lags, terms = [0.0], [float(count * dimension)]
+    for lag in _lags(count):
+        same = group[lag:] == group[:-lag]
+        pairs = int(np.count_nonzero(same))
+        if pairs == 0:
+            break
+        correlation = w[:-lag][same].T @ w[lag:][same] / (pairs * scale)
+        norm = float((correlation**2).sum())
+        if np.trace(correlation) <= 0.0 or norm * pairs <= CHANCE * dimension**2:
+            lags, terms = [*lags, float(lag)], [*terms, 0.0]
+            break
+        lags, terms = [*lags, float(lag)], [*terms, 2.0 * pairs * norm]
+    # lags in between by interpolation
+    every = np.arange(1.0, lags[-1] + 1.0)
+    total = terms[0] + (float(np.interp(every, lags[1:], terms[1:]).sum()) if len(lags) > 1 else 0.0)
+    return float(dimension * count**2 / total)
+
+
+def _lags(count: int) -> list[int]:
+    """All small numbers of steps, and ever fewer of the larger ones."""
+    few = np.arange(1, 33)
+    many = np.unique(np.round(np.geomspace(33, max(count, 34), 64)).astype(np.int64))
+    return [int(lag) for lag in np.concatenate([few, many]) if lag < count]
+
+
+def nees_interval(count: float, dimension: int, probability: float = 0.95) -> tuple[float, float]:
+    """Return the ends of the two-sided interval that holds the mean NEES of a consistent filter with this probability.
+
+    `count` independent errors are averaged (`independent_count`); both ends are NaN when it is zero.
+    """
+    if count == 0:
+        return float("nan"), float("nan")
+    from scipy.special import chdtri  # costly to import, and scipy.stats costs even more
+
+    tail = 0.5 * (1.0 - probability)
+    freedom = count * dimension
+    return float(chdtri(freedom, 1.0 - tail)) / count, float(chdtri(freedom, tail)) / count
+
+
+@dataclass(frozen=True)
+class FirstReports:
+    """When each track was first reported, confirmed or tentative: rising identities and times, arrays (t,)."""
+
+    track_id: Integers
+    time_s: Array
+
+    def of(self, track_id: Integers, otherwise: Array) -> Array:
+        """Return the times of some tracks (n,), and `otherwise` for those without an identity."""
+        if len(self.track_id) == 0:
+            return otherwise
+        place = np.minimum(np.searchsorted(self.track_id, track_id), len(self.track_id) - 1)
+        return np.where(self.track_id[place] == track_id, self.time_s[place], otherwise)
+
+
+def first_reports(track_id: Integers, time_s: Array) -> FirstReports:
+    """Return the first report of each track, from identities (n,) and times of estimates in order of time."""
+    tracks, row = np.unique(track_id, return_index=True)
+    known = tracks > UNLABELLED
+    return FirstReports(tracks[known], time_s[row[known]])
+
+
+@dataclass(frozen=True)
+class Waits:
+    """Waiting times of true objects from their first scored scan on."""
+
+    # (n,) array: Until a confirmed estimate is paired with the object, s; of the objects to which this happens.
+    confirmed_s: Array
+    reported_s: Array  # (n,) array: Until the track of that estimate is first reported, confirmed or tentative, s
+    never: int  # Number of the other objects
+
+
+def waits(time_s: Array, estimates: PointSets, truth: PointSets, scores: ScanScores, reports: FirstReports) -> Waits:
+    """Return how long the objects of the scored scans at times (k,) waited; an unknown status counts as confirmed."""
+    labels, target = np.unique(truth.label, return_inverse=True)
+    if len(labels) == 0:
+        return Waits(np.zeros(0), np.zeros(0), 0)
+    appears = np.full(len(labels), np.inf)
+    np.minimum.at(appears, target, time_s[truth.scan])
+    pairs = np.arange(len(scores.pair_scan))
+    if estimates.confirmed is not None:
+        pairs = pairs[estimates.confirmed[scores.pair_estimate]]
+    # Pairs are in order of scan.
+    tracked, first = np.unique(target[scores.pair_truth[pairs]], return_index=True)
+    first = pairs[first]
+    confirmed = time_s[scores.pair_scan[first]]
+    reported = reports.of(estimates.label[scores.pair_estimate[first]], confirmed)
+    start = appears[tracked]
+    never = len(labels) - len(tracked)
+    return Waits(confirmed - start, np.clip(reported - start, 0.0, confirmed - start), never)

@@ -1,1 +1,0 @@
-"""Errors of matched estimates, and whether their covariances state them."""

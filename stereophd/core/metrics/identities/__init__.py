@@ -1,1 +1,0 @@
-"""How well tracks keep the identities of objects."""
