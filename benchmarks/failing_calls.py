@@ -121,9 +121,9 @@ def files(place: Path) -> dict[str, bytes]:
     return {str(path.relative_to(place)): path.read_bytes() for path in found if path.name != "timing.json"}
 
 
-def in_final_places(found: Mapping[str, bytes]) -> dict[str, bytes]:
+def in_final_places(found: Mapping[str, bytes], what: str) -> dict[str, bytes]:
     """Leave out what an unfinished run keeps for the next one, and a lock that could not be taken (it stays, free)."""
-    kept = ("partial-", f"{PREFIX}lock")
+    kept = ("partial-", PREFIX) if what.startswith("flock") else ("partial-",)
     return {name: text for name, text in found.items() if not any(p.startswith(kept) for p in Path(name).parts)}
 
 
@@ -167,7 +167,7 @@ def tried(
         (place / name).parent.mkdir(parents=True, exist_ok=True)
         (place / name).write_bytes(text)
     code, said, _, what = forked(library, case.command(place, *(["--force"] if over else [])), place, failing)
-    found = in_final_places(files(place))
+    found = in_final_places(files(place), what)
     if code not in (0, 2) or "Traceback" in said:
         return what, f"exit code {code}: {said[-300:]}"
     if code == 2 and "error: " not in said.lower():

@@ -28,7 +28,10 @@ from .valid_files import USES, Use
 
 # Options that wait for a network or for files that grow, run in real time, print a traceback on purpose, or start
 # processes, which load everything anew (`--jobs` has odd values only); and places where a command writes.
-LEFT_OUT = {"dask", "listen", "follow", "realtime", "debug", "jobs", "out", "record", "force", "force_size", "verbose"}
+LEFT_OUT = {
+    "dask", "listen", "publish", "follow", "realtime", "debug", "jobs", "out", "record", "force", "force_size",
+    "verbose",
+}  # fmt: skip
 LEAVES = sorted({path: node for path, node in leaves(SCHEMA) if path}.items(), key=lambda item: item[0])
 
 # Processor time of a case, s, after which a command on a damaged file is one that does not end. Where numbers of the
