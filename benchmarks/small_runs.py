@@ -69,7 +69,7 @@ def small_runs(folder: Path) -> dict[str, SmallRun]:
         "calibrate": ((*calibrate, "--jobs", 1), "out", True),
         "calibrate --jobs 2": ((*calibrate, "--jobs", 2), "out", True),
         "evaluate": (("evaluate", tracks, scene / "truth.parquet", "--cutoff", 1, "--no-plots"), "out", False),
-        "evaluate-cameras": (("evaluate-cameras", cameras, scene / "guess.yaml"), "out", False),
+        "evaluate-cameras": (("evaluate-cameras", unknown / "guess.yaml", unknown / "cameras.yaml"), "out", False),
         "experiment": (experiment, "out", True),
         "experiment --jobs 2": ((*experiment, "--jobs", 2), "out", True),
         "import": (("import", "csv", folder / "points.csv", "--cameras", cameras, "--fps", 20), "out", False),

@@ -25,6 +25,8 @@ OPTIONAL = {"status": STRING, **{field.name: field.type for field in (*STD, *EXT
 COLUMNS = ("time_s", "camera", "frame", "track_id", "x", "y", "z", "vx", "vy", "vz", "covariance", "existence")
 # Times within this share of the period count as multiples of it.
 REGULAR = 1e-3
+# Most times of a file at a fixed rate: days at hundreds a second.
+MOST_TIMES = 50_000_000
 
 # Without these a row is no estimate.
 REQUIRED_VALUES = ("time_s", "track_id")
@@ -118,6 +120,7 @@ def on_grid(path: Path, options: ExportOptions) -> tuple[float, Array, dict[int,
     if options.rate_hz is not None:
         rate = options.rate_hz
         first, last = np.ceil(every[0] * rate - REGULAR), np.floor(every[-1] * rate + REGULAR)
+        _check_count(last - first, path)
         times = (np.arange(first, last + 1) + 0.0) / rate
         if not len(times):
             raise InputError(f"rate: expected a rate at which the tracks have a frame, found {rate:g} Hz")
@@ -133,6 +136,13 @@ def on_grid(path: Path, options: ExportOptions) -> tuple[float, Array, dict[int,
     return rate, times, result
 
 
+def _check_count(count: float, path: Path) -> None:
+    if not count <= MOST_TIMES:
+        raise InputError(
+            f"{path}: expected at most {MOST_TIMES} times at the rate, found {count:.3g}: too long a pause?"
+        )
+
+
 def _regular(every: Array, path: Path) -> tuple[float, Array]:
     """Return the rate of times that are multiples of a period, and all multiples between the first and the last."""
     steps = np.diff(every)
@@ -140,6 +150,7 @@ def _regular(every: Array, path: Path) -> tuple[float, Array]:
         count = np.rint(steps / steps.min())
         period = float(steps.sum() / count.sum())
         if np.abs(steps - count * period).max() <= REGULAR * period:
+            _check_count(count.sum(), path)
             return 1.0 / period, every[0] + np.arange(int(count.sum()) + 1) * period
     raise InputError(
         f"{path}: expected reports at a fixed rate for this format, found irregular times; state `rate_hz` to "

@@ -19,8 +19,9 @@ USUAL_SHARE = 0.98
 
 
 def packed(values: NDArray[Any]) -> str:
-    """Return numbers as base64 of 32-bit floats, which the page's script unpacks."""
-    return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")
+    """Return numbers as base64 of 32-bit floats, which the page's script unpacks; none is drawn beyond their range."""
+    with np.errstate(over="ignore"):
+        return base64.b64encode(np.asarray(values, dtype="<f4").tobytes()).decode("ascii")
 
 
 @dataclass(frozen=True)

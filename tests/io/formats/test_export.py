@@ -175,6 +175,15 @@ def test_irregular_times_need_a_rate(tracks: Path, tmp_path: Path, monkeypatch: 
     assert (tmp_path / "out.trc").read_text().splitlines()[2].split("\t")[:3] == ["20.0", "20.0", "11"]
 
 
+def test_a_pause_without_end_is_refused(tracks: Path, tmp_path: Path) -> None:
+    table = pq.read_table(tracks)
+    times = table.column("time_s").to_numpy().copy()
+    times[-1] = 1e300
+    pq.write_table(table.set_column(table.schema.get_field_index("time_s"), "time_s", pa.array(times)), tracks)
+    with pytest.raises(InputError, match=r"expected at most 50000000 times at the rate, found 2e\+301"):
+        export("trc", tracks, tmp_path / "tracks.trc", ExportOptions(rate_hz=20.0))
+
+
 def test_c3d_is_read_by_its_library(tracks: Path, tmp_path: Path) -> None:
     ezc3d = pytest.importorskip("ezc3d")
     export("c3d", tracks, tmp_path / "out.c3d")
