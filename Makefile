@@ -17,7 +17,7 @@ help:
 	@echo "make audit  known vulnerabilities of the locked versions, where the network answers"
 	@echo "make fuzz   damaged files and odd options of every command, for an hour (MINUTES=600), then configurations"
 	@echo "make bench  speed benchmarks (minutes)"
-	@echo "make results  measure the tables of docs/results anew (20 minutes)"
+	@echo "make results  measure the tables of docs/results anew (15 minutes of CPU time)"
 	@echo "make schema write configs/schema.json anew"
 	@echo "make reference write docs/reference/configuration/, the index of decisions and the notebooks anew"
 	@echo "make clean  remove $(VENV) and out"

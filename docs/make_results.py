@@ -1,6 +1,6 @@
 """Measure the tables of docs/results anew, and write them into the pages between their marks: `make results`.
 
-    python docs/make_results.py            # all, in about 20 minutes of CPU time
+    python docs/make_results.py            # all, in about 15 minutes of CPU time
     python docs/make_results.py figure10   # some
     python docs/make_results.py --runs 3   # few runs of each, to try it
 
@@ -29,7 +29,7 @@ PAGES = sorted((ROOT / "docs" / "results").glob("*.md"))
 MARK = re.compile(r"(<!-- results (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 OUT = ROOT / "out" / "results"
 # Runs of experiments whose configuration has more than a table needs, or fewer (the paper's 50 of Table II).
-RUNS = {"table2_long": 1000, "static_scene": 10}
+RUNS = {"table2_long": 500, "static_scene": 10, "figure12": 40}
 Rows = Iterator[list[str]]
 
 
@@ -281,7 +281,7 @@ def calibration(runs: int | None) -> str:
             ("the paper's priors (5 cm; 1, 7.5 and 1 degrees)", []),
             ("priors three times as wide", ["--prior-factor", "3"]),
         ):
-            found = benchmark("calibration_monte_carlo.py", "--jobs", "1", "--runs", str(runs or 6), *words)
+            found = benchmark("calibration_monte_carlo.py", "--jobs", "1", "--runs", str(runs or 10), *words)
             rotation, direction = found["rotation_deg"], found["direction_deg"]
             yield [
                 label, str(found["runs"]), str(found["within_5_bounds"]), f"{number(rotation['median'], 2)} deg",

@@ -15,6 +15,7 @@ def leave(number: int, frame: object) -> None:
 
 def handle() -> None:
     """Handle signals so until `stereophd.cli.interrupts.install`, except where they are ignored on purpose."""
-    for number in (_signal.SIGINT, _signal.SIGTERM, _signal.SIGHUP):
-        if _signal.getsignal(number) in (_signal.SIG_DFL, _signal.default_int_handler):
+    for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+        number = getattr(_signal, name, None)  # not every system has every signal
+        if number is not None and _signal.getsignal(number) in (_signal.SIG_DFL, _signal.default_int_handler):
             _signal.signal(number, leave)

@@ -27,7 +27,8 @@ PATIENCE_S = 5.0
 # After what time an exception that got lost is raised again, s.
 _AGAIN_S = 0.02
 
-_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+# Not every system has every signal.
+_SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 _received: int | None = None
 _since = 0.0
@@ -38,7 +39,7 @@ def install() -> None:
     global _received
     _received = None
     _replace((signal.SIG_DFL, signal.default_int_handler, leave), _handle)
-    if signal.getsignal(signal.SIGALRM) == signal.SIG_DFL:
+    if hasattr(signal, "SIGALRM") and signal.getsignal(signal.SIGALRM) == signal.SIG_DFL:
         signal.signal(signal.SIGALRM, lambda number, frame: outside_kernels(frame, check))
     sys.unraisablehook = _unraisable
 
@@ -123,6 +124,7 @@ def _handle(number: int, frame: FrameType | None) -> None:
 def _unraisable(lost: sys.UnraisableHookArgs) -> None:
     """Take note of an exception that Python cannot raise where it is; print it if it is not that of a signal."""
     if _received is not None and issubclass(lost.exc_type, (KeyboardInterrupt, SystemExit)):
-        signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
+        if hasattr(signal, "setitimer"):
+            signal.setitimer(signal.ITIMER_REAL, _AGAIN_S)
     else:
         sys.__unraisablehook__(lost)

@@ -212,3 +212,38 @@ def test_a_signal_while_a_kernel_makes_a_named_tuple() -> None:
     """Raised there, the exception would end the process by a segmentation fault."""
     done = subprocess.run([sys.executable, "-c", KERNEL], capture_output=True, text=True, timeout=GIVE_UP_S)
     assert (done.returncode, done.stdout, done.stderr) == (0, "raised\n", "")
+
+
+def test_a_system_without_posix_calls_runs_commands(config: Path, tmp_path: Path) -> None:
+    """Signals, locks, exchanged folders and users that other systems lack have fallbacks."""
+    script = """
+import ctypes, os, signal, sys
+import _signal
+for name in ("SIGHUP", "SIGALRM", "SIGPIPE", "SIGQUIT", "setitimer", "ITIMER_REAL"):
+    for module in (signal, _signal):
+        if hasattr(module, name):
+            delattr(module, name)
+for name in ("getuid", "geteuid", "pread", "sched_getaffinity", "fork"):
+    delattr(os, name)
+sys.modules.update(dict.fromkeys(("fcntl", "resource", "pwd", "grp")))
+import numpy, pyarrow  # they may use what is removed below
+class Library(ctypes.CDLL):
+    def __init__(self, name, *words, **more):
+        if name is None:
+            raise TypeError("no library of the system")
+        super().__init__(name, *words, **more)
+ctypes.CDLL = Library
+from stereophd.__main__ import main
+sys.argv[0] = "stereophd"
+main()
+"""
+    for words in (
+        ["simulate", str(config), "--out", "scene"],
+        ["info", "scene"],
+        ["simulate", str(config), "--force", "--out", "scene"],
+    ):
+        done = subprocess.run(
+            [sys.executable, "-c", script, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "scene" / "detections.parquet").exists()

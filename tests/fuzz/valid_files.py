@@ -63,6 +63,9 @@ USES = {
     "track": Use("run", "track config.yaml log.parquet --out OUT", 3),
     "track smoothed": Use("run", "track config.yaml log.parquet --smooth --associations --out OUT", 1),
     "track in pieces": Use("run", "track config.yaml log.parquet --pieces 0.4 --overlap 0.1 --out OUT", 1),
+    "track bodies": Use("bodies", "track config.yaml log.parquet --out OUT", 2),
+    "simulate bodies": Use("bodies", "simulate config.yaml --out OUT", 2),
+    "check bodies": Use("bodies", "check config.yaml log.parquet", 1),
     "track several": Use("run", "track config.yaml log.parquet other.parquet --out OUT", 1),
     "track a stream": Use("run", "track config.yaml - --out OUT", 2, stdin="frames.jsonl"),
     "init": Use("run", "init OUT --log log.parquet --cameras cameras.yaml", 1),
@@ -152,6 +155,16 @@ def write_control(folder: Path) -> None:
     (folder / "tracked" / "tracks.parquet").rename(folder / "tracks.parquet")
     shutil.rmtree(folder / "scene")
     shutil.rmtree(folder / "tracked")
+
+
+def write_bodies(folder: Path) -> None:
+    """Write a configuration of people and its log of boxes."""
+    document = yaml.safe_load((CONFIGS / "crowd.yaml").read_text(encoding="utf-8"))
+    document["simulate"]["duration_s"], document["simulate"]["walkers"]["count"] = 1.0, 3
+    (folder / "config.yaml").write_text(yaml.safe_dump(document), encoding="utf-8")
+    simulate(load_config(folder / "config.yaml", []), folder / "scene")
+    (folder / "scene" / "detections.parquet").rename(folder / "log.parquet")
+    shutil.rmtree(folder / "scene")
 
 
 def write_coco(folder: Path) -> None:
@@ -249,6 +262,7 @@ def write_ptv(folder: Path) -> None:
 
 WRITERS: dict[str, Callable[[Path], None]] = {
     "anipose": _exported("anipose", "rig.toml"),
+    "bodies": write_bodies,
     "braid": write_braid,
     "caliscope": write_caliscope,
     "coco": write_coco,

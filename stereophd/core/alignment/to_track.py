@@ -22,7 +22,7 @@ MOST_OVERLAP = 1.1
 # Largest part of the control's spread that may be left over.
 MOST_LEFT = 0.2
 # What is determined: rotation, rad; logarithm of the scale; shift of the clock, s.
-MOST_ROTATION, MOST_SCALE, MOST_SHIFT_S = np.deg2rad(5.0), 0.05, 1.0
+MOST_ROTATION, MOST_SCALE, MOST_SHIFT_S = np.deg2rad(5.0), 0.05, 0.5
 
 
 @dataclass(frozen=True)

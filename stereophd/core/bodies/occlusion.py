@@ -68,7 +68,8 @@ def exclusive_existence(existence: Array, states: Array, covariances: Array, rep
     if len(existence) < 2:
         return existence
     first, second, probabilities = _pairs_in_touch(states, covariances, reported, up)
-    out = existence.copy()
+    # of two certain ones in one place each is as probable as the other
+    out = np.minimum(existence, 1.0 - 1e-9)
     order = np.argsort(np.minimum(out[first], out[second]), kind="stable")
     for i, j, q in zip(first[order].tolist(), second[order].tolist(), probabilities[order].tolist(), strict=True):
         both = out[i] * out[j] * (1.0 - q)

@@ -97,7 +97,7 @@ def lock_file(path: Path, what: str, remedy: str) -> int:
             found = os.fstat(descriptor)
             if not stat.S_ISREG(found.st_mode):
                 raise InputError(f"{path}: expected a file of this program or none, found no regular file")
-            if path.name == LOCK_NAME and found.st_size and not os.pread(descriptor, 300, 0).startswith(_OWNER):
+            if path.name == LOCK_NAME and found.st_size and not _beginning(descriptor).startswith(_OWNER):
                 raise InputError(f"{path}: expected the lock of a run, found another file; remove it")
             if not _lock(descriptor):
                 owner = _owner(descriptor) if path.name == LOCK_NAME else ""
@@ -112,6 +112,14 @@ def lock_file(path: Path, what: str, remedy: str) -> int:
             raise
         # The run that held it removed the file just now.
         os.close(descriptor)
+
+
+def _beginning(descriptor: int) -> bytes:
+    """Return the first bytes of an open file (`os.pread` is not on every system)."""
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    found = os.read(descriptor, 300)
+    os.lseek(descriptor, 0, os.SEEK_SET)
+    return found
 
 
 def _lock(descriptor: int) -> bool:
@@ -138,7 +146,7 @@ def _is_at(descriptor: int, path: Path) -> bool:
 
 
 def _owner(descriptor: int) -> str:
-    return os.pread(descriptor, 300, 0).decode(errors="replace")
+    return _beginning(descriptor).decode(errors="replace")
 
 
 def _is_alive(owner: str) -> bool:

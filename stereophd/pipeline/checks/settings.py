@@ -214,27 +214,20 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
             f"objects move at up to {fastest:.3g} {unit}/s across the line of sight, but motion.max_speed is {limit:g}",
             limit, round(fastest, 6), None, f"set motion.max_speed to at least {2.0 * fastest:.2g}", "max_speed",
         )  # fmt: skip
-    acceleration = getattr(motion, "acceleration_std", None)
-    if acceleration == ESTIMATE:
+    acceleration, found = getattr(motion, "acceleration_std", None), scene.acceleration
+    if acceleration == ESTIMATE or found is None:
         return
     stated_acceleration = 0.0 if acceleration is None else float(np.max(acceleration))
-    found = scene.acceleration
     # The model itself explains some accelerations, such as gravity.
     explained = bool(motion.build().flow(np.ones(1)).drift.any())
-    too_small = found is not None and found > ACCELERATION_FACTOR * stated_acceleration and found > 0.1 * spread
-    if found is not None and too_small and not explained:
-        yield Finding(
-            "settings.acceleration_std", "warning",
-            f"the objects accelerate by about {found:.2g} {unit}/s^2, but motion.acceleration_std is "
-            f"{stated_acceleration:g}",
-            stated_acceleration, round(found, 6), None, f"set motion.acceleration_std near {found:.2g}",
-            "acceleration_std",
-        )  # fmt: skip
-    elif complete and found is not None and stated_acceleration > TOO_MUCH * max(found, 0.1 * spread):
-        yield Finding(
-            "settings.acceleration_std", "warning",
-            f"motion.acceleration_std is {stated_acceleration:g} {unit}/s^2, but the objects accelerate by only about "
-            f"{found:.2g}: it seems to be in another unit",
-            stated_acceleration, round(found, 6), None, f"set motion.acceleration_std near {max(found, 1e-6):.2g}",
-            "acceleration_std",
-        )  # fmt: skip
+    too_small = found > max(ACCELERATION_FACTOR * stated_acceleration, 0.1 * spread)
+    text = f"the objects accelerate by about {found:.2g} {unit}/s^2, but motion.acceleration_std is "
+    text += f"{stated_acceleration:g}"
+    if complete and not too_small and stated_acceleration > TOO_MUCH * max(found, 0.1 * spread):
+        text += ": it seems to be in another unit"
+    elif not too_small or explained:
+        return
+    yield Finding(
+        "settings.acceleration_std", "warning", text, stated_acceleration, round(found, 6), None,
+        f"set motion.acceleration_std near {max(found, 1e-6):.2g}", "acceleration_std",
+    )  # fmt: skip

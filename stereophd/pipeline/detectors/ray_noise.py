@@ -156,15 +156,15 @@ def starting_detectors(
     samples : sequence of CameraSample
         Frames of all cameras.
     """
-    resting = all(camera.pose.is_static for camera in cameras)
-    noise = noise_from_rays(samples) if resting and len(cameras) > 1 else None
+    resting = len(cameras) > 1 and all(camera.pose.is_static for camera in cameras)
+    noise = noise_from_rays(samples) if resting else RayNoise(np.empty(0), np.empty(0), 0.0)
     used, priors = [], {}
     for k, camera in enumerate(cameras):
         given = camera.detector
         if camera.name in estimated:
-            known = noise is not None and noise.partners > 0.0
-            sigma = np.full(2, noise.sigma_px[k]) if noise is not None and known else np.asarray(given.sigma)
-            spread = float(noise.relative_error[k]) if noise is not None and known else NOISE_SPREAD
+            sigma, spread = np.asarray(given.sigma), NOISE_SPREAD
+            if noise.partners > 0.0:
+                sigma, spread = np.full(2, noise.sigma_px[k]), float(noise.relative_error[k])
             priors[camera.name] = NoisePrior(sigma, spread)
             clutter = max(samples[k].isolated_per_frame, LEAST_CLUTTER)
             camera = replace(camera, detector=Detector(sigma, USUAL_P_DETECT, clutter))

@@ -177,6 +177,8 @@ def test_two_bodies_in_one_place_cannot_both_exist() -> None:
     existence = exclusive_existence(np.array([0.9, 0.5, 0.7]), states, covariances, shown, UP)
     # of the joint probabilities .05, .45, .05 and .45 (both) the last one is impossible
     assert existence == pytest.approx([0.45 / 0.55, 0.05 / 0.55, 0.7], abs=1e-6)
+    certain = exclusive_existence(np.ones(3), states, covariances, shown, UP)
+    assert certain == pytest.approx([0.5, 0.5, 1.0], abs=1e-6)
 
 
 def test_nobody_appears_in_touch_with_somebody() -> None:

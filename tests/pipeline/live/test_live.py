@@ -20,7 +20,7 @@ from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.streams.messages import Message
-from stereophd.io.streams.rows import ArrowRows, JsonLines, Publisher
+from stereophd.io.streams.rows import ROWS, ArrowRows, JsonLines, Publisher
 from stereophd.io.streams.sources import from_stream
 from stereophd.pipeline.tracking import loop
 from stereophd.pipeline.tracking.knocked import Knock, KnockTest
@@ -189,7 +189,8 @@ def test_rows_are_arrow_or_messages_as_well(loaded: LoadedConfig, frames: list[M
     documents = [json.loads(line) for line in lines.getvalue().splitlines()]
     rows = pa.ipc.open_stream(arrow.getvalue()).read_all().to_pylist()
     event = ("time_s", "camera", "frame", "revised")
-    assert rows == [{name: d[name] for name in event} | track for d in documents for track in d["tracks"]]
+    nothing = dict.fromkeys(ROWS.names)  # heights and widths of bodies
+    assert rows == [nothing | {name: d[name] for name in event} | track for d in documents for track in d["tracks"]]
     messages = []
     while reader.poll(500):
         messages.append(json.loads(reader.recv()))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from stereophd.core.calibration.adjustment.noise import noise_factors
+from stereophd.core.calibration.adjustment.noise import NoiseFactors, noise_factors
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment, adjust
 from stereophd.core.calibration.adjustment.suspicions import (
@@ -102,3 +102,9 @@ def test_the_noise_of_a_camera_is_found_whatever_is_stated(factor: float) -> Non
         stated = stated * found.factors
     # 160 to 320 coordinates of each camera tell, to 6 % at most: three standard deviations
     np.testing.assert_allclose(stated, 1.0, rtol=0.17)
+
+
+def test_less_noise_is_not_believed_where_trajectories_follow_the_detections() -> None:
+    estimate = NoiseFactors(np.array([0.5, 0.5, 2.0]), np.array([700.0, 100.0, 100.0]), np.full(3, 1000.0))
+    assert estimate.differs.tolist() == [True, False, True]
+    assert estimate.hides.tolist() == [False, True, True]
