@@ -18,7 +18,7 @@ FRAME, TIME, U, V = range(4)
 WIDTH = 4 + len(EXTRA_COLUMNS)
 # Rows of a piece of a temporary file.
 PIECE_ROWS = 65536
-# Largest number of a frame: beyond it not every whole number is a float.
+# Largest number of a frame, or of an object: beyond it not every whole number is a float.
 MAX_FRAME = 2.0**53
 
 
@@ -76,6 +76,9 @@ def _append(spool: Spool, piece: Piece) -> None:
         raise InputError(f"camera {piece.camera}: expected finite pixels, found infinity")
     for name, values in piece.extra.items():
         rows[:, 4 + EXTRA_COLUMNS.index(name)] = values
+    identities = rows[:, 4 + EXTRA_COLUMNS.index("object_id")]
+    if (np.abs(identities[~np.isnan(identities)]) > MAX_FRAME).any():
+        raise InputError(f"camera {piece.camera}: expected whole identities of objects, found one beyond 2^53")
     spool.has_frames &= piece.frame is not None
     key: Array = rows[:, FRAME] if spool.has_frames else rows[:, TIME]
     if not np.isfinite(key).all():

@@ -89,3 +89,11 @@ def test_annotations_of_coco(tmp_path: Path, imported: Import) -> None:
     (tmp_path / "bad.json").write_text("{}")
     with pytest.raises(InputError, match="expected COCO's images"):
         imported("coco", tmp_path / "bad.json", rates=2.0)
+
+
+def test_an_identity_that_no_integer_holds_is_refused(tmp_path: Path, imported: Import) -> None:
+    images = [{"id": 1, "file_name": "a/frame_000000.png", "width": 64, "height": 48}]
+    boxes = [{"id": 1, "image_id": 1, "bbox": [0, 0, 1, 1], "track_id": 1e300}]
+    (tmp_path / "labels.json").write_text(json.dumps({"images": images, "annotations": boxes}))
+    with pytest.raises(InputError, match="expected whole identities of objects"):
+        imported("coco", tmp_path / "labels.json", rates=2.0)
