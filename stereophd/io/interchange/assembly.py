@@ -91,8 +91,8 @@ class _Camera:
         self._name, self._spool, self._summary = name, spool, summary
         stated = options.rates.get(name)
         self._rate = stated if stated is not None else recording.rates.get(name)
-        if stated is not None and not stated > 0:
-            raise InputError(f"rate of camera {name}: expected frames per second > 0, found {stated:g}")
+        if self._rate is not None and not 0.0 < self._rate < math.inf:
+            raise InputError(f"rate of camera {name}: expected frames per second > 0, found {self._rate:g}")
         self._is_rate_stated, self._is_timed_by_rate = stated is not None, False
         self._first_frame, self._offset = recording.first_frame, options.offsets.get(name) or 0.0
         self._range = options.frames.get(name) or recording.frames.get(name)
