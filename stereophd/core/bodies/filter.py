@@ -57,7 +57,7 @@ FALSE_RELEASE = 0.1
 # Rounds over the associations of the cameras of one instant.
 ROUNDS = 1
 # Detections that tracks claim with more than these odds against clutter give birth to nothing: it would be pruned.
-CLEARLY_CLAIMED = 1e5
+CLEARLY_CLAIMED = 1e3
 
 
 @dataclass(frozen=True)
