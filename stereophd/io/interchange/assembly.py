@@ -30,6 +30,8 @@ from stereophd.io.tables.writing import TableWriter
 LARGEST_GROWTH, FEW_FRAMES = 1000, 1_000_000
 # With this many frame numbers, one recording of a thousand has a common divisor by chance.
 LEAST_FRAMES_OF_A_STEP = 10
+# Most frames that a recording may be said to have: a day at 10 kHz.
+MOST_FRAMES = 1_000_000_000
 
 
 @dataclass
@@ -91,11 +93,13 @@ class _Camera:
         self._name, self._spool, self._summary = name, spool, summary
         stated = options.rates.get(name)
         self._rate = stated if stated is not None else recording.rates.get(name)
-        if stated is not None and not stated > 0:
-            raise InputError(f"rate of camera {name}: expected frames per second > 0, found {stated:g}")
+        if self._rate is not None and not 0.0 < self._rate < math.inf:
+            raise InputError(f"rate of camera {name}: expected frames per second > 0, found {self._rate:g}")
         self._is_rate_stated, self._is_timed_by_rate = stated is not None, False
         self._first_frame, self._offset = recording.first_frame, options.offsets.get(name) or 0.0
         self._range = options.frames.get(name) or recording.frames.get(name)
+        if self._range is not None and self._range[1] - self._range[0] > MOST_FRAMES:
+            raise InputError(f"frames of camera {name}: expected at most {MOST_FRAMES}, found up to {self._range[1]}")
         self._fill = options.fill
         if not spool.has_frames and (unused := [key for key in ("rates", "frames") if getattr(options, key).get(name)]):
             raise InputError(f"`{unused[0]}`: expected frame numbers of camera {name}, found times only")

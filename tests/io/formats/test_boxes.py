@@ -97,3 +97,17 @@ def test_an_identity_that_no_integer_holds_is_refused(tmp_path: Path, imported: 
     (tmp_path / "labels.json").write_text(json.dumps({"images": images, "annotations": boxes}))
     with pytest.raises(InputError, match="expected whole identities of objects"):
         imported("coco", tmp_path / "labels.json", rates=2.0)
+
+
+@pytest.mark.parametrize(
+    ("rate", "length", "message"),
+    [("nan", "4", "frames per second > 0"), ("10", "9223372036854775808", "expected at most 1000000000")],
+)
+def test_what_a_sequence_says_of_itself_is_checked(
+    tmp_path: Path, imported: Import, rate: str, length: str, message: str
+) -> None:
+    folder = write_sequence(tmp_path / "north", "1,-1,1,1,1,1,0.9\n")
+    info = folder / "seqinfo.ini"
+    info.write_text(info.read_text().replace("Rate=10.0", f"Rate={rate}").replace("Length=4", f"Length={length}"))
+    with pytest.raises(InputError, match=message):
+        imported("mot", folder)
