@@ -25,8 +25,8 @@ from .conftest import CONFIG, Outcome, start, write_config, write_log
 
 Call = Callable[..., Outcome]
 NAMES = (
-    "demo", "import", "init", "info", "check", "simulate", "track", "calibrate", "align", "evaluate",
-    "evaluate-cameras", "report", "export", "experiment", "compile", "config",
+    "demo", "import", "init", "info", "check", "simulate", "track", "watch", "calibrate", "align",
+    "evaluate", "evaluate-cameras", "report", "export", "experiment", "compile", "config",
 )  # fmt: skip
 COMMANDS = [[], *([name] for name in NAMES), *(["config", c] for c in ("show", "check", "schema"))]
 
