@@ -35,6 +35,7 @@ ALWAYS = {
 
 # Command -> its further options that act in every use: those that are declared so, and those of the shell alone.
 ACTING = {
+    "watch": {"--host", "--port"},
     "align": {"--to"},
     "calibrate": {"--cameras", "--strict"},
     "check": {"--cameras", "--strict"},
@@ -61,6 +62,8 @@ REFUSED = [
     (["track", "CONFIG", "b", "--out", "c"], ["--dask", "d"], "--dask: expected several logs, or one in pieces"),
     (["track", "CONFIG", "b", "--out", "c"], ["--overlap", "3"], "--overlap: expected --pieces SECONDS too"),
     (["track", "CONFIG", "b", "--out", "c"], ["--record", "d"], "--record: expected only with -, --follow or"),
+    (["track", "CONFIG", "b", "--out", "c"], ["--arrow", "d"], "--arrow: expected only with -, --follow or"),
+    (["track", "CONFIG", "b", "--out", "c"], ["--publish", "d"], "--publish: expected only with -, --follow or"),
     (["track", "CONFIG", "b"], ["--follow", "d"], "expected one of -, --follow and --listen"),
     (["simulate", "CONFIG", "--out", "c"], ["--jobs", "2"], "--jobs: expected only with --runs N, found one run"),
     (["init", "c"], ["--strict"], "--strict: expected only with --log FILE"),

@@ -200,7 +200,7 @@ def test_calibrate_of_logs_has_a_folder_and_a_row_for_each(
         return report
 
     monkeypatch.setattr(batches, "calibrate", calibrate)
-    found = batches.calibrate_logs(loaded, [scenes / "run-*" / "detections.parquet"], tmp_path / "out")
+    found = batches.calibrate_logs(loaded, [scenes / "run-*" / "detections.parquet"], tmp_path / "out", jobs=1)
     assert [row["calibration"] for row in summary(tmp_path / "out")] == ["determined", "", "determined"]
     assert [row["warnings"] for row in summary(tmp_path / "out")] == [1, None, 1]
     assert found["logs"][0]["rotation_std_deg"] == 0.5

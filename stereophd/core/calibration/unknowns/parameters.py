@@ -16,7 +16,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.unknowns.quantities.base import LENGTH_PER_SECOND, MOVES, RADIANS_PER_SECOND, Quantity
@@ -209,6 +208,8 @@ class ParameterSet:
         """Why values (m,) do not agree with the prior; None if they do."""
         scaled = (np.asarray(values, dtype=np.float64) - self.prior_mean) / self.prior_std
         distance = float((scaled**2).sum())
+        from scipy.stats import chi2  # costly to import
+
         if chi2.sf(distance, self.size) < LEAST_PRIOR_PROBABILITY:
             return f"the cameras lie {np.sqrt(distance):.1f} standard deviations from the prior"
         return None
