@@ -12,6 +12,7 @@ import typer
 from stereophd.cli.app import app
 from stereophd.commands.options import OPTIONS
 from stereophd.options import declarations
+from stereophd.pipeline.workers import places
 
 from .conftest import Outcome, write_config
 from .test_import import write_calibration
@@ -178,8 +179,14 @@ def test_an_option_that_would_do_nothing_is_refused(
 
 @pytest.mark.parametrize(("use", "stated", "sentence"), REPORTED)
 def test_an_option_that_every_use_accepts_is_reported_where_it_does_nothing(
-    call: Call, words_of: Callable[..., list[str]], use: list[str], stated: list[str], sentence: str
+    call: Call,
+    words_of: Callable[..., list[str]],
+    monkeypatch: pytest.MonkeyPatch,
+    use: list[str],
+    stated: list[str],
+    sentence: str,
 ) -> None:
+    monkeypatch.setattr(places, "CONNECT_S", 0.2)  # no scheduler answers
     words = words_of(use)
     assert f"WARNING: {sentence}" in call(*words, *stated).err
     assert sentence not in call(*words).err
