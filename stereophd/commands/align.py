@@ -64,7 +64,7 @@ def align(
     Raises
     ------
     InputError
-        A file is not usable, or the motion does not determine the frame: the message says what is missing.
+        A file is not usable, or the motion does not determine the frame; the message names what is missing.
     """
     sources = [Path(path) / CAMERAS_FILE if Path(path).is_dir() else Path(path) for path in cameras]
     names = [path.parent.resolve().name if path.name == CAMERAS_FILE else path.stem for path in sources]

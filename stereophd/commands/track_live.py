@@ -98,7 +98,7 @@ class _Session:
         self._recalibration: Recalibration | None = None
 
     def tell(self, event: dict[str, Any]) -> None:
-        """Say what happened besides the rows."""
+        """Report an event to every sink."""
         for sink in self._rows:
             sink.tell(event)
 

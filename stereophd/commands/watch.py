@@ -36,7 +36,7 @@ class _Server(http.server.ThreadingHTTPServer):
         self._kept: dict[str, bytes] = {}
 
     def pass_on(self, message: bytes) -> None:
-        """Send a message to all pages; a page that opens later is told the last event of each kind."""
+        """Send a message to all pages; a page that opens later gets the last event of each kind."""
         event = json.loads(message).get("event")
         if event is not None:
             self._kept[event] = message

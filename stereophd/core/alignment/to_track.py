@@ -50,8 +50,9 @@ def exactly(registration: Registration) -> Alignment:
 def align_to_track(time_s: Array, position: Array, track_ids: Integers, control: Truth, freedom: Freedom) -> Alignment:
     """Align tracks with a control track of one object, on a clock of its own unless `freedom` keeps the clock.
 
-    Times (n,), s, in order, positions (n, 3) and identities (n,) of all tracks; which of them belong to the control is
-    found. Raises ValueError where the tracks do not determine it: it says what is missing.
+    Times (n,), s, in order, positions (n, 3) and identities (n,) of all tracks; the function finds
+    which of them belong to the control. Raises ValueError, which names what is missing, where the tracks do not
+    determine the alignment.
     """
     gap = DEFAULT_GAP_STEPS * control.step_s
     control = _finer(control, gap)
@@ -191,7 +192,7 @@ def _covariance(left: Residuals, track_ids: Integers, freedom: Freedom) -> Array
 
 
 def _refuse_undetermined(covariance: Array) -> None:
-    """Refuse what the motion leaves open, and say what is missing."""
+    """Raise ValueError, which names what is missing, where the motion does not determine the alignment."""
     rotation = float(np.sqrt(np.linalg.eigvalsh(covariance[:3, :3]).max()))
     scale, shift = float(np.sqrt(covariance[6, 6])), float(np.sqrt(covariance[7, 7]))
     for value, most, text in (

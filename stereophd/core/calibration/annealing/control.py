@@ -18,11 +18,11 @@ import numpy as np
 
 from stereophd.core.alignment.to_track import Alignment, align_to_track
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.control import WORLD, ControlledLinearisation
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import true_times
 from stereophd.core.calibration.adjustment.solver import eliminate
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
+from stereophd.core.calibration.annealing.controlled_linearisation import WORLD, ControlledLinearisation
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, problem_of
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.unknowns.scale import can_be_enlarged, enlarged, scale_is_free

@@ -12,7 +12,6 @@ from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import Loss, Observations, Problem, true_times
-from stereophd.core.calibration.adjustment.rejected import collapsed, lone
 from stereophd.core.calibration.adjustment.shared_errors import shared_errors
 from stereophd.core.calibration.adjustment.solver import adjust, posterior_covariance
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -23,6 +22,7 @@ from stereophd.core.calibration.adjustment.trajectories import (
     place_knots,
     positions,
 )
+from stereophd.core.calibration.annealing.rejected import collapsed, lone
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.pairing.association import (
     fitted_detections,

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.adjustment.problem import Observations
-from stereophd.core.calibration.adjustment.rejected import collapsed
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, adjusted_to, fit_until
 from stereophd.core.calibration.annealing.known_scale import rescaled
+from stereophd.core.calibration.annealing.rejected import collapsed
 from stereophd.core.calibration.annealing.task import Fit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, log_scale

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereophd.core.calibration.adjustment.rejected import lone
+from stereophd.core.calibration.annealing.rejected import lone
 
 # Two cameras in turn, eight frames each: events 0, 2, ... are of camera 0.
 OF_EVENT = np.tile([0, 1], 8)
