@@ -105,7 +105,7 @@ def reduce_hypotheses(
 def merged(hypotheses: Hypotheses, distance: float) -> Hypotheses:
     """Merge hypotheses of a track that are close in both covariances, round by round with the heaviest that is left.
 
-    The heaviest one's boxes of the open instant stay.
+    The instant of their boxes has ended: the merged hypotheses are undecided.
     """
     n_cameras = hypotheses.boxes.shape[1]
     # bodies and false objects stay apart
