@@ -141,10 +141,10 @@ def calibrate(
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
             # Costly to import, and matplotlib is an extra.
-            from stereophd.report.plots.calibration_plots import pictures_of, write_calibration_plots
+            from stereophd.report.plots.calibration_plots import write_calibration_plots
 
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
-            write_calibration_plots(pictures_of(outcome, loaded.config.units.length), paths)
+            write_calibration_plots(outcome, loaded.config.units.length, paths)
     return _accepted(report, options.require, log_path)
 
 

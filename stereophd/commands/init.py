@@ -13,6 +13,7 @@ from stereophd.commands.options import InitOptions
 from stereophd.config.loading import load_cameras, load_config, make_config
 from stereophd.config.yaml import Tree, apply_override, parse_override
 from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.io.outputs.disk import write_error
 from stereophd.options import takes
@@ -100,10 +101,8 @@ def _check_target(target: Path, force: bool) -> None:
     """Refuse to overwrite a configuration that `init` did not write, or any without `force`."""
     if not target.exists():
         return
-    try:
+    with expecting("a configuration", target):
         ours = target.read_text(encoding="utf-8", errors="replace").startswith(MARK)
-    except OSError as error:
-        raise InputError(f"{target}: cannot be read: {error.strerror or error}") from error
     if not ours:
         raise InputError(
             f"{target}: expected no configuration, or one of `init`, found another one; choose a new folder"
