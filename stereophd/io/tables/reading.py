@@ -184,11 +184,11 @@ def check_columns(
 
 
 def read_pieces(
-    path: Path | str, columns: Sequence[str] | None = None, what: str = "table", rows: int = ROW_GROUP_ROWS
+    path: Path | str, columns: Sequence[str] | None = None, what: str = "table", rows: int | None = None
 ) -> Iterator[pa.RecordBatch]:
     """Yield columns of a Parquet table in pieces of so many rows; errors as `open_parquet`, and of damaged data."""
     with open_parquet(path, what) as parquet, damaged_is_input_error(path):
-        yield from parquet.iter_batches(batch_size=rows, columns=columns, use_threads=False)
+        yield from parquet.iter_batches(batch_size=rows or ROW_GROUP_ROWS, columns=columns, use_threads=False)
 
 
 def arrays_of(table: pa.Table | pa.RecordBatch) -> dict[str, NDArray[Any]]:
