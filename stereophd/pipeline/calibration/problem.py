@@ -22,6 +22,7 @@ from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages, stages_named
+from stereophd.core.calibration.watch import ENDLESS, Watch
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.phd import PhdSettings
@@ -70,6 +71,7 @@ class CalibrationRun:
     unfinished: UnfinishedRun
     jobs: int = 1  # Processes, or threads of particles
     progress: Progress | None = None  # Called with (done, total)
+    watch: Watch = ENDLESS
 
     @property
     def section(self) -> CalibrationConfig:

@@ -19,6 +19,7 @@ from stereophd.core.calibration.discovery.tracks import SlopeTracks, slope_track
 from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, PairResult, find_pair
 from stereophd.core.calibration.discovery.verdict import doubts_of_pair, doubts_of_tracks
 from stereophd.core.calibration.pairing.hypotheses import spanning_tree
+from stereophd.core.calibration.watch import ENDLESS, TIME_OVER, Watch
 from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
@@ -77,23 +78,32 @@ class Discovery:
     reason: str = ""
 
 
-def discover(views: Sequence[View], raw: RawTracks, reference: int, rng: np.random.Generator) -> Discovery:
+def discover(
+    views: Sequence[View], raw: RawTracks, reference: int, rng: np.random.Generator, watch: Watch = ENDLESS
+) -> Discovery:
     """Find poses, clocks and intrinsics of cameras from one-camera tracks: raw pixels on each camera's own clock.
 
     The reference camera is the origin, and its clock is true; `rng` chooses among hypotheses where there are too many.
     """
+    names = [view.camera.name for view in views]
     found = slope_tracks([view.camera for view in views], raw)
-    if (reason := doubts_of_tracks(found, [view.camera.name for view in views])) is not None:
+    if (reason := doubts_of_tracks(found, names)) is not None:
         return Discovery((), reason)
     results = {}
-    for two in combinations(range(len(views)), 2):
+    every = list(combinations(range(len(views)), 2))
+    for number, two in enumerate(every):
+        stage = f"{names[two[0]]} and {names[two[1]]} are found from their tracks, pair {number + 1} of {len(every)}"
+        if not watch.begin(stage):
+            break
         prior, reach = _prior_of(views, two)
         result = find_pair(found, two, prior, reach, rng)
         if result is not None:
             results[two] = result
     tree = spanning_tree({two: result.best.gain for two, result in results.items()})
     placed = {camera for two in tree for camera in two}
-    if missing := [view.camera.name for number, view in enumerate(views) if number not in placed]:
+    if missing := [name for number, name in enumerate(names) if number not in placed]:
+        if watch.is_over:
+            return Discovery((), f"{TIME_OVER} before {', '.join(missing)} could be found")
         return Discovery((), f"no tracks of {', '.join(missing)} agree with those of another camera at any offset")
     if len(tree) < len(views) - 1:
         return Discovery((), "the cameras fall into groups without common objects")
