@@ -178,8 +178,12 @@ def _rig(
         rotation, direction, offset, rate = np.sqrt(variances[number]).tolist()
         spreads.append(Spread(rotation, direction, offset, rate, focal_std, lens_std))
     names = [view.camera.name for view in views]
-    confirmed = _confirmed(poses, pairs, others)
-    doubts = [text for pair in pairs for text in doubts_of_pair(pair, names, pair.cameras in confirmed)]
+    confirmed, closed = _confirmed(poses, pairs, others)
+    doubts = [
+        text
+        for pair in pairs
+        for text in doubts_of_pair(pair, names, pair.cameras in confirmed, pair.cameras in closed)
+    ]
     return RigHypothesis(
         tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts), sum(pair.best.gain for pair in pairs)
     )
@@ -187,17 +191,25 @@ def _rig(
 
 def _confirmed(
     poses: Mapping[int, Pose], pairs: Sequence[PairResult], others: Sequence[PairResult]
-) -> set[tuple[int, int]]:
-    """Pairs of the tree on the way between two cameras whose own optimum, found without the tree, agrees with it."""
-    out: set[tuple[int, int]] = set()
+) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
+    """Pairs of the tree on the way between two cameras whose own optimum, found without the tree, agrees with it.
+
+    And those on the way between any two cameras that share tracks besides.
+    """
+    confirmed: set[tuple[int, int]] = set()
+    closed: set[tuple[int, int]] = set()
     for other in others:
+        if other.best.front < LEAST_FRONT:
+            continue
+        way = _way(other.cameras, [pair.cameras for pair in pairs])
+        closed.update(way)
         a, b = (poses[number] for number in other.cameras)
         state, offset = other.best.state, b.rotation @ (a.center - b.center)
         turn = np.linalg.norm(rotation_to_vector(state.rotation @ (b.rotation @ a.rotation.T).T))
         cosine = float(state.direction @ offset) / max(float(np.linalg.norm(offset)), 1e-12)
-        if other.best.front >= LEAST_FRONT and max(turn, np.arccos(np.clip(cosine, -1.0, 1.0))) <= LOOP_ANGLE:
-            out.update(_way(other.cameras, [pair.cameras for pair in pairs]))
-    return out
+        if max(turn, np.arccos(np.clip(cosine, -1.0, 1.0))) <= LOOP_ANGLE:
+            confirmed.update(way)
+    return confirmed, closed
 
 
 def _way(ends: tuple[int, int], tree: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
