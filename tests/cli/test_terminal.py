@@ -6,7 +6,7 @@ import pytest
 
 from stereophd.cli import terminal
 from stereophd.cli.options import Session
-from stereophd.core.calibration.watch import ENDLESS
+from stereophd.core.calibration.time_limit import ENDLESS
 
 
 @pytest.mark.parametrize(("pace", "quiet", "lines"), [(0.0, False, 2), (1e9, False, 0), (0.0, True, 0)])

@@ -24,9 +24,9 @@ from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.control import World
 from stereophd.core.calibration.discovery.rig import RigHypothesis, View, discover
 from stereophd.core.calibration.pairing.track_pairs import image_tracks, one_camera_tracks, raw_tracks
+from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
-from stereophd.core.calibration.watch import ENDLESS, Watch
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
@@ -129,7 +129,7 @@ def _values_of(rig: RigHypothesis) -> dict[str, Any]:
 
 
 def with_found_cameras(
-    loaded: LoadedConfig, log_path: Path | str, watch: Watch = ENDLESS
+    loaded: LoadedConfig, log_path: Path | str, limit: TimeLimit = ENDLESS
 ) -> tuple[LoadedConfig, FoundCameras | None]:
     """Find cameras whose pose or clock is unknown; return the configuration with them and with priors about them.
 
@@ -157,7 +157,7 @@ def with_found_cameras(
     views = [_view(loaded, section, camera) for camera in cameras]
     reference = [camera.name for camera in cameras].index(section.reference)
     rng = np.random.default_rng(CAMERA_DISCOVERY.seed(loaded.config.seed))
-    discovery = discover(views, raw_tracks(recording, tracks), reference, rng, watch)
+    discovery = discover(views, raw_tracks(recording, tracks), reference, rng, limit)
     intervals = {
         camera.name: float(np.median(np.diff(np.unique(recording.times[recording.cameras == number]))))
         for number, camera in enumerate(cameras)

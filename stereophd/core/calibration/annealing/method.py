@@ -265,7 +265,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     loosened = np.zeros(count, dtype=np.int64)
     for number in range(MOST_ROUNDS):
-        if not task.watch.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
+        if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and doubted: these cameras are the best so far"
             remarks = (Remark("time", text, is_reservation=True), *noise_remarks(task, noise), *freed_remarks(given_up))
             return Believed(task, Answer(fit, fit, 1.0, "", None), noise, tuple(given_up), freed, remarks)
@@ -366,7 +366,7 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     rows = [
         HistoryRow(float(time_s), until.adjustment.values, until.adjustment.covariance)
         for number, time_s in enumerate(times[:-1])
-        if task.watch.begin(f"the history of the answer, {number + 1} of {HISTORY_TIMES}")
+        if task.limit.begin(f"the history of the answer, {number + 1} of {HISTORY_TIMES}")
         and (until := fit_until(task, answer, float(time_s))) is not None
     ]
     return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))

@@ -29,10 +29,10 @@ from stereophd.core.calibration.annealing.fits import (
 from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
 from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio
 from stereophd.core.calibration.pairing.association import track_detections, with_cameras
+from stereophd.core.calibration.time_limit import TIME_OVER
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import collapse, enlarged
-from stereophd.core.calibration.watch import TIME_OVER
 from stereophd.wording import percent
 
 # Where one-camera tracks could be paired the cameras are nearly right: inflation begins here.
@@ -59,7 +59,7 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
     the record; the seed is that of the further draws among which one-camera tracks are paired.
     """
     tried: list[Start] = []
-    is_timely = task.watch.begin(f"start {number + 1} of at most {task.most_starts}: one-camera tracks are paired")
+    is_timely = task.limit.begin(f"start {number + 1} of at most {task.most_starts}: one-camera tracks are paired")
     pairings = pairings_of(task, values, seed)[:MOST_PAIRINGS] if is_timely else []
     for place, pairing in enumerate(pairings):
         if best_of(tried) is not None and pairing.gain < AMBIGUOUS * pairings[0].gain:
@@ -85,7 +85,7 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
     count = len(inflations) + FITTED_PASSES
     about = f"start {number + 1} of at most {task.most_starts}, from {origin}: pass"
     for number_of_pass, inflation in enumerate(inflations):
-        if not task.watch.begin(f"{about} {number_of_pass + 1} of {count}, {inflation:g} times the noise"):
+        if not task.limit.begin(f"{about} {number_of_pass + 1} of {count}, {inflation:g} times the noise"):
             return failed(TIME_OVER)
         ratio = 1.0 if fit is None else depth_ratio(task, fit, KEPT_WITHIN)
         fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio)
@@ -97,7 +97,7 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
     for number_of_pass in range(FITTED_PASSES + 1):
         if number_of_pass == FITTED_PASSES and fit.observations.weights is None:
             break  # one more pass only where the last one found weights
-        if not task.watch.begin(f"{about} {count - FITTED_PASSES + number_of_pass + 1} of {count}") and number_of_pass:
+        if not task.limit.begin(f"{about} {count - FITTED_PASSES + number_of_pass + 1} of {count}") and number_of_pass:
             break  # judged as it is
         again = refitted(
             task, fit, tracked=number_of_pass == 0, weighted=number_of_pass >= FIRST_WEIGHTED,

@@ -21,10 +21,10 @@ from stereophd.core.calibration.pairing.track_pairs import (
     one_camera_tracks,
 )
 from stereophd.core.calibration.settings import AnnealedSettings
+from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages
-from stereophd.core.calibration.watch import ENDLESS, Watch
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb.filter import PmbFilter
 
@@ -55,7 +55,7 @@ class Task:
     clocks: ClockOffsets  # Offsets of unknown clocks by the motion that the tracks show
     # Unknowns that are free while tracking, pass by pass, the last of them also in the passes that follow.
     stages: tuple[UnknownSet, ...]
-    watch: Watch = ENDLESS
+    limit: TimeLimit = ENDLESS
 
     @property
     def most_starts(self) -> int:

@@ -19,7 +19,7 @@ from stereophd.core.calibration.discovery.tracks import SlopeTracks, slope_track
 from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, PairResult, find_pair
 from stereophd.core.calibration.discovery.verdict import doubts_of_pair, doubts_of_tracks
 from stereophd.core.calibration.pairing.hypotheses import spanning_tree
-from stereophd.core.calibration.watch import ENDLESS, TIME_OVER, Watch
+from stereophd.core.calibration.time_limit import ENDLESS, TIME_OVER, TimeLimit
 from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
@@ -79,7 +79,7 @@ class Discovery:
 
 
 def discover(
-    views: Sequence[View], raw: RawTracks, reference: int, rng: np.random.Generator, watch: Watch = ENDLESS
+    views: Sequence[View], raw: RawTracks, reference: int, rng: np.random.Generator, limit: TimeLimit = ENDLESS
 ) -> Discovery:
     """Find poses, clocks and intrinsics of cameras from one-camera tracks: raw pixels on each camera's own clock.
 
@@ -93,7 +93,7 @@ def discover(
     every = list(combinations(range(len(views)), 2))
     for number, two in enumerate(every):
         stage = f"{names[two[0]]} and {names[two[1]]} are found from their tracks, pair {number + 1} of {len(every)}"
-        if not watch.begin(stage):
+        if not limit.begin(stage):
             break
         prior, reach = _prior_of(views, two)
         result = find_pair(found, two, prior, reach, rng)
@@ -102,7 +102,7 @@ def discover(
     tree = spanning_tree({two: result.best.gain for two, result in results.items()})
     placed = {camera for two in tree for camera in two}
     if missing := [name for number, name in enumerate(names) if number not in placed]:
-        if watch.is_over:
+        if limit.is_over:
             return Discovery((), f"{TIME_OVER} before {', '.join(missing)} could be found")
         return Discovery((), f"no tracks of {', '.join(missing)} agree with those of another camera at any offset")
     if len(tree) < len(views) - 1:

@@ -1,4 +1,4 @@
-"""The stages of a calibration, and the time that it may take: every long step begins with `Watch.begin`."""
+"""The stages of a calibration, and the time that it may take: every long step begins with `TimeLimit.begin`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ TIME_OVER = "the time was over"
 
 
 @dataclass(frozen=True)
-class Watch:
+class TimeLimit:
     """When a calibration has to end: a time of `time.monotonic`, which all processes of a machine share."""
 
     ends: float = math.inf
@@ -31,4 +31,4 @@ class Watch:
         return left > 0.0
 
 
-ENDLESS = Watch()
+ENDLESS = TimeLimit()
