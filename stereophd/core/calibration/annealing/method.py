@@ -80,7 +80,8 @@ class Choices:
 class Remark:
     """Something about the answer that has to be said."""
 
-    topic: str  # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `starts` or `control`
+    # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `starts`, `control` or `time`
+    topic: str
     text: str
     is_reservation: bool = False  # Whether the data determine the cameras partly at most.
 
@@ -264,6 +265,10 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     loosened = np.zeros(count, dtype=np.int64)
     for number in range(MOST_ROUNDS):
+        if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
+            text = "the time was over before the answer was found and doubted: these cameras are the best so far"
+            remarks = (Remark("time", text, is_reservation=True), *noise_remarks(task, noise), *freed_remarks(given_up))
+            return Believed(task, Answer(fit, fit, 1.0, "", None), noise, tuple(given_up), freed, remarks)
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
         # joint optima with little noise follow the detections, and show still less
@@ -360,8 +365,9 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     times = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:]
     rows = [
         HistoryRow(float(time_s), until.adjustment.values, until.adjustment.covariance)
-        for time_s in times[:-1]
-        if (until := fit_until(task, answer, float(time_s))) is not None
+        for number, time_s in enumerate(times[:-1])
+        if task.limit.begin(f"the history of the answer, {number + 1} of {HISTORY_TIMES}")
+        and (until := fit_until(task, answer, float(time_s))) is not None
     ]
     return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
 
