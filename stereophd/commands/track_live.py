@@ -16,20 +16,21 @@ import os
 import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
 from stereophd.commands.recalibrate import Recalibration, with_pose
 from stereophd.config.loading import LoadedConfig, variant
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.outputs.atomic import OutputFolder, output_folder, output_lock
 from stereophd.io.streams.messages import Message
-from stereophd.io.streams.rows import JsonLines, Publisher, RowSink, document_of
+from stereophd.io.streams.rows import Document, JsonLines, Publisher, RowSink, document_of
 from stereophd.io.streams.sources import Arrivals
 from stereophd.pipeline.build import report_times
 from stereophd.pipeline.live.frames import FrameChecks
@@ -74,7 +75,7 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
     if an output cannot be written.
     """
     _check(loaded)
-    tracking = build_tracking(loaded)
+    tracking = _tracking(loaded)
     with contextlib.ExitStack() as held:
         if outputs.folder is not None:
             held.enter_context(output_lock(outputs.folder))
@@ -94,6 +95,14 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
         if outputs.recording is None and outputs.frames is not None:
             os.truncate(outputs.frames, 0)  # the folder holds all frames
     return {"frames": session.checks.counts, **_summary(session.run)}
+
+
+def _tracking(loaded: LoadedConfig) -> TrackingRun:
+    """Return what tracks, without claims to detections: no row has them."""
+    tracking = build_tracking(loaded)
+    if not isinstance(tracking.estimator, DisparityFilter):
+        return tracking
+    return replace(tracking, estimator=replace(tracking.estimator, claims=False))
 
 
 class _Session:
@@ -198,7 +207,7 @@ class _Session:
         if pose is not None:
             self._tracked_by = with_pose(self._tracked_by, knock.camera, pose, None)
             self.found = with_pose(self.found, knock.camera, pose, knock.since_s)
-            self.run.go_on(build_tracking(self._tracked_by).estimator)
+            self.run.go_on(_tracking(self._tracked_by).estimator)
         if pose is not None or self._recalibration.is_over:
             self._recalibration = None
 
@@ -238,9 +247,9 @@ def _recording(outputs: LiveOutputs, held: contextlib.ExitStack) -> tuple[Arriva
             "frames"
         )
     try:
-        stream = held.enter_context(open(path, "a" if outputs.resume else "w", encoding="utf-8", newline="\n"))
+        stream = held.enter_context(path.open("a" if outputs.resume else "w", encoding="utf-8", newline="\n"))
         held.callback(_remove_empty, path)
-        with open(path, "rb") as content:  # what a killed run wrote last may be half a line
+        with path.open("rb") as content:  # what a killed run wrote last may be half a line
             size = sum(len(line) for line in content if line.endswith(b"\n"))
         os.truncate(path, size)
     except OSError as error:
@@ -248,7 +257,7 @@ def _recording(outputs: LiveOutputs, held: contextlib.ExitStack) -> tuple[Arriva
     return read_recording(path), stream
 
 
-def _document(live: LiveRecord, max_position_std: float | None) -> dict[str, Any]:
+def _document(live: LiveRecord, max_position_std: float | None) -> Document:
     record = live.record
     estimates = record.estimates if max_position_std is None else record.estimates.certain(max_position_std)
     return document_of(record.time_s, record.camera, record.frame, estimates, live.is_revised)
