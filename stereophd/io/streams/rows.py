@@ -69,14 +69,15 @@ class Document(msgspec.Struct):
 def document_of(time_s: float, camera: str, frame: int, estimates: Estimates, is_revised: bool) -> Document:
     """Return the document of a record."""
     tracks: list[ReportedTrack] = []
+    make: Any = ReportedTrack  # (of positions whose number a type checker does not know)
     for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
         if level is None:
             continue
         upper = level.covariances.reshape(-1, 36)[:, (0, 1, 2, 7, 8, 14)].tolist()
         extents = [()] * len(upper) if level.extents is None else level.extents.tolist()
-        rows: Any = (level.track_ids.tolist(), level.states.tolist(), upper, level.existence.tolist(), extents)
+        rows = (level.track_ids.tolist(), level.states.tolist(), upper, level.existence.tolist(), extents)
         tracks += [
-            ReportedTrack(track_id, *state, covariance, existence, status, *extent)
+            make(track_id, *state, covariance, existence, status, *extent)
             for track_id, state, covariance, existence, extent in zip(*rows, strict=True)
         ]
     return Document(time_s, camera, frame, is_revised, tracks)
