@@ -29,8 +29,18 @@ from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.outputs.atomic import OutputFolder, output_folder, output_lock
+from stereophd.io.streams.documents import (
+    CameraPlace,
+    Checkpoint,
+    Knocked,
+    LiveEvent,
+    Ready,
+    Recalibrated,
+    RecordDocument,
+    Status,
+)
 from stereophd.io.streams.messages import Message
-from stereophd.io.streams.rows import Document, JsonLines, Publisher, RowSink, document_of
+from stereophd.io.streams.rows import JsonLines, Publisher, RowSink, document_of
 from stereophd.io.streams.sources import Arrivals
 from stereophd.pipeline.build import report_times
 from stereophd.pipeline.live.frames import FrameChecks
@@ -88,7 +98,7 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
                 warm_up_messages(tracking.cameras), "warm-up"
             )
             session = _Session(loaded, tracking, outputs)
-            session.tell({"event": "ready", "cameras": [_described(camera) for camera in tracking.cameras]})
+            session.tell(Ready([_described(camera) for camera in tracking.cameras]))
             session.work(itertools.chain(recorded, session.recording_to(stream, arrivals)), source)
         if outputs.folder is not None and session.checks.counts["frames"]:
             _write_files(session.found, outputs)
@@ -131,7 +141,7 @@ class _Session:
         self._stream = stream
         yield from arrivals
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def tell(self, event: LiveEvent) -> None:
         """Report an event to every sink."""
         for sink in self._rows:
             sink.tell(event)
@@ -159,12 +169,8 @@ class _Session:
     def _tell_status(self) -> None:
         """Tell those who watch how the run goes."""
         counts, residuals = self.checks.counts, self.run.residuals
-        status = {"event": "status", "frames": counts["frames"], "late": self.run.counts.late}
-        status |= {
-            "too_late": counts["too_late"],
-            "residuals": residuals,
-            "latency_ms": self.run.counts.latency.percentiles_ms(),
-        }
+        late, latency_ms = self.run.counts.late, self.run.counts.latency.percentiles_ms()
+        status = Status(counts["frames"], late, counts["too_late"], residuals, latency_ms)
         for sink in self._rows:
             if isinstance(sink, Publisher):
                 sink.tell(status)
@@ -176,8 +182,8 @@ class _Session:
         now_s, outcome = time.monotonic(), self._checkpoint.take()
         if outcome is not None:
             self._next_s = now_s + max(CHECKPOINT_EVERY_S, (now_s - self._began_s) / MOST_SHARE)
-            is_error = isinstance(outcome, Exception)
-            self.tell({"event": "checkpoint", **({"error": str(outcome)} if is_error else {"frames": outcome})})
+            failed = isinstance(outcome, Exception)
+            self.tell(Checkpoint(error=str(outcome)) if failed else Checkpoint(outcome))
         elif now_s >= self._next_s and not self._checkpoint.is_busy:
             self._began_s, found, outputs = now_s, self.found, self._outputs
             self._checkpoint.start(lambda worker: _write_files(found, outputs, worker))
@@ -193,7 +199,7 @@ class _Session:
     def _look_after_cameras(self, record: Record) -> None:
         if record.knock is not None and record.knock != self._knock:
             self._knock = record.knock
-            self.tell({"event": "knocked", **asdict(record.knock)})
+            self.tell(Knocked(**asdict(record.knock)))
             if self.found.config.live.recalibrate:
                 self._recalibration = Recalibration(self._tracked_by, record.knock, record)
                 self.run.pass_over(record.knock.camera)
@@ -203,7 +209,7 @@ class _Session:
         if result is None:
             return
         knock, pose = self._recalibration.knock, result.get("pose")
-        self.tell({"event": "recalibrated", "camera": knock.camera, "time_s": record.time_s, **result})
+        self.tell(Recalibrated(knock.camera, record.time_s, **result))
         if pose is not None:
             self._tracked_by = with_pose(self._tracked_by, knock.camera, pose, None)
             self.found = with_pose(self.found, knock.camera, pose, knock.since_s)
@@ -212,10 +218,9 @@ class _Session:
             self._recalibration = None
 
 
-def _described(camera: Camera) -> dict[str, Any]:
+def _described(camera: Camera) -> CameraPlace:
     """Return where a camera stands and looks, for those who draw the tracks."""
-    pose = camera.pose
-    return {"name": camera.name, "center": pose.center.tolist(), "looks_along": pose.rotation[2].tolist()}
+    return CameraPlace(camera.name, camera.pose.center.tolist(), camera.pose.rotation[2].tolist())
 
 
 def _check(loaded: LoadedConfig) -> None:
@@ -257,7 +262,7 @@ def _recording(outputs: LiveOutputs, held: contextlib.ExitStack) -> tuple[Arriva
     return read_recording(path), stream
 
 
-def _document(live: LiveRecord, max_position_std: float | None) -> Document:
+def _document(live: LiveRecord, max_position_std: float | None) -> RecordDocument:
     record = live.record
     estimates = record.estimates if max_position_std is None else record.estimates.certain(max_position_std)
     return document_of(record.time_s, record.camera, record.frame, estimates, live.is_revised)

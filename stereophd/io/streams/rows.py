@@ -12,6 +12,7 @@ import msgspec
 import pyarrow as pa
 
 from stereophd.core.multi.state.estimates import Estimates
+from stereophd.io.streams.documents import LiveEvent, Ready, RecordDocument, ReportedTrack
 from stereophd.io.streams.sources import bind
 from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, TENTATIVE
 
@@ -36,37 +37,7 @@ READY_EVERY_S = 5.0
 _encode = msgspec.json.Encoder().encode
 
 
-class ReportedTrack(msgspec.Struct, omit_defaults=True):
-    """An object of a record, with the columns of ``tracks.parquet``."""
-
-    track_id: int
-    x: float
-    y: float
-    z: float
-    vx: float
-    vy: float
-    vz: float
-    position_covariance: list[float]  # Upper triangle (xx, xy, xz, yy, yz, zz); the whole is in the tables
-    existence: float
-    status: str
-    # of bodies
-    height: float | None = None
-    width: float | None = None
-    height_std: float | None = None
-    width_std: float | None = None
-
-
-class Document(msgspec.Struct):
-    """A record: its event, and the objects then; a revised one replaces the earlier one of its camera and frame."""
-
-    time_s: float
-    camera: str
-    frame: int
-    revised: bool
-    tracks: list[ReportedTrack]
-
-
-def document_of(time_s: float, camera: str, frame: int, estimates: Estimates, is_revised: bool) -> Document:
+def document_of(time_s: float, camera: str, frame: int, estimates: Estimates, is_revised: bool) -> RecordDocument:
     """Return the document of a record."""
     tracks: list[ReportedTrack] = []
     make: Any = ReportedTrack  # (of positions whose number a type checker does not know)
@@ -80,16 +51,16 @@ def document_of(time_s: float, camera: str, frame: int, estimates: Estimates, is
             make(track_id, *state, covariance, existence, status, *extent)
             for track_id, state, covariance, existence, extent in zip(*rows, strict=True)
         ]
-    return Document(time_s, camera, frame, is_revised, tracks)
+    return RecordDocument(time_s, camera, frame, is_revised, tracks)
 
 
 class RowSink(Protocol):
     """What takes the documents of records as they come, and events such as that a camera was knocked."""
 
-    def add(self, document: Document) -> None:
+    def add(self, document: RecordDocument) -> None:
         """Take the document of a record."""
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def tell(self, event: LiveEvent) -> None:
         """Take an event."""
 
 
@@ -100,12 +71,12 @@ class JsonLines:
     records: TextIO
     events: TextIO | None = None
 
-    def add(self, document: Document) -> None:
+    def add(self, document: RecordDocument) -> None:
         """See `RowSink`; numbers have all their digits, NaN is null."""
         self.records.write(_encode(document).decode() + "\n")
         self.records.flush()
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def tell(self, event: LiveEvent) -> None:
         """See `RowSink`."""
         if self.events is not None:
             self.events.write(_encode(event).decode() + "\n")
@@ -119,7 +90,7 @@ class ArrowRows:
         self._records, self._lines = records, JsonLines(io.StringIO(), events)
         self._writer = pa.ipc.new_stream(records, ROWS)
 
-    def add(self, document: Document) -> None:
+    def add(self, document: RecordDocument) -> None:
         """See `RowSink`; a record without tracks has no rows."""
         content = msgspec.to_builtins(document)
         rows = [content | track for track in content["tracks"]]
@@ -127,7 +98,7 @@ class ArrowRows:
             self._writer.write_batch(pa.RecordBatch.from_pylist(rows, schema=ROWS))
             self._records.flush()
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def tell(self, event: LiveEvent) -> None:
         """See `RowSink`."""
         self._lines.tell(event)
 
@@ -143,17 +114,17 @@ class Publisher:
         #: Where it is bound: a port that the system chose in place of ``*``.
         self.address: str = self._socket.last_endpoint.decode()
         # Whoever comes later is told where the cameras are.
-        self._ready: dict[str, Any] | None = None
+        self._ready: Ready | None = None
         self._told_s = -math.inf
 
-    def add(self, document: Document) -> None:
+    def add(self, document: RecordDocument) -> None:
         """See `RowSink`."""
         if self._ready is not None and time.monotonic() > self._told_s + READY_EVERY_S:
             self.tell(self._ready)
         self._socket.send(_encode(document))
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def tell(self, event: LiveEvent) -> None:
         """See `RowSink`; where the cameras are is said again every few seconds."""
-        if event["event"] == "ready":
+        if isinstance(event, Ready):
             self._ready, self._told_s = event, time.monotonic()
         self._socket.send(_encode(event))
