@@ -17,6 +17,8 @@ from stereophd.pipeline.tracking.loop import Record
 PROBABLE = 0.5
 # Residuals computed at a time.
 BATCH = 2048
+# Residuals above this many times the median are those of wrong detections, and say nothing about the noise.
+OUTLIER = 8.0
 # Step of the derivatives of a projection, over the standard deviation of the position.
 DERIVATIVE_STEP = 0.1
 
@@ -58,6 +60,8 @@ class CameraSums:
     residuals: int = 0
     total: Array = field(default_factory=lambda: np.zeros(2))
     squares: float = 0.0
+    # Squares of the residuals without outliers, and those that are expected.
+    usual: float = 0.0
     expected: float = 0.0
     times: list[float] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
@@ -106,10 +110,13 @@ class Explained:
         expected = expected_squares(camera, times, states, np.array(sums.covariances))
         usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
         found = found[usable]
-        sums.expected += float(expected[usable].sum())
+        squares = (found**2).sum(axis=1)
+        usual = squares <= OUTLIER**2 * np.median(squares) if len(squares) else squares > 0.0
+        sums.expected += float(expected[usable][usual].sum())
+        sums.usual += float(squares[usual].sum())
         sums.residuals += len(found)
         sums.total = sums.total + found.sum(axis=0)
-        sums.squares += float((found**2).sum())
+        sums.squares += float(squares.sum())
         sums.times, sums.states, sums.covariances, sums.pixels = [], [], [], []
 
     def report(self) -> dict[str, Any]:
@@ -127,7 +134,7 @@ class Explained:
                 # Root mean square of one axis.
                 "residual_rms_px": float(np.sqrt(sums.squares / (2 * count))) if count else None,
                 # Over what the stated noise leads to expect of an estimate that has taken in the detection.
-                "residual_ratio": float(np.sqrt(sums.squares / sums.expected)) if sums.expected > 0.0 else None,
+                "residual_ratio": float(np.sqrt(sums.usual / sums.expected)) if sums.expected > 0.0 else None,
                 "residual_mean_px": (sums.total / count).tolist() if count else None,
             }
         return out
