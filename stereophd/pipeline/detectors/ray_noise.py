@@ -36,13 +36,12 @@ from stereophd.pipeline.checks.geometry.rays import (
     signed_of_rays,
 )
 from stereophd.pipeline.checks.log.sample import CameraSample
-from stereophd.pipeline.detectors.statistics import NoisePrior
+from stereophd.pipeline.detectors.statistics import USUAL_P_DETECT, NoisePrior
 
 # The prior: the noise of one detector, px, the spread of its logarithm, and that between the cameras of one log.
 USUAL_NOISE_PX, NOISE_SPREAD, BETWEEN_CAMERAS = 1.7, 1.07, 0.4
-# Detection and false detections of a frame to begin with: no detector is free of them, and births need some to compete
-# with.
-USUAL_P_DETECT, LEAST_CLUTTER = 0.9, 0.02
+# False detections of a frame to begin with: no detector is free of them, and births need some to compete with.
+LEAST_CLUTTER = 0.02
 # Frames of each camera that are looked at.
 SAMPLE_FRAMES = 1500
 # Noises that are tried, px, and borders between classes of distances, px.

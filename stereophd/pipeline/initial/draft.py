@@ -230,6 +230,9 @@ def _source_of_detector(entry: Mapping[str, Any]) -> str:
     text = f"detector: from the rays and {tracks}"
     if entry["residual_correlation"] is not None and max(entry["residual_correlation"]) > LASTING:
         text += "; their errors last from frame to frame, as those of pose, clock or lens do"
+    if (error := entry["clutter_per_frame_standard_error"]) is not None:
+        errors = entry["p_detect_standard_error"], error
+        text += "; standard errors: p_detect {:.2g}, clutter_per_frame {:.2g}".format(*errors)
     return text
 
 
