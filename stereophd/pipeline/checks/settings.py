@@ -1,7 +1,7 @@
 """Checks of the filter's settings against the objects that the log shows: depths, speeds, acceleration, region.
 
-Depths come from rays that meet, with what chance gives at other times and places taken off. Speeds come from one-camera tracks
-at these depths: across the line of sight, over whole tracks, less what the noise of the detections gives.
+Depths come from rays that meet, less what chance gives at other times and places. Speeds come from one-camera tracks at
+these depths: across the line of sight, over whole tracks, less what the noise of the detections gives.
 """
 
 from __future__ import annotations

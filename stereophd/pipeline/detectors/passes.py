@@ -35,6 +35,8 @@ LEAST_FRAMES = 10
 MOST_PASSES = 5
 CONVERGED = 0.02
 CONVERGED_ERRORS = 0.5
+# Detections of a tentative object that chance gives.
+CHANCE_PAIR = 2
 # After the last of them, changes below this share are no finding.
 NEARLY_CONVERGED = 0.15
 
@@ -151,7 +153,7 @@ def _pass(multi_filter: DisparityFilter, parts: Iterable[EventStream]) -> tuple[
                     sums[name].attributed += count
         for counts in run.attribution.pending.values():
             for name, count in counts.items():
-                sums[name].undecided += count if sum(counts.values()) > 1 else 0
+                sums[name].undecided += count if sum(counts.values()) > CHANCE_PAIR else 0
     return watched.sums, watched.own_noise
 
 

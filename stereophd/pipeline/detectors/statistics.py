@@ -17,11 +17,11 @@ sqrt(2 sum(w^2)) / sum(w) for R_new / R, divided by the mean of R / S. Few resid
 with what the rays say (`stereophd.pipeline.detectors.ray_noise`), so that it cannot run away from pass to pass.
 
 Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of
-the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last detection of the track only: what
-comes after is the object's end, not misses.
+the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last
+detection of the track only: what comes after is the object's end, not misses.
 
-Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame. Those that
-a tentative object claims together with another one at the end are undecided: they are part of the standard error.
+Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame. Those
+that a tentative object claims together with others at the end are undecided: they are part of the standard error.
 
 Whether it is noise at all. At the true values the residuals e / sqrt(S) of a track in one camera are white. If those
 of successive frames agree, errors last: of the pose, the clock or the lens, or of labels that were smoothed. No

@@ -32,7 +32,8 @@ LEAST_CONTINUED_FRAMES, LEAST_CONTINUED = 8, 20
 # A place in an image is told apart to this many pixels; it lasts if it detects in so many frames and in this share of
 # them, unless this share of all detections is at such places: then the scene rests.
 PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.5
-# Differences from which noise is told, and the relative error of a variance from the median of one of them: they overlap.
+# Differences from which noise is told, and the relative error of a variance from their median over the root of their
+# number: they overlap.
 LEAST_DIFFERENCES, VARIANCE_ERROR = 60, 3.5
 # Frames of the shortest track that counts.
 LEAST_LENGTH = 6
@@ -146,8 +147,8 @@ class CameraSample:
         """Standard deviation of a detection about its one-camera track, px, and the least; None without long tracks.
 
         From third differences, which a steady acceleration does not change; the median resists wrong links. What white
-        acceleration adds to their variance grows with the cube of the step, so that two steps tell it from noise. Three standard
-        errors less are the least noise.
+        acceleration adds to their variance grows with the cube of the step, so that two steps tell it from noise. The
+        least noise is three standard errors less.
         """
         once, twice = (self._third_differences(step) for step in (1, 2))
         if min(len(once), len(twice)) < LEAST_DIFFERENCES:
