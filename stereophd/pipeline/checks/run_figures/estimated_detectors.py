@@ -62,8 +62,8 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
         clutter, error = estimate["clutter_per_frame"], estimate["clutter_per_frame_standard_error"]
         if error is not None and error > max(UNSURE_CLUTTER * clutter, LEAST_UNSURE):
             text = (
-                f"{name}: the estimated clutter of {clutter:.2g} detections of a frame is known to {error:.2g} only: few "
-                "frames, or objects that tracks do not settle"
+                f"{name}: the estimated clutter of {clutter:.2g} detections of a frame is known to {error:.2g} only: "
+                "few frames, or objects that tracks do not settle"
             )
             remedy = f"state cameras.{name}.detector.clutter_per_frame if you know it, or take a longer log"
             yield Finding("detector.estimate", "warning", text, round(error, 2), None, name, remedy, "clutter_unsure")
