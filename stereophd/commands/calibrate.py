@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,7 @@ from numpy.typing import NDArray
 
 from stereophd.commands.options import CalibrateOptions
 from stereophd.config.loading import LoadedConfig
+from stereophd.core.calibration.time_limit import TimeLimit
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
@@ -97,8 +100,11 @@ def calibrate(
     from joblib import effective_n_jobs
 
     jobs = effective_n_jobs(options.jobs)
-    loaded, unknown = with_found_cameras(loaded, log_path)
+    limit = TimeLimit(math.inf if options.time_s is None else time.monotonic() + options.time_s)
+    loaded, unknown = with_found_cameras(loaded, log_path, limit)
     section = calibration_section(loaded)
+    if options.time_s is not None and (section.method != "annealed" or section.posterior == "smc"):
+        raise InputError("`time_s`: expected method annealed with posterior laplace, found particles, which need all")
     problem = read_problem(loaded, log_path)
     control = control_path(loaded)
     inputs = {"detections": log_path, **({} if control is None else {"control": control})}
@@ -108,6 +114,10 @@ def calibrate(
     recording = problem.recording
     size = size_of_calibration(section, len(recording.cameras), len(recording.pixels))
     check_size(size, f"{log_path}: calibration", out_dir)
+    limit.begin(
+        f"{problem.parameters.size} unknowns of {len(problem.parameters.cameras)} cameras, "
+        f"{len(recording.pixels)} detections in {len(recording.cameras)} frames"
+    )
     drawn = whether_to_draw(options.plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
@@ -119,7 +129,7 @@ def calibrate(
         held.enter_context(unfinished.held(options.resume, options.force))
         out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists))
         outcome = unknown.outcome_of_none(problem) if unknown is not None else None
-        outcome = outcome or _outcome(CalibrationRun(loaded, problem, unfinished, jobs, progress))
+        outcome = outcome or _outcome(CalibrationRun(loaded, problem, unfinished, jobs, progress, limit))
         outcome = outcome if unknown is None else unknown.judged(problem, outcome)
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, outcome, to_metadata(record))
@@ -134,6 +144,7 @@ def calibrate(
                 out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record,
                 rows_of(uncertainty),
             )  # fmt: skip
+            limit.begin("tracks are made with the cameras")
             report["tracking"], further = _track(loaded, uncertainty, log_path, out, to_metadata(record))
             findings += report_findings(further)
         report["checks"] = findings + _findings_of(report, outcome)

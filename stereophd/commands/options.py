@@ -109,6 +109,13 @@ class CalibrateOptions(Replacing):
     require: Literal["determined", "partly"] | None = option(
         "Exit with 1 if the data determine the cameras less than this.", default=None, flag="require-status"
     )
+    time_s: float | None = option(
+        "End the search after this long with the best so far, and its status; the tracks are made after it.",
+        default=None,
+        metavar="SECONDS",
+        flag="time",
+        least=0.0,
+    )
 
 
 @options
