@@ -43,9 +43,7 @@ from stereophd.pipeline.tracking.run import (
     TrackingRun,
     build_tracking,
     with_detectors,
-    write_tracks,
 )
-from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
 from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
@@ -104,7 +102,7 @@ def track(
                 report = run.write(tracking.records(stream, kept), findings, out, kept=kept)
             else:
                 joined = run.in_pieces(options, progress)
-                report = run.write(run.lasting(joined.records()), findings, out, joined)
+                report = run.write(joined.lasting_records(), findings, out, joined)
     return report
 
 
@@ -121,9 +119,7 @@ class _Outputs:
 
     def in_pieces(self, options: TrackOptions, progress: Progress | None) -> JoinedPieces:
         """Track the log in pieces."""
-        length_s, overlap_s = options.pieces_s, options.overlap_s
-        assert length_s is not None
-        assert overlap_s is not None
+        length_s, overlap_s = options.pieces_s or 0.0, options.overlap_s or 0.0
         log = Path(os.path.abspath(self.stream.source))
         unfinished = UnfinishedRun(Path(os.path.abspath(self.unfinished.out)), self.unfinished.identity)
         work = PieceWork(self.tracking.loaded, self.tracking.cameras, log, unfinished, options.threads)
@@ -133,11 +129,6 @@ class _Outputs:
         joined = JoinedPieces(work, pieces, length_s, overlap_s, isinstance(self.tracking.estimator, SingleTracker))
         self.stream.not_invertible = joined.not_invertible
         return joined
-
-    def lasting(self, records: Iterator[Record]) -> Iterator[Record]:
-        """Leave out tracks shorter than ``report.min_track_length``."""
-        least = self.tracking.report.min_track_length
-        return lasting(records, least) if least > 0.0 else records
 
     def write(
         self, records: Iterator[Record], findings: tuple[Finding, ...], out: OutputFolder,
@@ -150,9 +141,7 @@ class _Outputs:
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
         metadata = to_metadata(self.record)
         uncertainty = stated_uncertainty(tracking.cameras, loaded.config.cameras_covariance)
-        summary = write_tracks(
-            records, out, metadata, tracking.cameras, loaded.config.report, kept, tracking.boxes, uncertainty
-        )
+        summary = tracking.write(records, out, metadata, kept, uncertainty)
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))
