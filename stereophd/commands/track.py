@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.options import TrackOptions
 from stereophd.config.loading import LoadedConfig
@@ -35,7 +35,6 @@ from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, 
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces
-from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, track_pieces
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
@@ -48,6 +47,9 @@ from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
+
+if TYPE_CHECKING:
+    from stereophd.pipeline.tracking.pieces import JoinedPieces
 
 CAMERAS_FILE = "cameras.yaml"
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
@@ -119,6 +121,9 @@ class _Outputs:
 
     def in_pieces(self, options: TrackOptions, progress: Progress | None) -> JoinedPieces:
         """Track the log in pieces."""
+        # Only here: a run in one piece begins sooner without what joins pieces.
+        from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, track_pieces
+
         length_s, overlap_s = options.pieces_s or 0.0, options.overlap_s or 0.0
         log = Path(os.path.abspath(self.stream.source))
         unfinished = UnfinishedRun(Path(os.path.abspath(self.unfinished.out)), self.unfinished.identity)

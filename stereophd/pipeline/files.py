@@ -63,9 +63,8 @@ def write_cameras(path: Path | str, cameras: Sequence[Camera], length_unit: str,
     InputError
         The file exists, or a camera has a value that a configuration does not allow.
     """
-    target = _target(path, force)
-    described = {camera.name: camera_config(camera) for camera in cameras}
-    with atomic_write(target, replace=force) as temporary:
+    with atomic_write(path, replace=force) as temporary:
+        described = {camera.name: camera_config(camera) for camera in cameras}
         camera_files.write_cameras(temporary, described, length_unit)
 
 
@@ -119,7 +118,7 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
     InputError
         The file exists, a column is missing or unknown, columns differ in length or do not hold numbers.
     """
-    target = _target(path, force)
+    target = Path(path)
     names = [str(name) for name in (table.keys() if hasattr(table, "keys") else table.column_names)]
     missing, unknown = [n for n in REQUIRED if n not in names], [n for n in names if n not in {**REQUIRED, **_OPTIONAL}]
     if missing or unknown:
@@ -135,13 +134,6 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
     schema = pa.schema([*DETECTIONS, *extra])
     with atomic_write(target, replace=force) as temporary, TableWriter(temporary, schema) as writer:
         writer.append({name: columns[name][order] for name in schema.names})
-
-
-def _target(path: Path | str, force: bool) -> Path:
-    target = Path(path)
-    if target.exists() and not force:
-        raise InputError(f"{target}: the file exists; use `force=True` to replace it")
-    return target
 
 
 def _column(values: Any, name: str, path: Path) -> Any:
