@@ -16,8 +16,8 @@ from stereophd.io.cameras import writing as camera_files
 from stereophd.io.cameras.writing import camera_config
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED
+from stereophd.io.logs.writing import log_schema
 from stereophd.io.outputs.atomic import atomic_write
-from stereophd.io.tables.schemas import DETECTIONS
 from stereophd.io.tables.writing import TableWriter
 
 # Columns that a log may have; no filter reads the score.
@@ -130,8 +130,7 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
         lengths = ", ".join(f"{name} {len(column)}" for name, column in columns.items())
         raise InputError(f"{target}: expected columns of one length, found {lengths}")
     order = np.argsort(np.ma.getdata(columns["time_s"]), kind="stable")
-    extra = [pa.field(name, _OPTIONAL[name], nullable=True) for name in _OPTIONAL if name in names]
-    schema = pa.schema([*DETECTIONS, *extra])
+    schema = log_schema(name for name in _OPTIONAL if name in names)
     with atomic_write(target, replace=force) as temporary, TableWriter(temporary, schema) as writer:
         writer.append({name: columns[name][order] for name in schema.names})
 
