@@ -69,7 +69,7 @@ def evaluate_cameras_command(
     from stereophd.commands.evaluate_cameras import evaluate_calibration
     from stereophd.report.camera_scores import camera_scores_text
 
-    loaded = None if config is None else load(ConfigWords(config, true, None, seed))
+    loaded = None if config is None else load(ConfigWords(config, None, seed, true))
     print_scored(
         session, lambda: evaluate_calibration(estimated, true, out, loaded, options=options), camera_scores_text
     )

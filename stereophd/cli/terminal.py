@@ -49,7 +49,7 @@ def begin(context: typer.Context) -> Session:
     return session
 
 
-def load(words: ConfigWords | SceneWords, further: Sequence[str] = ()) -> LoadedConfig:
+def load(words: SceneWords, further: Sequence[str] = ()) -> LoadedConfig:
     """Load the configuration of a command; `further` overrides come after those of the command line."""
     from stereophd.config.loading import load_config
 
