@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
 from stereophd.core.metrics.errors import FirstReports, first_reports, waits
 from stereophd.core.metrics.matching.assignment import is_positive_definite
@@ -29,7 +29,7 @@ from stereophd.core.metrics.truth.places import leave_out_outside, on_plane
 from stereophd.core.metrics.truth.registration import Registration
 from stereophd.core.metrics.truth.visibility import Sightings, cameras_that_saw, leave_out_unseen
 from stereophd.errors import InputError
-from stereophd.pipeline.evaluation.inputs import Tracks
+from stereophd.pipeline.evaluation.inputs import Tracks, rows_of
 from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.registering import registered_sightings, registered_tracks, registration_of
 from stereophd.pipeline.evaluation.report import Scored
@@ -142,7 +142,7 @@ def _scored(
 
 def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path) -> PointSets:
     """Return the estimates that were reported after each event."""
-    rows, start = _rows(events)
+    rows, start = rows_of(events)
     covariance = tracks.covariance[rows]
     if options.base == "mahalanobis":
         bad = np.flatnonzero(~is_positive_definite(covariance))
@@ -159,16 +159,9 @@ def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path
     return reported if options.tentative else reported.keep_points(confirmed)
 
 
-def _rows(events: Events) -> tuple[Integers, Integers]:
-    """Return the rows of tracks that belong to events, one event after the other, and where each event starts."""
-    count = events.row_end - events.row_start
-    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-    return np.arange(start[-1]) + np.repeat(events.row_start - start[:-1], count), start
-
-
 def _first_reports(tracks: Tracks) -> FirstReports:
     """Return when each track was first reported, tentative reports included."""
-    rows, start = _rows(tracks.events)
+    rows, start = rows_of(tracks.events)
     return first_reports(tracks.track_id[rows], np.repeat(tracks.events.time_s, np.diff(start)))
 
 
