@@ -20,11 +20,7 @@ REPORT_VERSION = 1
 
 
 def export(
-    form: str,
-    source: Path | str,
-    out: Path | str,
-    options: ExportOptions | None = None,
-    force: bool = False,
+    form: str, source: Path | str, out: Path | str, options: ExportOptions | None = None, force: bool = False
 ) -> dict[str, Any]:
     """Export tracks or cameras; the content of the source decides which.
 

@@ -104,12 +104,7 @@ def summary_text(report: Mapping[str, Any]) -> str:
 
 def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:
     rows = [
-        (
-            name,
-            number(camera["rotation_std_deg"]),
-            number(camera["direction_std_deg"]),
-            number(camera["center_std"]),
-        )
+        (name, number(camera["rotation_std_deg"]), number(camera["direction_std_deg"]), number(camera["center_std"]))
         for name, camera in (report.get("cameras") or {}).items()
     ]
     header = ("camera", "rotation std [deg]", "direction std [deg]", f"centre std [{unit}]")

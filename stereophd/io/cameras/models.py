@@ -162,8 +162,7 @@ class CameraConfig(Model):
         default=(),
     )
     detector: Annotated[
-        DetectorConfig,
-        BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"]),
+        DetectorConfig, BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"])
     ] = parameter(
         "what its detector does, or estimate: all of it is estimated from the log (init, track)",
         default_factory=lambda: DetectorConfig(**UNKNOWN_DETECTOR),

@@ -178,7 +178,5 @@ def _rows(path: Path, options: ImportOptions, has_points: bool, sync: Sequence[s
 
 
 FORMAT = Format(
-    "caliscope: cameras (TOML), points (xy.csv) and times",
-    read=read,
-    recognises_cameras=recognises_cameras,
+    "caliscope: cameras (TOML), points (xy.csv) and times", read=read, recognises_cameras=recognises_cameras
 )

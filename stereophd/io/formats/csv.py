@@ -24,14 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import (
-    EXTRA_COLUMNS,
-    ExportOptions,
-    ForeignRecording,
-    Format,
-    ImportOptions,
-    Piece,
-)
+from stereophd.io.interchange.base import EXTRA_COLUMNS, ExportOptions, ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.documents.text_tables import header_of, read_batches
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.truth import long_truth

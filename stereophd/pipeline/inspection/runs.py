@@ -31,10 +31,7 @@ COUNTS = dict.fromkeys(("n_truth", "n_estimates", "n_matched"), INTEGER)
 REPORT = "report.json"
 # What a report page takes from the origin of a run, and from the report by command: keys that must be there.
 RECORD = ("config", "inputs", "seed")
-SHOWN = {
-    "evaluate": ("ospa", "gospa", "rmse", "nees", "identity_switches"),
-    "calibrate": ("parameters", "status"),
-}
+SHOWN = {"evaluate": ("ospa", "gospa", "rmse", "nees", "identity_switches"), "calibrate": ("parameters", "status")}
 
 
 @dataclass(frozen=True)
