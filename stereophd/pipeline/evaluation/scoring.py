@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
-from stereophd.core.metrics.errors import FirstReports, first_reports, waits
+from stereophd.core.metrics.errors import first_reports, waits
 from stereophd.core.metrics.matching.assignment import is_positive_definite
 from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
 from stereophd.core.metrics.matching.near_pairs import near_pairs
@@ -126,7 +126,9 @@ def _scored(
     near = matchable if distance == cutoff else near_pairs(estimates, points, cutoff, mahalanobis=mahalanobis)
     ospa2 = track_ospa(estimates, points, options.ospa2_window, order, cutoff, mahalanobis=mahalanobis)
     errors = pair_errors(estimates, points, scores)
-    waited = waits(time_s, estimates, points, scores, _first_reports(tracks))
+    rows, start = rows_of(tracks.events)  # tentative reports count as the first
+    first = first_reports(tracks.track_id[rows], np.repeat(tracks.events.time_s, np.diff(start)))
+    waited = waits(time_s, estimates, points, scores, first)
     summary = figures(estimates, points, scores, near, matchable, ospa2, errors, waited)
     if options.switch_cost is not None:
         tgospa = trajectory_gospa(estimates, points, near, order, cutoff, options.switch_cost)
@@ -157,12 +159,6 @@ def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path
         None if tracks.cameras_part is None else tracks.cameras_part[rows],
     )  # fmt: skip
     return reported if options.tentative else reported.keep_points(confirmed)
-
-
-def _first_reports(tracks: Tracks) -> FirstReports:
-    """Return when each track was first reported, tentative reports included."""
-    rows, start = rows_of(tracks.events)
-    return first_reports(tracks.track_id[rows], np.repeat(tracks.events.time_s, np.diff(start)))
 
 
 def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: ScoreOptions, path: Path) -> str:

@@ -35,15 +35,11 @@ def summarise_cameras(cameras: Mapping[str, CameraConfig], length_unit: str) -> 
         else None,
         "axes_meet_near": None if target is None else target.tolist(),
         "axes_distance_rms": None if target is None else _distance_rms(centers, axes, target),
-        "axes_meet_behind": [] if target is None else _behind(rows, target),
+        "axes_meet_behind": []
+        if target is None
+        else [name for name, center, axis in zip(rows, centers, axes, strict=True) if (target - center) @ axis < 0],
         "cameras": rows,
     }
-
-
-def _behind(rows: Mapping[str, Mapping[str, Any]], point: Array) -> list[str]:
-    """Return the cameras that a point lies behind."""
-    offsets = {name: point - np.array(row["center"]) for name, row in rows.items()}
-    return [name for name, offset in offsets.items() if float(offset @ np.array(rows[name]["looks_along"])) < 0]
 
 
 def _row(name: str, config: CameraConfig) -> dict[str, Any]:
