@@ -66,7 +66,7 @@ def simulate(
     check_size(size_of_simulation(loaded, runs or 1), f"{loaded.path}: simulate", out_dir, options.force_size)
     if runs is None:
         with OutputFolder(out_dir, FILES, options.force) as out:
-            counts = [_simulate_run(loaded, 0, {name: out.path(name) for name in FILES}, progress)]
+            counts = [_simulate_run((loaded, 0, {name: out.path(name) for name in FILES}), progress)]
     else:
         with OutputFolder(out_dir, [f"run-*/{name}" for name in FILES], options.force) as out:
             paths = [{name: out.path(f"run-{run:04d}/{name}") for name in FILES} for run in range(runs)]
@@ -117,19 +117,16 @@ def _simulate_runs(
     from stereophd.pipeline.workers.processes import on_processes
 
     counts = []
-    for count in map(_simulate_one, tasks) if jobs == 1 else on_processes(_simulate_one, tasks, jobs):
+    for count in map(_simulate_run, tasks) if jobs == 1 else on_processes(_simulate_run, tasks, jobs):
         counts.append(count)
         if progress is not None:
             progress(len(counts), len(paths))
     return counts
 
 
-def _simulate_one(task: tuple[LoadedConfig, int, dict[str, Path]]) -> dict[str, int]:
-    return _simulate_run(*task, None)
-
-
-def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progress: Progress | None) -> dict[str, int]:
-    """Write the files of one run, and return how many frames, detections and objects they hold."""
+def _simulate_run(task: tuple[LoadedConfig, int, dict[str, Path]], progress: Progress | None = None) -> dict[str, int]:
+    """Write the files of one run of a configuration, and return how many frames, detections and objects they hold."""
+    loaded, run, paths = task
     config = loaded.config
     settings = config.simulate
     assert settings is not None  # checked in simulate
