@@ -7,8 +7,7 @@ therefore does not depend on the number of runs or workers; a single run is run 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -144,9 +143,8 @@ def _simulate_run(task: tuple[LoadedConfig, int, dict[str, Path]], progress: Pro
         guess = draw_guess(loaded, RUN_GUESS.seed(config.seed, run))
         write_cameras(paths[GUESS_FILE], {n: guess[n] for n in described}, config.units.length, record)
     _write_truth(paths[TRUTH_FILE], scene, metadata)
-    report = None if progress is None else partial(_every, progress, scene.grid.frame_count())
     frame_seed = RUN_FRAMES.seed(config.seed, run)
-    return _write_log(paths[DETECTIONS_FILE], scene, frame_seed, metadata, settings.object_id, report)
+    return _write_log(paths[DETECTIONS_FILE], scene, frame_seed, metadata, settings.object_id, progress)
 
 
 def _write_truth(path: Path, scene: Scene, metadata: dict[bytes, bytes]) -> None:
@@ -163,10 +161,10 @@ def _write_log(
     seed: np.random.SeedSequence,
     metadata: dict[bytes, bytes],
     object_id: bool,
-    report: Callable[[int], None] | None,
+    progress: Progress | None,
 ) -> dict[str, int]:
     counts = {"frames": 0, "detections": 0, "clutter": 0, "objects": len(scene.objects)}
-    names = [camera.name for camera in scene.cameras]
+    names, total = [camera.name for camera in scene.cameras], scene.grid.frame_count()
     optional = [*(("width_px", "height_px") if scene.sized is not None else ()), *(("object_id",) if object_id else ())]
     with LogWriter(path, metadata, optional) as writer:
         for frame in simulate_frames(scene, seed):
@@ -177,12 +175,7 @@ def _write_log(
             counts["frames"] += 1
             counts["detections"] += len(frame.pixels)
             counts["clutter"] += int(np.count_nonzero(frame.object_id == CLUTTER_ID))
-            if report is not None:
-                report(counts["frames"])
+            # often enough for a display
+            if progress is not None and (counts["frames"] % PROGRESS_EVERY == 0 or counts["frames"] == total):
+                progress(counts["frames"], total)
     return counts
-
-
-def _every(progress: Progress, total: int, done: int) -> None:
-    """Call `progress` every `PROGRESS_EVERY` frames and at the last one, which is enough for a display."""
-    if done % PROGRESS_EVERY == 0 or done == total:
-        progress(done, total)
