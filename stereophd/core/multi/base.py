@@ -21,9 +21,15 @@ from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.births.birth import birth_moments, newborn_prior
-from stereophd.core.multi.births.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
-from stereophd.core.multi.births.undetected import Undetected, burst_of, expected_births, undetected_shares
+from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
+from stereophd.core.multi.births.undetected import (
+    Undetected,
+    birth_moments,
+    burst_of,
+    expected_births,
+    newborn_prior,
+    undetected_shares,
+)
 from stereophd.core.multi.extract import Counters, select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.state.estimates import Estimates, Info

@@ -144,7 +144,7 @@ def _scores(loaded: LoadedConfig, times_s: Array, estimates: PointSets, truth: P
     for settings in scenario_of(loaded.config, MultiObjectScenario).ospa:
         mahalanobis = settings.base == "mahalanobis"
         scores = score_scans(estimates, truth, settings.order, settings.cutoff, mahalanobis=mahalanobis)
-        series.append(Series(settings.quantity, "1" if mahalanobis else unit, scores.ospa, times_s))
+        series.append(Series(settings.quantity, "1" if mahalanobis else unit, scores.ospa.distance, times_s))
     surplus = (estimates.counts - truth.counts).astype(np.float64)
     return [*series, Series("cardinality_bias", "1", surplus, times_s)]
 

@@ -76,7 +76,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     pairs = np.column_stack([scores.pair_estimate[last], scores.pair_truth[last] % max(count, 1)])
     bias = (points.counts - count).astype(np.float64)
     return [
-        Series("ospa", unit, scores.ospa, over),
+        Series("ospa", unit, scores.ospa.distance, over),
         Series("cardinality_bias", "1", bias, over),
         *_accuracy(points, views, pairs, unit),
         *_correspondence(points, views, pairs),

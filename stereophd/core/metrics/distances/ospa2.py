@@ -107,8 +107,7 @@ def ospa2_of_windows(
         for scans, m, n in batches_of_one_size(track_there.sum(axis=1), target_there.sum(axis=1)):
             rows, columns = _first_marked(track_there[scans], m), _first_marked(target_there[scans], n)
             distances = cutoff * ratio[scans[:, None, None], rows[:, :, None], columns[:, None, :]]
-            ospa = ospa_of_matching(match(distances, order, cutoff), n, order, cutoff)
-            values[:, chunk.first + scans] = ospa.distance, ospa.localisation, ospa.cardinality
+            values[:, chunk.first + scans] = ospa_of_matching(match(distances, order, cutoff), n, order, cutoff)
     return Ospa(*values)
 
 

@@ -15,7 +15,7 @@ from stereophd.core.disparity.moved import Moved, allocate_moved, slice_moved
 from stereophd.core.disparity.sample_move import Look, carry_components
 from stereophd.core.disparity.space import PACKED_SIZE
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.multi.births.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
+from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.pmb.hypotheses import PmbReduction, choose_hypotheses, make_hypotheses
 from stereophd.core.multi.pmb.reduction import reduce_tracks

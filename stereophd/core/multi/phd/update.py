@@ -10,8 +10,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association.likelihoods import kalman_updates, pair_likelihoods
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
-from stereophd.core.multi.state.outcomes import allocate_outcomes, fill_missed
+from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allocate_outcomes, fill_missed
 from stereophd.core.multi.state.reduction import reduce_mixture
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import places, stable_order

@@ -16,8 +16,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.association.likelihoods import kalman_updates
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allocate_mixture
-from stereophd.core.multi.state.outcomes import fill_missed
+from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allocate_mixture, fill_missed
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian, largest, picked, places, stable_order
 
