@@ -8,8 +8,6 @@ K. Bernardin, R. Stiefelhagen, "Evaluating multiple object tracking performance:
 EURASIP Journal on Image and Video Processing, 2008 (identity switches, there "mismatches").
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -9,8 +9,6 @@ IDF1 is the share of points with the right identity when each object is given at
 multi-camera tracking", ECCV Workshops 2016, section 3).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The figures of a run from the scores of its scans."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@ A filter is ``init / predict / update / extract`` over a frozen state; `Disparit
 three in a row that an event takes. The filters differ in their update.
 """
 
-from __future__ import annotations
-
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -175,7 +173,7 @@ class DisparityFilter(ABC):
         )
         total = keep_surviving_weights(
             weights, moved.status, moved.inside, mixture.means, mixture.tracks, mixture.cameras, homes, motion.reach,
-            motion.drift, self.rig.views(event.time_s), event.camera, elapsed, self.settings.out_of_view_s,
+            motion.drift, self.rig.views(event.time_s), event.camera, elapsed, self.settings.out_of_view_s
         )  # fmt: skip
         if births is None:
             known = self.rig.cameras[event.camera].detector.p_detect * total

@@ -6,8 +6,6 @@ in the world. Nothing is kept outside the state: the same state and event give t
 draw random numbers.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar

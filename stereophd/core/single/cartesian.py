@@ -5,8 +5,6 @@ is not. The first detection and the prior on disparity are carried to the world 
 by sigma points (unscented, without a centre point: all weights equal and positive); so are detections.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -7,8 +7,6 @@ into the disparity space of the next event's camera. With one object and no clut
 object, so that samples out of the camera's view are left out of the Gaussian (V-B).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 

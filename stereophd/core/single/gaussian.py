@@ -3,8 +3,6 @@
 Cameras are packed (`stereophd.core.geometry.layout`), pixels undistorted.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 
@@ -85,24 +83,11 @@ def velocity_covariance(prior: InitialPrior, space: Array, pixel: Array, rho: fl
 def linear_update(
     mean: Array, covariance: Array, matrix: Array, predicted: Array, point: Array, noise: Array
 ) -> tuple[Array, Array, float]:
-    """Kalman update with one detection.
+    """Kalman update of a Gaussian (d,), (d, d) with one detection (2,), (2, 2).
 
-    Parameters
-    ----------
-    mean, covariance : arrays (d,), (d, d)
-    matrix : array (2, d)
-        Matrix of the (linearised) observation.
-    predicted : array (2,)
-        Observation of the mean, px.
-    point, noise : arrays (2,), (2, 2)
-        The detection and its covariance.
-
-    Returns
-    -------
-    mean, covariance : arrays (d,), (d, d)
-        In Joseph's form, which stays positive definite.
-    log_likelihood : float
-        Logarithm of the predicted density of the detection.
+    The observation is linearised: by the matrix (2, d) about the mean, where it is `predicted` (2,), px. Returns mean
+    and covariance, by Joseph's form, which stays positive definite, and the logarithm of the predicted density of the
+    detection.
     """
     size = mean.shape[0]
     cross = np.zeros((size, 2))

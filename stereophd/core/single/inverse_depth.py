@@ -12,8 +12,6 @@ b' = h_2 / h_3, rho' = rho / h_3.
 Rays by slopes and not by angles (as in [7]): the prior is then the Gaussian of disparity space, rescaled.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

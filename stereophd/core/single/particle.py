@@ -6,8 +6,6 @@ place in the world. Weights are logarithms, or plain numbers (``linear``). Plain
 prior are more than 38 standard deviations from a detection; the filter then keeps its earlier weights.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 

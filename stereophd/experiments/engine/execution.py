@@ -1,7 +1,5 @@
 """Do all runs that are wanted and not there yet; a failed run is reported and tried again."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field

@@ -5,8 +5,6 @@ the values of a run depend on (not the number of runs, nor the selection of resu
 therefore never used.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Sequence

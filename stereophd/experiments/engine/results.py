@@ -1,7 +1,5 @@
 """Results of an experiment: the summaries of every method in every case, gathered from runs, written and read."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Iterator, Mapping, Sequence

@@ -1,7 +1,5 @@
 """The plan of an experiment, and its unit of work: some runs of one method in one case, done by one process."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -4,8 +4,6 @@ Run k is the scene of run k of several runs of ``simulate``, tracked as ``track`
 without the files between.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -74,11 +72,7 @@ def scene_truth(scene: Scene) -> Truth:
 
 
 def filtered_points(
-    loaded: LoadedConfig,
-    cameras: Sequence[Camera],
-    frames: Sequence[Frame],
-    last: np.ndarray,
-    tentative: bool = False,
+    loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[Frame], last: np.ndarray, tentative: bool = False
 ) -> PointSets:
     """Track with the configuration's filter; return what it reports after the events `last`, also tentatively."""
     config = loaded.config

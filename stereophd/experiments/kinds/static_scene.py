@@ -5,8 +5,6 @@ the last view are scored: the number of points found, their accuracy relative to
 detections of each view to landmarks (one to one, of least squared Mahalanobis distance).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -67,7 +65,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     start = count * np.arange(len(times) + 1)
     truth = PointSets(
         start, np.tile(views.positions, (len(times), 1)), np.zeros((count * len(times), 3)),
-        np.tile(views.labels, len(times)),
+        np.tile(views.labels, len(times))
     )  # fmt: skip
     scenario = scenario_of(loaded.config, StaticSceneScenario)
     scores = score_scans(points, truth, 2.0, scenario.cutoff)

@@ -11,8 +11,6 @@ All sums are formed with distances divided by the cutoff, so that a large order 
 underflows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -105,10 +103,7 @@ def gospa_of_matching(matching: Matching, n_truth: int, order: float, cutoff: fl
     false = 0.5 * (n_estimates - pairs)
     root = 1.0 / order
     return Gospa(
-        cutoff * (located + missed + false) ** root,
-        cutoff * located**root,
-        cutoff * missed**root,
-        cutoff * false**root,
+        cutoff * (located + missed + false) ** root, cutoff * located**root, cutoff * missed**root, cutoff * false**root
     )
 
 

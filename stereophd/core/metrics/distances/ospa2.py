@@ -12,8 +12,6 @@ performance", ICCAIS 2017, and "A solution for large-scale multi-object tracking
 Processing 68, 2020 (section V).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """What is scored: objects that enough cameras have seen lately, on a plane, and within a region."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 

@@ -17,8 +17,6 @@ A frame with far more detections than objects can make (`burst_of`) is no eviden
 clutter.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -48,7 +48,7 @@ class GaussianMixture(NamedTuple):
         """Return the components with these indices."""
         return GaussianMixture(
             self.weights[index], self.means[index], self.covariances[index], self.cameras[index], self.times[index],
-            self.labels[index], self.tracks[index], self.reported[index],
+            self.labels[index], self.tracks[index], self.reported[index]
         )  # fmt: skip
 
     def with_weights(self, weights: Array) -> GaussianMixture:
@@ -62,7 +62,7 @@ def empty_mixture(size: int) -> GaussianMixture:
     integers = np.empty(0, dtype=np.int64)
     return GaussianMixture(
         np.empty(0), np.empty((0, size)), np.empty((0, size, size)), integers, np.empty(0), integers,
-        integers, np.empty(0, dtype=np.bool_),
+        integers, np.empty(0, dtype=np.bool_)
     )  # fmt: skip
 
 
@@ -77,7 +77,7 @@ def allocate_mixture(count: int, size: int) -> GaussianMixture:
     return GaussianMixture(
         np.empty(count), np.empty((count, size)), np.empty((count, size, size)), np.empty(count, dtype=np.int64),
         np.empty(count), np.empty(count, dtype=np.int64), np.full(count, UNLABELLED),
-        np.zeros(count, dtype=np.bool_),
+        np.zeros(count, dtype=np.bool_)
     )  # fmt: skip
 
 
@@ -111,7 +111,7 @@ def slice_components(mixture: GaussianMixture, first: int, last: int) -> Gaussia
     return GaussianMixture(
         mixture.weights[first:last], mixture.means[first:last], mixture.covariances[first:last],
         mixture.cameras[first:last], mixture.times[first:last], mixture.labels[first:last],
-        mixture.tracks[first:last], mixture.reported[first:last],
+        mixture.tracks[first:last], mixture.reported[first:last]
     )  # fmt: skip
 
 

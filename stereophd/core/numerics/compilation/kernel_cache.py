@@ -83,7 +83,7 @@ def kernel_folders() -> tuple[Path, ...]:
             LOGGER.warning(
                 "%s=%s: expected a folder that only this user or root can write to, as to all that lead to it, found "
                 "another: no kernels are read from it or kept there",
-                name, stated,
+                name, stated
             )  # fmt: skip
     return folders
 

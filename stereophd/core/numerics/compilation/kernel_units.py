@@ -12,8 +12,6 @@ choice of the form of a built-in function (the operators, `math.sqrt`, `len`, ..
 which numba tries all forms that it knows at every place.
 """
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import hashlib
