@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
 from stereophd.io.outputs.commit import refuse_unsettled
+from stereophd.io.outputs.json_text import read_report
 from stereophd.io.outputs.provenance import file_sha256
 from stereophd.io.tables.reading import arrays_of, open_parquet, read_table
 from stereophd.io.tables.schemas import ASSOCIATIONS, CONFIRMED, FLOAT, INTEGER, SCANS, TRACKS, kinds_of
@@ -144,16 +144,8 @@ def _read_folder(folder: Path, found: _Found) -> None:
 
 
 def _report(path: Path) -> dict[str, Any] | None:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if (document := read_report(path)) is None:
         return None
-    except RecursionError:
-        raise InputError(f"{path}: expected a report of stereophd, found JSON nested too deeply") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    if not isinstance(document, dict) or not isinstance(document.get("provenance"), dict):
-        raise InputError(f"{path}: expected a report of stereophd, found none of its keys")
     record = document["provenance"]
     command = record.get("command")
     missing = [f"provenance.{key}" for key in RECORD if key not in record]
