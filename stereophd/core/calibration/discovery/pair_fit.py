@@ -145,7 +145,7 @@ class PairProblem:
         return float(np.sqrt((self.found.sigma[list(self.cameras)] ** 2).mean()))
 
     def fitted(self, state: PairState, tolerances: tuple[float, ...] = TOLERANCES) -> PairFit | None:
-        """Refine a state at tolerances that fall; the fit of the greatest gain, None where nothing pairs."""
+        """Refine a state at tolerances that fall; the fit of the greatest gain, None where nothing pairs in front."""
         best: PairFit | None = None
         start = state
         for tolerance in tolerances:
@@ -155,7 +155,8 @@ class PairProblem:
             state, covariance = self._minimised(state, start, paired, tolerance)
             judged = self._paired(state, tolerance)
             if len(judged.pairs) and (best is None or judged.gain >= best.gain):
-                best = self._judged(state, judged, covariance, tolerance)
+                fit = self._judged(state, judged, covariance, tolerance)
+                best = fit if len(fit.depths) else best
         return best
 
     def _rows(self, state: PairState) -> _Rows:
