@@ -84,31 +84,14 @@ def calibrate(
     options: CalibrateOptions,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Calibrate cameras from a detection log (paper section VII).
+    """Calibrate cameras from a detection log (paper section VII), as `stereophd.api.calibrate`.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With a ``calibration`` and a ``filter`` section, and cameras at the prior mean.
-    log_path : path
-        Detection log.
-    out_dir : path
-        Folder for ``report.json``, ``posterior.parquet`` and ``history.parquet``, and where the data determine the
-        cameras ``cameras.yaml``, and the tables of ``track`` made with them.
-    progress : callable, optional
-        Called with (done, total); an exception that it raises ends the run, and leaves a checkpoint.
-
-    Returns
-    -------
-    dict
-        The report, as in ``report.json``; its ``status`` is ``undetermined`` if the data do not determine the cameras.
-
-    Raises
-    ------
-    InputError
-        Configuration, log, checkpoint or output folder are not usable; the calibration needs too much memory.
-    GateError
-        The data determine less than `require`. Everything has been written; the error carries the report.
+    The configuration has the sections ``calibration`` and ``filter``, and cameras at the prior mean. The output folder
+    gets ``report.json``, ``posterior.parquet`` and ``history.parquet``, and where the data determine the cameras
+    ``cameras.yaml``, and the tables of ``track`` made with them. `progress` is called with (done, total); an exception
+    that it raises ends the run, and leaves a checkpoint. Returns the report. Raises InputError if configuration, log,
+    checkpoint or folder are not usable, or it needs too much memory; GateError, which carries the report, if the data
+    determine less than `require`: everything has been written then.
     """
     if options.require not in ACCEPTED:
         raise InputError(f"`require`: expected determined or partly, found {options.require}")
@@ -169,10 +152,10 @@ def calibrate(
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
             # Costly to import, and matplotlib is an extra.
-            from stereophd.report.plots.calibration_plots import pictures_of, write_calibration_plots
+            from stereophd.report.plots.calibration_plots import write_calibration_plots
 
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
-            write_calibration_plots(pictures_of(outcome, loaded.config.units.length), paths)
+            write_calibration_plots(outcome, loaded.config.units.length, paths)
     return _accepted(report, options.require, log_path)
 
 

@@ -23,8 +23,8 @@ from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_
 from stereophd.core.calibration.annealing.control import ControlTrack, World, with_control
 from stereophd.core.calibration.annealing.fits import (
     adjusted_to,
+    chosen_at_marginal,
     fit_until,
-    marginal_fit,
     problem_of,
     refitted,
     restricted_fit,
@@ -231,7 +231,7 @@ def state(task: Task, fit: Fit, choices: Choices) -> Answer:
     """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
     joint, comparison = selected(task, fit, choices)
     any_noise = has_known_length(task, choices) and joint.held is None
-    stated, noise_factor, doubt = marginal_fit(task, joint, any_noise)
+    stated, noise_factor, doubt = chosen_at_marginal(task, joint, any_noise)
     return Answer(joint, stated, noise_factor, doubt, comparison)
 
 
@@ -271,6 +271,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             return Believed(task, Answer(fit, fit, 1.0, "", None), noise, tuple(given_up), freed, remarks)
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
+        basis = replace(answer.fit, knots=replace(answer.fit.knots, noise_std=answer.joint.knots.noise_std))
         # joint optima with little noise follow the detections, and show still less
         shown = answer.fit if answer.is_marginal else with_independent_errors(task, fit)
         estimate = noise_factors(problem_of(task, shown), shown.adjustment, np.random.default_rng(NOISE_SEED))
@@ -278,7 +279,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         if (estimate.differs | hides).any() and not last:
             factors = np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
             task, noise, loosened = task.with_noise(factors), noise * factors, loosened + hides
-            fit = adjusted_anew(task, fit)
+            fit = adjusted_anew(task, basis)
             continue
         enlarged, suspicions = suspected(task, answer)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
@@ -286,7 +287,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             break
         given_up.append((enlarged, wrong))
         freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
-        task, fit = with_freed(task, fit, enlarged, wrong)
+        task, fit = with_freed(task, basis, enlarged, wrong)
     held = [(enlarged, suspicion) for suspicion in suspicions]
     remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held_remarks(enlarged, suspicions))
     return Believed(task, answer, noise, (*given_up, *held), freed, remarks)
