@@ -151,8 +151,11 @@ class Attribution:
     def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, dict[str, int]]:
         """Count the labels that an event of a camera detected; return what falls to the reported tracks."""
         for label in detected.tolist():
-            counts = self.pending.setdefault(label, {})
-            counts[camera] = counts.get(camera, 0) + 1
+            counts = self.pending.get(label)
+            if counts is None:
+                self.pending[label] = {camera: 1}
+            else:
+                counts[camera] = counts.get(camera, 0) + 1
         tracks = zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True)
         return {track_id: self.pending.pop(label) for track_id, label in tracks if label in self.pending}
 
