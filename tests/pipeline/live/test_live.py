@@ -125,9 +125,7 @@ def test_a_bad_frame_is_refused_with_its_place(
 
 
 def test_rows_of_a_grid_are_predicted_to_now(loaded: LoadedConfig, frames: list[Message]) -> None:
-    gridded = load_config(
-        loaded.path, ["report.times=grid 0.1"], cameras_path=HALL / "hall" / "cameras.yaml"
-    )
+    gridded = load_config(loaded.path, ["report.times=grid 0.1"], cameras_path=HALL / "hall" / "cameras.yaml")
     lines, end_s = io.StringIO(), max(frame.time_s for frame in frames[:60])
 
     def arrivals() -> Iterator[Message | None]:
