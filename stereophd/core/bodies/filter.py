@@ -111,13 +111,16 @@ class BodyFilter:
         """Predict, update and report for one event."""
         camera = self.rig.cameras[event.camera].at(event.time_s)
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
+        state, info = self._update(self.predict(state, event), event, camera, elapsed)
+        return self._extract(state, info)
+
+    def predict(self, state: BodyState, event: Event) -> BodyState:
+        """Return the state before the boxes of an event; one that opens an instant ends the one before."""
         if event.time_s - state.instant_s >= self.shape.instant_s or state.counts[event.camera] >= 0:
             hypotheses = merged(state.hypotheses, self.settings.hypothesis_distance)
             none = (-1,) * len(self.rig.cameras)
             state = replace(state, hypotheses=hypotheses, reported=state.shown, instant_s=event.time_s, counts=none)
-        state = self._predicted(state, event.time_s)
-        state, info = self._update(state, event, camera, elapsed)
-        return self._extract(state, info)
+        return self._predicted(state, event.time_s)
 
     def forecast(self, state: BodyState, info: Info, time_s: float) -> tuple[Info, Estimates]:
         """Predict the bodies of a state to a later time at which no camera reported."""
