@@ -16,10 +16,17 @@ from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import BOX_NOISE, Camera, Detector
 from stereophd.core.multi.state.estimates import Info
-from stereophd.pipeline.detectors.statistics import DECIDED_SHARE, LIKELY, DetectorSums, NoisePrior, Sighting
+from stereophd.pipeline.detectors.statistics import (
+    DECIDED_SHARE,
+    LIKELY,
+    USUAL_P_DETECT,
+    DetectorSums,
+    NoisePrior,
+    Sighting,
+)
 
-# Spread of the logarithm of the noise of boxes between detectors, and what else an unknown one is taken to be.
-SPREAD, USUAL_P_DETECT, USUAL_CLUTTER = 0.5, 0.9, 1.0
+# Spread of the logarithm of the noise of boxes between detectors, and the clutter of an unknown one.
+SPREAD, USUAL_CLUTTER = 0.5, 1.0
 
 
 def starting_box_detectors(
