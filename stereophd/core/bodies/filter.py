@@ -56,8 +56,6 @@ STAYING_SHARE, FALSE_DETECTED = 0.05, 0.8
 FALSE_RELEASE = 0.1
 # Rounds over the associations of the cameras of one instant.
 ROUNDS = 1
-# Detections that tracks claim with more than these odds against clutter give birth to nothing: it would be pruned.
-CLEARLY_CLAIMED = 1e3
 
 
 @dataclass(frozen=True)
@@ -188,7 +186,8 @@ class BodyFilter:
         pairs = self._pairs(hypotheses, projected, slopes, hidden, boxes, camera)
         with np.errstate(over="ignore"):
             masses = weights[pairs.rows] * detection[pairs.rows] * np.exp(np.minimum(pairs.log_odds, 500.0)) / clutter
-        claimed = np.bincount(pairs.columns, masses, len(boxes)) > CLEARLY_CLAIMED
+        # a new track whose box others claim with odds m exists with a probability of the order of 1 / m: it is pruned
+        claimed = np.bincount(pairs.columns, masses, len(boxes)) * self.settings.recycle_below > 1.0
         newborns, born = self._newborns(boxes, ~claimed, camera, births * detector.p_detect / clutter)
         stays = STAYING_SHARE * self._is_in_other_views(newborns, event) * ~claimed
 
