@@ -54,7 +54,7 @@ class Run:
     report: Mapping[str, Any]  # Its ``report.json``
     cameras: tuple[Camera, ...] = ()  # As the run found them, else as it was given them; may be empty
     # `tracks`, `scans`, `associations`: Columns of its tables. Tracks are the confirmed estimates, with
-    # ``position_std`` and ``speed`` in place of the covariance.
+    # ``position_std`` and ``speed`` in place of the covariance; those of bodies have ``height`` and ``width``.
     tracks: Columns | None = None
     scans: Columns | None = None
     associations: Columns | None = None
@@ -70,6 +70,13 @@ class Run:
         """Version, command, configuration, seed and hashes of the inputs."""
         found: Mapping[str, Any] = self.report["provenance"]
         return found
+
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """The direction (3,) of the height of bodies; any where they are spheres."""
+        shape = self.provenance["config"].get("object") or {}
+        vector = np.array(shape.get("up") or (0.0, 0.0, 1.0), dtype=np.float64)
+        return np.asarray(vector / np.linalg.norm(vector))
 
     @property
     def length_unit(self) -> str:
@@ -183,7 +190,8 @@ def _cameras(path: Path, record: Mapping[str, Any]) -> tuple[Camera, ...]:
 
 def _tracks(path: Path) -> Columns:
     required = kinds_of(TRACKS)
-    table = read_table(path, required, {"status": required.pop("status")}, what="table of tracks")
+    optional = {"status": required.pop("status"), "height": FLOAT, "width": FLOAT}
+    table = read_table(path, required, optional, what="table of tracks")
     if "status" in table.schema.names:
         table = table.filter(pc.equal(table["status"], CONFIRMED)).drop_columns(["status"])
     columns = arrays_of(table)
