@@ -6,7 +6,7 @@ The terminal and the page print the same tables.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 from stereophd.report.tables import CHECKS, SummaryTable, table_text
@@ -47,6 +47,13 @@ def tracking_part(report: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the figures of a tracking run inside a report; empty if there are none."""
     part = report.get("tracking", report)
     return part if isinstance(part.get("tracks"), list) else {}
+
+
+def residual_rms(cameras: Iterable[Mapping[str, Any]]) -> tuple[float | None, int]:
+    """Return the residual of the figures of cameras together, px, None without any, and the number of residuals."""
+    each = [(camera["residuals"], camera["residual_rms_px"] or 0.0) for camera in cameras]
+    count = sum(n for n, _ in each)
+    return ((sum(n * rms * rms for n, rms in each) / count) ** 0.5 if count > 0 else None), count
 
 
 def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN) -> list[SummaryTable]:
@@ -180,7 +187,7 @@ def _tracks(tracks: Sequence[Mapping[str, Any]], unit: str, most: int | None) ->
                 f"{track['first_s']:.2f}",
                 f"{track['last_s']:.2f}",
                 f"{track['last_s'] - track['first_s']:.2f}",
-                *(str(counts[name]) for name in each),
+                *(str(counts.get(name, 0)) for name in each),
                 *(() if each else (str(sum(counts.values())), str(sum(n > 0 for n in counts.values())))),
                 number(track.get("mean_speed")),
                 number(track.get("mean_position_std"), 2),
@@ -236,14 +243,13 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
         detections = sum(camera["detections"] for camera in cameras.values())
         if detections and count:
             explained = sum(camera["explained_detections"] for camera in cameras.values())
-            squares = sum(c["residuals"] * c["residual_rms_px"] ** 2 for c in cameras.values() if c["residuals"])
-            residuals = sum(camera["residuals"] for camera in cameras.values())
+            rms, residuals = residual_rms(cameras.values())
             yield f"they explain {share(explained / detections)} of {detections:,} detections"
-            if residuals:
+            if rms is not None:
                 ratios = [(c["residuals"], c["residual_ratio"]) for c in cameras.values() if c.get("residual_ratio")]
-                beside = (sum(n * ratio**2 for n, ratio in ratios) / residuals) ** 0.5
+                beside = (sum(n * ratio * ratio for n, ratio in ratios) / residuals) ** 0.5
                 of_noise = f", {beside:.2f} times what the noise leads to expect" if ratios else ""
-                yield f"residual {number((squares / residuals) ** 0.5, 2)} px{of_noise}"
+                yield f"residual {number(rms, 2)} px{of_noise}"
     if evaluation is not None:
         ospa = evaluation["ospa"]
         scale = f" {unit}" if ospa["base"] == "euclidean" else ""
