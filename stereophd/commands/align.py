@@ -44,27 +44,13 @@ def align(
 ) -> dict[str, Any]:
     """Bring cameras, and the tracks made with them, into a world frame.
 
-    Parameters
-    ----------
-    cameras : sequence of path
-        Files ``cameras.yaml``, or the folders of `calibrate` or `track` that hold them. Tables beside a file
-        (``tracks.parquet``, ``scans.parquet``, ``associations.parquet``) are moved with it. Each is aligned by itself.
-    to : path or str
-        A control track (Parquet: ``time_s, x, y, z`` of one object, on a clock of its own; or ``time_s, latitude_deg,
-        longitude_deg, altitude_m``), ``floor``, ``gravity``, or the name of a camera.
-    out_dir : path, optional
-        Where ``cameras.yaml``, the tables and ``report.json`` are written, of several each into a folder of the name of
-        its own; nothing is written without it.
-
-    Returns
-    -------
-    dict
-        ``runs``: of each the similarity, the map of time, their standard deviations, and what is left over.
-
-    Raises
-    ------
-    InputError
-        A file is not usable, or the motion does not determine the frame; the message names what is missing.
+    The cameras are files ``cameras.yaml``, or the folders of `calibrate` or `track` that hold them; tables of tracks,
+    scans and associations beside a file are moved with it. Each is aligned by itself, `to` a control track (Parquet:
+    ``time_s, x, y, z`` of one object, on a clock of its own; or ``time_s, latitude_deg, longitude_deg, altitude_m``),
+    ``floor``, ``gravity``, or a camera by its name. ``cameras.yaml``, the tables and ``report.json`` go into `out_dir`
+    if it is given, of several into a folder of the name of each. Returns ``runs``: of each the similarity, the map of
+    time, their standard deviations, and what is left over. Raises InputError if a file is not usable, or the motion
+    does not determine the frame; the message names what is missing.
     """
     sources = [Path(path) / CAMERAS_FILE if Path(path).is_dir() else Path(path) for path in cameras]
     names = [path.parent.resolve().name if path.name == CAMERAS_FILE else path.stem for path in sources]

@@ -19,6 +19,7 @@ from stereophd.core.calibration.adjustment.track_moves import TrackMoves
 from stereophd.core.calibration.annealing.control import ControlTrack, World
 from stereophd.core.calibration.annealing.method import HistoryRow, Remark
 from stereophd.core.calibration.annealing.task import Fit, Task
+from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages, stages_named
@@ -70,6 +71,7 @@ class CalibrationRun:
     unfinished: UnfinishedRun
     jobs: int = 1  # Processes, or threads of particles
     progress: Progress | None = None  # Called with (done, total)
+    limit: TimeLimit = ENDLESS
 
     @property
     def section(self) -> CalibrationConfig:
