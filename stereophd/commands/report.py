@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stereophd.commands.options import ReportOptions
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import atomic_write
@@ -29,7 +31,8 @@ def report(folders: Sequence[Path | str], out: Path | str, *, options: ReportOpt
     if target.exists() and not options.force:
         raise InputError(f"{target}: the file exists; use `force=True` to replace it")
     runs = read_runs(folders, options.logs or (), options.truths or ())
-    text = page(runs, options.title)
+    with np.errstate(all="ignore"):  # what cannot be drawn is not drawn
+        text = page(runs, options.title)
     with atomic_write(target, replace=options.force) as temporary:
         temporary.write_text(text, encoding="utf-8")
     return {

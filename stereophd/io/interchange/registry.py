@@ -37,10 +37,10 @@ def _suggestion(name: str, known: list[str]) -> str:
 
 def recognise_cameras(path: Path) -> str | None:
     """Return the name of the format of a foreign camera file, by its content, or None if there is none."""
-    return next((name for name in names() if _recognises(find(name), path)), None)
+    return next((name for name in names() if recognises(find(name), path)), None)
 
 
-def _recognises(form: Format, path: Path) -> bool:
+def recognises(form: Format, path: Path) -> bool:
     """Whether a file is of a format; one that its reader cannot parse is not."""
     with contextlib.suppress(Exception):
         return form.recognises_cameras is not None and form.recognises_cameras(path)

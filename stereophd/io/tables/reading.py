@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
@@ -189,6 +190,15 @@ def read_pieces(
     """Yield columns of a Parquet table in pieces of so many rows; errors as `open_parquet`, and of damaged data."""
     with open_parquet(path, what) as parquet, damaged_is_input_error(path):
         yield from parquet.iter_batches(batch_size=rows or ROW_GROUP_ROWS, columns=columns, use_threads=False)
+
+
+def finite_column(table: pa.Table, name: str, path: Path) -> NDArray[np.float64]:
+    """Return a column of a whole table as numbers; InputError, with its row, where one is none."""
+    values: NDArray[np.float64] = np.array(table[name], dtype=np.float64)
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise InputError(f"{path}: row {bad[0]}: column {name}: expected a finite number, found {values[bad[0]]}")
+    return values
 
 
 def arrays_of(table: pa.Table | pa.RecordBatch) -> dict[str, NDArray[Any]]:
