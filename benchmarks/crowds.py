@@ -131,7 +131,8 @@ def limit(estimator: BodyFilter, events: list[Event], owners: list[Array]) -> di
                     cost += 2.0 * np.log(max(heights[row], 1.0)) + 2.0 * np.log(10.0) if cut else 0.0
                     if cost < best[0]:
                         best = (cost, covariances[row] @ observed.T @ np.linalg.inv(spread), (residual, observed))
-                assert best[1] is not None and best[2] is not None
+                assert best[1] is not None
+                assert best[2] is not None
                 states[row] += best[1] @ best[2][0]
                 covariances[row] -= best[1] @ best[2][1] @ covariances[row]
         fresh = np.flatnonzero((owner >= 0) & ~np.isin(owner, labels) & ~boxes.hidden.any(axis=1))

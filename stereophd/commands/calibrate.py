@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from stereophd.commands.options import CalibrateOptions
 from stereophd.config.loading import LoadedConfig
+from stereophd.core.alignment.to_points import ControlPoints
 from stereophd.core.calibration.time_limit import TimeLimit
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
@@ -26,6 +27,7 @@ from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.io.tables.schemas import history_schema, posterior_schema
 from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
+from stereophd.pipeline.alignment.control import points_report
 from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.annealed import annealed_outcome
 from stereophd.pipeline.calibration.found_cameras import in_world, with_found_cameras
@@ -139,6 +141,8 @@ def calibrate(
             if (world := outcome.world) is not None and problem.control is not None:
                 unit, found = problem.control.length_unit, world.alignment
                 loaded, cameras, report["control"] = in_world(loaded, cameras, world, unit)
+                if isinstance(problem.control.known, ControlPoints):
+                    report["control"] |= points_report(problem.control.known, cameras, str(control))
                 uncertainty = uncertainty_in_world(uncertainty, found.registration, found.center, world.covariance)
             write_cameras(
                 out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record,

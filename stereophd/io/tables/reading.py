@@ -227,13 +227,21 @@ def read_table(
     """
     optional = optional or {}
     with open_parquet(path, what) as parquet:
-        schema = parquet.schema_arrow
-        present = check_columns(schema, required, optional, path)
-        names = [*required, *present]
+        names = [*required, *check_columns(parquet.schema_arrow, required, optional, path)]
         with damaged_is_input_error(path):
             table = parquet.read(columns=names).select(names)
+    return checked_table(table.replace_schema_metadata(parquet.schema_arrow.metadata), required, optional, path)
+
+
+def checked_table(
+    table: pa.Table,
+    required: Mapping[str, pa.DataType | str],
+    optional: Mapping[str, pa.DataType | str],
+    path: Path | str,
+) -> pa.Table:
+    """Return a table of the required columns and of some optional ones in their types; see `read_table`."""
     fields = []
-    for name in names:
+    for name in table.column_names:
         kind = _data_type(required[name] if name in required else optional[name])
         fields.append(pa.field(name, kind))
         nulls = table.column(name).null_count
@@ -242,7 +250,7 @@ def read_table(
             raise InputError(f"{path}: row {row}: column {name}: expected a value, found null")
     try:
         columns = [cast_column(table.column(field.name), field.name, field.type, path) for field in fields]
-        table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=schema.metadata))
+        table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=table.schema.metadata))
         for field in fields:
             if pa.types.is_string(field.type):
                 check_texts(table.column(field.name), field.name, path)

@@ -23,7 +23,7 @@ from stereophd.pipeline.detectors.statistics import (
     observe,
 )
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.loop import FORGET_EVERY, run_estimator
+from stereophd.pipeline.tracking.loop import FORGET_EVERY, RunState, run_estimator
 
 # Frames of a log that are looked at, stretches of it that a filter runs over, events and detections of them all: more
 # add little, and the time stays bounded for logs of any length.
@@ -35,6 +35,8 @@ LEAST_FRAMES = 10
 MOST_PASSES = 5
 CONVERGED = 0.02
 CONVERGED_ERRORS = 0.5
+# Detections of a tentative object that chance gives.
+CHANCE_PAIR = 2
 # After the last of them, changes below this share are no finding.
 NEARLY_CONVERGED = 0.15
 
@@ -141,12 +143,17 @@ def _pass(multi_filter: DisparityFilter, parts: Iterable[EventStream]) -> tuple[
     """Run over stretches of a log once; return the sums of every camera, and whether the log states its own noise."""
     watched = _Watched(multi_filter)
     sums = {camera.name: own for camera, own in zip(multi_filter.rig.cameras, watched.sums, strict=True)}
-    for record in (record for part in parts for record in run_estimator(watched, part)):
-        sums[record.camera].frames += 1
-        sums[record.camera].detections += record.n_detections
-        for counts in record.attributed.values():
+    for part in parts:
+        run = RunState(watched.init())
+        for record in run_estimator(watched, part, run=run):
+            sums[record.camera].frames += 1
+            sums[record.camera].detections += record.n_detections
+            for counts in record.attributed.values():
+                for name, count in counts.items():
+                    sums[name].attributed += count
+        for counts in run.attribution.pending.values():
             for name, count in counts.items():
-                sums[name].attributed += count
+                sums[name].undecided += count if sum(counts.values()) > CHANCE_PAIR else 0
     return watched.sums, watched.own_noise
 
 

@@ -17,10 +17,11 @@ sqrt(2 sum(w^2)) / sum(w) for R_new / R, divided by the mean of R / S. Few resid
 with what the rays say (`stereophd.pipeline.detectors.ray_noise`), so that it cannot run away from pass to pass.
 
 Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of
-the frame, and M that it exists and made none. Frames count up to the last detection of the track only: what
-comes after is the object's end, not misses.
+the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last
+detection of the track only: what comes after is the object's end, not misses.
 
-Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame.
+Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame. Those
+that a tentative object claims together with others at the end are undecided: they are part of the standard error.
 
 Whether it is noise at all. At the true values the residuals e / sqrt(S) of a track in one camera are white. If those
 of successive frames agree, errors last: of the pose, the clock or the lens, or of labels that were smoothed. No
@@ -45,9 +46,10 @@ from stereophd.core.multi.base import Prediction
 DECIDED_SHARE = 0.9
 # A detection that is more probably a track's than not counts as its next residual.
 LIKELY = 0.5
-# Correlations from fewer residuals, and probabilities from fewer frames with a track in view, are not trusted.
+# Correlations from fewer residuals are not trusted.
 FEWEST_RESIDUALS = 50.0
-FEWEST_IN_VIEW = 50.0
+# The prior of a probability of detection: its mean, and the frames that it counts for.
+USUAL_P_DETECT, PRIOR_FRAMES = 0.9, 5.0
 # Spread of the logarithm of the noise between the two axes of a camera.
 BETWEEN_AXES = 0.25
 # Residuals over stated noise between which tracks confirm it (to within so many standard errors), the fewest of them
@@ -75,6 +77,7 @@ class DetectorSums:
     frames: int = 0
     detections: int = 0
     attributed: int = 0
+    undecided: int = 0  # Detections that only objects claim which were still tentative at the end, not alone
     # `products`, `norms`: arrays (2,): Sums over successive frames of a track of r r', and of (r^2 + r'^2) / 2, for
     # residuals r = e / sqrt(S).
     products: Array = field(default_factory=lambda: np.zeros(2))
@@ -97,7 +100,7 @@ class DetectorEstimate:
 
     detector: Detector
     sigma_error: Array  # (2,): Standard errors of sigma, px
-    p_detect_error: float | None
+    p_detect_error: float
     clutter_error: float | None
     # (2,) or None: Correlation of the residuals of successive frames along u and v: 0 of white noise.
     correlation: Array | None
@@ -251,15 +254,13 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
         slack = CONFIRMED_ERRORS * float(relative.max())
         low, high = np.log(CONFIRMED[0]) - slack, np.log(CONFIRMED[1]) + slack
         confirmed = bool(agrees and low <= np.log(ratio) <= high) and (confirmed or sums.pairs >= FEWEST_TO_CONFIRM)
-    p_detect, clutter, p_error, clutter_error = present.p_detect, present.clutter_per_frame, None, None
     in_view = sums.detected + sums.missed
-    if in_view >= FEWEST_IN_VIEW:
-        # half a detection and half a miss are added: a probability of 0 or 1 could never change again
-        p_detect = (sums.detected + 0.5) / (in_view + 1.0)
-        p_error = float(np.sqrt(p_detect * (1.0 - p_detect) / in_view))
+    p_detect = (sums.detected + USUAL_P_DETECT * PRIOR_FRAMES) / (in_view + PRIOR_FRAMES)
+    p_error = float(np.sqrt(p_detect * (1.0 - p_detect) / (in_view + PRIOR_FRAMES)))
+    clutter, clutter_error = present.clutter_per_frame, None
     if sums.frames > 0:
         clutter = (max(sums.detections - sums.attributed, 0) + 0.5) / sums.frames
-        clutter_error = float(np.sqrt(clutter / sums.frames))
+        clutter_error = float(np.hypot(np.sqrt(clutter / sums.frames), sums.undecided / sums.frames))
     correlation = sums.products / sums.norms if sums.successions >= FEWEST_RESIDUALS else None
     return DetectorEstimate(
         Detector(sigma, p_detect, clutter), error, p_error, clutter_error, correlation,

@@ -23,7 +23,7 @@ from stereophd.pipeline.checks.geometry.measure import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run_figures.estimated_detectors import LASTING, check_estimated_detectors
-from stereophd.pipeline.checks.settings import expected_depths, measure_scene
+from stereophd.pipeline.checks.settings import expected_depths, measure_motion, measure_scene
 from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
 from stereophd.pipeline.detectors.statistics import NoisePrior
@@ -168,9 +168,10 @@ def _rough(draft: Draft, samples: list[CameraSample]) -> dict[str, Choice] | Non
         "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
         "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),
     }
-    if scene.speed is None:
+    speed, _ = measure_motion(samples, middle, shortest=2)
+    if speed is None:
         tracks = "the log shows no speeds: these depths are crossed in a few seconds"
-    spread, fastest = (0.2 * middle, 2.0 * middle) if scene.speed is None else scene.speed.tolist()
+    spread, fastest = (0.2 * middle, 2.0 * middle) if speed is None else speed.tolist()
     choices["filter.birth.velocity_std"] = Choice(rounded(max(2.0 * spread, 1e-3 * middle)), tracks)
     choices["motion.max_speed"] = Choice(rounded(max(5.0 * fastest, 0.02 * middle)), tracks)
     choices["motion.acceleration_std"] = Choice(rounded(max(0.5 * spread, 1e-4 * middle)), tracks)
@@ -229,6 +230,9 @@ def _source_of_detector(entry: Mapping[str, Any]) -> str:
     text = f"detector: from the rays and {tracks}"
     if entry["residual_correlation"] is not None and max(entry["residual_correlation"]) > LASTING:
         text += "; their errors last from frame to frame, as those of pose, clock or lens do"
+    if (error := entry["clutter_per_frame_standard_error"]) is not None:
+        errors = entry["p_detect_standard_error"], error
+        text += "; standard errors: p_detect {:.2g}, clutter_per_frame {:.2g}".format(*errors)
     return text
 
 

@@ -264,7 +264,7 @@ def with_all_members(problem: Problem, values: Array, states: Array) -> Array:
     _, bands, vector = Linearisation.of(
         problem.weighted(ones if (given := problem.observations.weights) is None else given)
     ).of_knots(values, states)
-    return states + solveh_banded(damped_bands(bands, 0.0), vector, lower=True).reshape(states.shape)
+    return np.asarray(states + solveh_banded(damped_bands(bands, 0.0), vector, lower=True).reshape(states.shape))
 
 
 def _collapsed(task: Task, fit: Fit) -> Booleans:

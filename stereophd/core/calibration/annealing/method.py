@@ -20,7 +20,7 @@ from stereophd.core.calibration.adjustment.selection import Comparison, compare
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
-from stereophd.core.calibration.annealing.control import ControlTrack, World, with_control
+from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
     adjusted_to,
     chosen_at_marginal,
@@ -73,7 +73,7 @@ class Choices:
     model: str = LENSES  # What may be given up of what is stated.
     known: KnownMeasure | None = None
     is_sampled: bool = False  # Whether a sampler states the posterior afterwards.
-    control: ControlTrack | None = None
+    control: WorldControl | None = None
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Calibrated:
     moves: TrackMoves
     doubt: str  # Why the answer is not to be trusted; empty if it may be.
     remarks: tuple[Remark, ...]
-    world: World | None = None  # That of the control track
+    world: World | None = None  # That of the control
 
 
 def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
@@ -152,7 +152,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
         try:
             fit, world = with_control(task, fit, choices.control)
         except ValueError as error:
-            remarks += (Remark("control", f"the control track was not used: {error}", is_reservation=True),)
+            remarks += (Remark("control", f"the control was not used: {error}", is_reservation=True),)
     values = fit.adjustment.values
     early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
     doubt = doubt or answer.doubt or early

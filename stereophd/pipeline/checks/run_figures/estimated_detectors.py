@@ -13,6 +13,8 @@ from stereophd.pipeline.checks.finding import Finding
 LASTING = 0.3
 # Relative standard error from which an estimated noise is unsure: two of them are a factor of 1.5.
 UNSURE = 0.2
+# Standard error of the clutter, over it and in detections of a frame, from which it is unsure.
+UNSURE_CLUTTER, LEAST_UNSURE = 0.5, 0.5
 
 
 def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Finding]:
@@ -57,6 +59,14 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
             yield Finding(
                 "detector.estimate", "warning", text, round(error, 2), UNSURE, name, remedy, "too_few_detections"
             )
+        clutter, error = estimate["clutter_per_frame"], estimate["clutter_per_frame_standard_error"]
+        if error is not None and error > max(UNSURE_CLUTTER * clutter, LEAST_UNSURE):
+            text = (
+                f"{name}: the estimated clutter of {clutter:.2g} detections of a frame is known to {error:.2g} only: "
+                "few frames, or objects that tracks do not settle"
+            )
+            remedy = f"state cameras.{name}.detector.clutter_per_frame if you know it, or take a longer log"
+            yield Finding("detector.estimate", "warning", text, round(error, 2), None, name, remedy, "clutter_unsure")
 
 
 def _unsure(estimate: Mapping[str, Any]) -> float:

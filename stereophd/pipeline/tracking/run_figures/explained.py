@@ -17,6 +17,8 @@ from stereophd.pipeline.tracking.loop import Record
 PROBABLE = 0.5
 # Residuals computed at a time.
 BATCH = 2048
+# Residuals above this many times the median are those of wrong detections, and say nothing about the noise.
+OUTLIER = 8.0
 # Step of the derivatives of a projection, over the standard deviation of the position.
 DERIVATIVE_STEP = 0.1
 
@@ -58,6 +60,8 @@ class CameraSums:
     residuals: int = 0
     total: Array = field(default_factory=lambda: np.zeros(2))
     squares: float = 0.0
+    # Squares of the residuals without outliers, and those that are expected.
+    usual: float = 0.0
     expected: float = 0.0
     times: list[float] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
@@ -89,10 +93,13 @@ class CameraSums:
         expected = expected_squares(camera, times, states, np.array(self.covariances))
         usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
         found = found[usable]
-        self.expected += float(expected[usable].sum())
+        squares = (found**2).sum(axis=1)
+        usual = squares <= OUTLIER**2 * np.median(squares) if len(squares) else squares > 0.0
+        self.expected += float(expected[usable][usual].sum())
+        self.usual += float(squares[usual].sum())
         self.residuals += len(found)
         self.total = self.total + found.sum(axis=0)
-        self.squares += float((found**2).sum())
+        self.squares += float(squares.sum())
         self.times, self.states, self.covariances, self.pixels = [], [], [], []
 
     def report(self, camera: Camera) -> dict[str, Any]:
@@ -108,6 +115,6 @@ class CameraSums:
             # Root mean square of one axis.
             "residual_rms_px": float(np.sqrt(self.squares / (2 * count))) if count else None,
             # Over what the stated noise leads to expect of an estimate that has taken in the detection.
-            "residual_ratio": float(np.sqrt(self.squares / self.expected)) if self.expected > 0.0 else None,
+            "residual_ratio": float(np.sqrt(self.usual / self.expected)) if self.expected > 0.0 else None,
             "residual_mean_px": (self.total / count).tolist() if count else None,
         }
