@@ -9,7 +9,6 @@ from typing import Any
 
 import msgspec
 import numpy as np
-import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
@@ -19,7 +18,7 @@ from stereophd.errors import InputError
 from stereophd.io.documents import expecting
 from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.io.outputs.provenance import file_sha256
-from stereophd.io.tables.reading import arrays_of, finite_column, open_parquet, read_table
+from stereophd.io.tables.reading import arrays_of, open_parquet, read_table
 from stereophd.io.tables.schemas import ASSOCIATIONS, CONFIRMED, FLOAT, INTEGER, SCANS, TRACKS, kinds_of
 from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
 from stereophd.pipeline.inspection.shapes import SHAPES
@@ -176,7 +175,7 @@ def _cameras(path: Path, record: Mapping[str, Any]) -> tuple[Camera, ...]:
 
 def _tracks(path: Path) -> Columns:
     required = kinds_of(TRACKS)
-    table = _read(path, required, {"status": required.pop("status")})
+    table = read_table(path, required, {"status": required.pop("status")})
     if "status" in table.schema.names:
         table = table.filter(pc.equal(table["status"], CONFIRMED)).drop_columns(["status"])
     columns = arrays_of(table)
@@ -187,20 +186,13 @@ def _tracks(path: Path) -> Columns:
 
 
 def _columns(path: Path, required: Mapping[str, Any]) -> Columns:
-    return arrays_of(_read(path, required))
-
-
-def _read(path: Path, required: Mapping[str, Any], optional: Mapping[str, Any] | None = None) -> pa.Table:
-    table = read_table(path, required, optional or {})
-    if "time_s" in required:
-        finite_column(table, "time_s", path)
-    return table
+    return arrays_of(read_table(path, required))
 
 
 def _all_columns(path: Path) -> dict[str, NDArray[Any]]:
     with open_parquet(path) as parquet:
         kinds = kinds_of(parquet.schema_arrow)
-    columns = arrays_of(_read(path, kinds))
+    columns = arrays_of(read_table(path, kinds))
     if "covariance" in columns:
         size = len(columns) - 2
         columns["covariance"] = columns["covariance"].reshape(-1, size, size)
