@@ -71,7 +71,7 @@ class Predictions:
             total += part[:, :, None] * self.following[rows][:, None, :]
         for columns, here in zip(linearisation.columns, linearisation.members, strict=True):
             used = columns >= 0
-            total[np.ix_(here, (0, 1), columns[used])] += by_value[here][:, :, used]
+            total[np.ix_(here, np.arange(2), columns[used])] += by_value[here][:, :, used]
         predicted = by_point @ spread @ by_point.swapaxes(1, 2)
         predicted += total @ self.adjustment.covariance @ total.swapaxes(1, 2)
         left = (1.0 + LEAST_LEFT) * np.eye(2) - weights[:, None, None] * (predicted @ seen.precisions)
