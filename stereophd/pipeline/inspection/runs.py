@@ -17,6 +17,7 @@ from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
 from stereophd.io.documents import expecting
 from stereophd.io.outputs.commit import refuse_unsettled
+from stereophd.io.outputs.json_text import read_report
 from stereophd.io.outputs.provenance import file_sha256
 from stereophd.io.tables.reading import arrays_of, open_parquet, read_table
 from stereophd.io.tables.schemas import ASSOCIATIONS, CONFIRMED, FLOAT, INTEGER, SCANS, TRACKS, kinds_of
@@ -147,10 +148,9 @@ def _read_folder(folder: Path, found: _Found) -> None:
 
 
 def _report(path: Path) -> dict[str, Any] | None:
-    if not path.exists():
+    if (document := read_report(path)) is None:
         return None
     with expecting("a report of stereophd", path):
-        document: dict[str, Any] = msgspec.json.decode(path.read_bytes())
         msgspec.convert(document, SHAPES.get(str(document["provenance"].get("command")), dict))
     return document
 
