@@ -262,7 +262,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and doubted: these cameras are the best so far"
             remarks = (Remark("time", text, is_reservation=True), *noise_remarks(task, noise), *freed_remarks(given_up))
-            return Believed(task, Answer(fit, fit, 1.0, "", None), noise, tuple(given_up), freed, remarks)
+            return Believed(task, Answer(fit, fit, 1.0, None), noise, tuple(given_up), freed, remarks)
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
         basis = replace(answer.fit, knots=replace(answer.fit.knots, noise_std=answer.joint.knots.noise_std))
