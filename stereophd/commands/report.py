@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stereophd.commands.options import ReportOptions
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.options import takes
@@ -27,7 +29,9 @@ def report(folders: Sequence[Path | str], out: Path | str, *, options: ReportOpt
     target = Path(out)
     with atomic_write(target, replace=options.force) as temporary:
         runs = read_runs(folders, options.logs or (), options.truths or ())
-        temporary.write_text(text := page(runs, options.title), encoding="utf-8")
+        with np.errstate(all="ignore"):  # what cannot be drawn is not drawn
+            text = page(runs, options.title)
+        temporary.write_text(text, encoding="utf-8")
     return {
         "page": str(target),
         "bytes": len(text.encode("utf-8")),

@@ -202,7 +202,7 @@ def _tracks(tracks: Sequence[Mapping[str, Any]], unit: str, most: int | None) ->
                 f"{track['first_s']:.2f}",
                 f"{track['last_s']:.2f}",
                 f"{track['last_s'] - track['first_s']:.2f}",
-                *(str(counts[name]) for name in each),
+                *(str(counts.get(name, 0)) for name in each),
                 *(() if each else (str(sum(counts.values())), str(sum(n > 0 for n in counts.values())))),
                 number(track.get("mean_speed")),
                 number(track.get("mean_position_std"), 2),

@@ -30,7 +30,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 from numba.core.runtime import rtsys
 
 from stereophd.core.numerics.compilation import kernel_units
-from stereophd.core.numerics.compilation.kernel_digest import PACKAGE_PARENT, source_digest
+from stereophd.core.numerics.compilation.kernel_units import PACKAGE_PARENT, source_digest
 from stereophd.core.numerics.compilation.trusted_folders import can_make, is_trusted, make_folder
 
 FOLDER_NAME = "stereophd-kernels"
@@ -83,7 +83,7 @@ def kernel_folders() -> tuple[Path, ...]:
             LOGGER.warning(
                 "%s=%s: expected a folder that only this user or root can write to, as to all that lead to it, found "
                 "another: no kernels are read from it or kept there",
-                name, stated,
+                name, stated
             )  # fmt: skip
     return folders
 
