@@ -89,7 +89,7 @@ class _Session:
         config = loaded.config
         self.found = self._tracked_by = loaded
         self.checks = FrameChecks(tracking.cameras, config.input.on_bad_row, config.input.image_margin_px)
-        times = report_times(config.report)
+        times = report_times(config.report, config.region)
         self.run = LiveRun(tracking.estimator, times, self.checks, config.live, self._keep)
         self._rows, self._stream = rows, stream
         self._most_std = config.report.max_position_std

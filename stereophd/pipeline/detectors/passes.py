@@ -82,7 +82,7 @@ class _Watched:
 
     def __init__(self, multi_filter: DisparityFilter) -> None:
         self.rig = multi_filter.rig
-        self.sums = [DetectorSums() for _ in multi_filter.rig.cameras]
+        self.sums = [DetectorSums(view=share) for share in multi_filter.rig.shares_of_view()]
         self.own_noise = False
         self._filter = multi_filter
         self._settled = _Settled()
@@ -148,6 +148,7 @@ def _pass(multi_filter: DisparityFilter, parts: Iterable[EventStream]) -> tuple[
         for record in run_estimator(watched, part, run=run):
             sums[record.camera].frames += 1
             sums[record.camera].detections += record.n_detections
+            sums[record.camera].outside += record.outside
             for counts in record.attributed.values():
                 for name, count in counts.items():
                     sums[name].attributed += count
@@ -259,4 +260,5 @@ def _report(estimate: DetectorEstimate, prior: NoisePrior) -> dict[str, Any]:
         "residuals": estimate.residuals,
         "in_view": estimate.in_view,
         "frames": estimate.frames,
+        "outside_region_per_frame": estimate.outside_per_frame,
     }

@@ -14,7 +14,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.errors import InputError
 from stereophd.io.logs.reading import LogReader
-from stereophd.pipeline.build import build_motion, build_region
+from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.stream import EventStream
 
 
@@ -38,7 +38,12 @@ def build_bodies(loaded: LoadedConfig, shape: EllipsoidSettings, cameras: tuple[
     for camera in cameras:
         if camera.readout_s != 0.0:
             raise InputError(f"{path}: cameras.{camera.name}.readout_s: expected 0 {where}, found {camera.readout_s:g}")
-    rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
+    rig = make_rig(
+        cameras,
+        config.disparity.baseline,
+        config.disparity.rectification,
+        None if config.region is None else config.region.packed(),
+    )
     return BodyFilter(rig, motion, shape, config.filter)
 
 

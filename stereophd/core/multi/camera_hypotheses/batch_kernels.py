@@ -81,8 +81,8 @@ def predict(
     motion : MotionArrays
         With an interval for each of the components in `mixture`.
     numbers : PredictionNumbers
-    region : array (8,) or empty
-        Where objects can be (`stereophd.core.disparity.trips.region_mask`).
+    region : array (r,) or empty
+        Where objects can be (`stereophd.core.geometry.region`).
 
     Returns
     -------

@@ -56,6 +56,7 @@ class CameraSums:
 
     frames: int = 0
     detections: int = 0
+    outside: int = 0  # Those that see nothing of the region, or are of tracks beside it
     explained: float = 0.0
     residuals: int = 0
     total: Array = field(default_factory=lambda: np.zeros(2))
@@ -84,6 +85,7 @@ class Explained:
             sums = self._sums[record.camera]
             sums.frames += 1
             sums.detections += record.n_detections
+            sums.outside += record.outside
         for sightings in record.associations:
             sums = self._sums[sightings.camera]
             sums.explained += float(sightings.probabilities.sum())
@@ -128,6 +130,7 @@ class Explained:
             out[name] = {
                 "frames": sums.frames,
                 "detections": sums.detections,
+                "outside_region": sums.outside,
                 "explained_detections": sums.explained,
                 "explained_share": finite_or_none(sums.explained / sums.detections) if sums.detections else None,
                 "residuals": count,
