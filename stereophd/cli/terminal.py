@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,9 @@ if TYPE_CHECKING:
 
 # 128 + SIGPIPE, as the shell reports a program that wrote into a closed pipe.
 EXIT_BROKEN_PIPE = 141
+
+# Seconds between two lines of progress where stderr is no terminal.
+PACE_S = 10.0
 
 # Keys of a report that are for machines; the summary on the terminal leaves them out.
 _NOT_IN_SUMMARY = frozenset({"provenance", "report_version"})
@@ -125,9 +129,16 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 @contextlib.contextmanager
 def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
-    """Yield a function (done, total) that moves a bar, with the time left and spent, on stderr if it is a terminal."""
-    if session.quiet or not sys.stderr.isatty():
+    """Yield a function (done, total) that moves a bar, with the time left and spent, on stderr if it is a terminal.
+
+    The bar names the stages that the run logs; without a terminal one of them is a line every `PACE_S`.
+    """
+    if session.quiet:
         yield lambda done, total: interrupts.check()
+        return
+    if not sys.stderr.isatty():
+        with _stages_shown(session, _paced(label)):
+            yield lambda done, total: interrupts.check()
         return
     from rich.console import Console
     from rich.progress import Progress, TimeElapsedColumn
@@ -141,4 +152,37 @@ def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, floa
             interrupts.check()
             bar.update(task, completed=done, total=total)
 
-        yield advance
+        with _stages_shown(session, lambda stage: bar.update(task, description=f"{label}: {stage}")):
+            yield advance
+
+
+@contextlib.contextmanager
+def _stages_shown(session: Session, show: Callable[[str], None]) -> Iterator[None]:
+    """Show the stages that a run logs (`stereophd.progress`); with --verbose they are messages as all others."""
+    import logging
+
+    handler, logger = logging.Handler(), logging.getLogger("stereophd.progress")
+    handler.emit = lambda record: show(record.getMessage())  # type: ignore[method-assign]
+    if session.verbosity:
+        yield
+        return
+    logger.handlers, logger.propagate = [handler], False
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.handlers, logger.propagate = [], True
+        logger.setLevel(logging.NOTSET)
+
+
+def _paced(label: str) -> Callable[[str], None]:
+    """Return a function that prints a stage on stderr if none was printed for `PACE_S`."""
+    began = printed = time.monotonic()
+
+    def show(stage: str) -> None:
+        nonlocal printed
+        if (now := time.monotonic()) - printed >= PACE_S:
+            printed = now
+            print(f"{label}, {now - began:.0f} s: {stage}", file=sys.stderr, flush=True)
+
+    return show

@@ -51,7 +51,7 @@ def track_command(
     if live.follow is not None or live.listen is not None or log == [Path("-")]:
         from stereophd.cli.track_live import run_live
 
-        run_live(session, load(words), live, log or [], out, options.force)
+        run_live(session, load(words), live, log or [], out, options)
         return
     if not log:
         raise InputError("LOG: expected a detection log, found none (- reads frames from standard input)")

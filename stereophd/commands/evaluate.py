@@ -46,29 +46,13 @@ def evaluate(
     *,
     options: EvaluateOptions,
 ) -> dict[str, Any]:
-    """Score tracks against the truth, and write ``report.json``, ``per_scan.parquet`` and plots.
+    """Score tracks against the truth, as `stereophd.api.evaluate`; ``report.json``, ``per_scan.parquet`` and plots.
 
-    Parameters
-    ----------
-    tracks_path, truth_path : path
-        Tables of tracks and truth. With ``scans.parquet`` in the folder of the tracks every event is known, also
-        those that reported nothing; without it, the times of the truth stand in for them.
-    out_dir : path, optional
-        Where to write; nothing is written without it.
-
-    Returns
-    -------
-    dict
-        The report, as it is in ``report.json``.
-
-    Raises
-    ------
-    InputError
-        An option or file is not usable, units differ, no cutoff is known, nothing can be scored, or a limit names
-        no figure.
-    GateError
-        A figure is beyond its limit (or is not a number). Everything has been written; the error carries the
-        report as `report`.
+    With ``scans.parquet`` in the folder of the tracks every event is known, also those that reported nothing; without
+    it, the times of the truth stand in for them. Nothing is written without `out_dir`. Returns the report. Raises
+    InputError if an option or file is not usable, units differ, no cutoff is known, nothing can be scored, or a limit
+    names no figure; GateError, which carries the report, if a figure is beyond its limit or is not a number:
+    everything has been written then.
     """
     check_options(options, options.log_path)
     inputs = _input_paths(tracks_path, truth_path, options.log_path, options.cameras_path)

@@ -65,30 +65,12 @@ def evaluate_calibration(
     *,
     options: EvaluateCamerasOptions,
 ) -> dict[str, Any]:
-    """Compare two camera files, and write ``report.json``.
+    """Compare two files ``cameras.yaml``, an estimated and the true one; ``report.json`` goes into `out_dir`, if given.
 
-    Parameters
-    ----------
-    cameras_path, true_path : path
-        Estimated and true ``cameras.yaml``. With the ``posterior.parquet`` of `calibrate` beside the estimate,
-        NEES and coverage of the posterior are reported too.
-    out_dir : path, optional
-        Where to write; nothing is written without it.
-    loaded : LoadedConfig, optional
-        Scenario (``simulate``) and priors (``calibration``) whose Cramer-Rao bound is reported, its cameras the true
-        ones.
-
-    Returns
-    -------
-    dict
-        The report.
-
-    Raises
-    ------
-    InputError
-        A file is not usable, or the two have not the same cameras.
-    GateError
-        A figure is beyond its limit. Everything has been written; the error carries the report as `report`.
+    With the ``posterior.parquet`` of `calibrate` beside the estimate, NEES and coverage of the posterior are reported
+    too; with `loaded`, a scenario (``simulate``) and priors (``calibration``), the Cramer-Rao bound, its cameras the
+    true ones. Returns the report. Raises InputError if a file is not usable, or the two have not the same cameras;
+    GateError, which carries the report, if a figure is beyond its limit: everything has been written then.
     """
     estimated, true, unit = _read_pair(cameras_path, true_path)
     posterior = _posterior_of(Path(cameras_path), [camera.name for camera in true])

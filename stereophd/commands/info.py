@@ -8,6 +8,7 @@ from typing import Any
 
 from stereophd.config.loading import read_camera_file
 from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.file_kinds import CSV, HDF5, LOG, kind_of_file, remedy
 from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.pipeline.inspection.cameras import summarise_cameras
@@ -40,11 +41,8 @@ def info(path: Path | str) -> dict[str, Any]:
 
 
 def _begins_with(path: Path, magic: bytes) -> bool:
-    try:
-        with open(path, "rb") as stream:
-            return stream.read(len(magic)) == magic
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    with expecting("a file", path), open(path, "rb") as stream:
+        return stream.read(len(magic)) == magic
 
 
 def _origin(record: dict[str, Any] | None) -> dict[str, Any] | None:

@@ -69,31 +69,12 @@ def track(
     options: TrackOptions,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Track the objects of a detection log.
+    """Track the objects of a detection log, as `stereophd.api.track`, into an output folder: all of it or nothing.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With a ``filter`` section and cameras.
-    log_path : path
-        Detection log.
-    out_dir : path
-        Folder for ``tracks.parquet``, ``scans.parquet`` and ``report.json``; all or none is written. Where detectors
-        are estimated, also for ``cameras.yaml``, the cameras with the detectors found; with ``report.associations``,
-        also for ``associations.parquet``.
-    progress : callable, optional
-        Called with the rows done and their total.
-
-    Returns
-    -------
-    dict
-        The report, as in ``report.json``.
-
-    Raises
-    ------
-    InputError
-        The configuration has no filter or no cameras; the log is not usable; the output folder holds
-        other files or cannot be written to.
+    The folder gets ``tracks.parquet``, ``scans.parquet``, ``report.json``; with ``report.associations``
+    ``associations.parquet``; and where detectors are estimated ``cameras.yaml``, the cameras with those found.
+    `progress` is called with the rows done and their total. Returns the report. Raises InputError if the configuration
+    has no filter or no cameras, the log is not usable, or the folder holds other files or cannot be written to.
     """
     loaded, motion = with_estimated_motion(loaded, log_path)
     tracking = build_tracking(loaded, options.threads)

@@ -164,8 +164,8 @@ def test_places_that_cannot_be_are_refused(words: dict[str, Any], message: str) 
 def test_bodies_have_their_extents_in_live_documents() -> None:
     one = np.ones((1, 4))
     estimates = Estimates(np.array([3]), np.ones((1, 6)), np.eye(6)[None], np.ones(1), np.array([3]), extents=1.7 * one)
-    track_of_body = document_of(0.5, "a", 2, estimates, False)["tracks"][0]
-    assert [track_of_body[name] for name in ("height", "width", "height_std", "width_std")] == [1.7] * 4
+    track_of_body = document_of(0.5, "a", 2, estimates, False).tracks[0]
+    assert [getattr(track_of_body, name) for name in ("height", "width", "height_std", "width_std")] == [1.7] * 4
     records = io.BytesIO()
     rows = ArrowRows(records)
     for shown in (estimates, replace(estimates, extents=None)):

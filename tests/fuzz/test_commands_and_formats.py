@@ -19,9 +19,8 @@ from .cases import Case, cases, command_of, tried
 from .commands import EXAMPLES, budget
 from .valid_files import USES, write_all
 
-# Commands that make their own inputs, compile, or wait for a network; `calibrate` and `experiment` have tests of their
-# own.
-WITHOUT_FILES = {"demo", "compile", "calibrate", "experiment", "watch"}
+# Commands that make their own inputs, compile, or wait for a network.
+WITHOUT_FILES = {"demo", "compile", "watch"}
 
 
 @pytest.fixture(scope="module")

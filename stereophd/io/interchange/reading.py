@@ -3,40 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import csv
-import struct
-import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from gzip import BadGzipFile
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from stereophd.errors import InputError
+from stereophd.io.documents import MALFORMED, reason_of
 from stereophd.io.file_kinds import PARQUET, kind_of_file
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions, Piece
 from stereophd.io.interchange.registry import find, recognise_cameras
-
-# Exceptions that readers raise where a file has another structure than its format. RuntimeError includes nesting that
-# is too deep; errors of the operating system are not among them.
-MALFORMED = (
-    ArithmeticError,
-    AttributeError,
-    BadGzipFile,
-    BadZipFile,
-    EOFError,
-    LookupError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-    csv.Error,
-    zlib.error,
-    struct.error,
-)
-# A longer reason is cut in the message.
-MAX_SHOWN = 200
 
 
 def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
@@ -83,9 +59,7 @@ def _malformed_is_input_error(form: str, sources: Sequence[Path]) -> Iterator[No
     except RecursionError as error:
         raise InputError(f"{_listed(sources)}: cannot be read as {form}: it is nested too deeply") from error
     except MALFORMED as error:
-        reason = " ".join(str(error).split())[:MAX_SHOWN]
-        reason = f"missing key {reason}" if isinstance(error, KeyError) else reason or type(error).__name__
-        raise InputError(f"{_listed(sources)}: cannot be read as {form}: {reason}") from error
+        raise InputError(f"{_listed(sources)}: cannot be read as {form}: {reason_of(error)}") from error
 
 
 def _listed(sources: Sequence[Path]) -> str:

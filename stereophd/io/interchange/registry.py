@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 from stereophd.errors import InputError, nearest
+from stereophd.io.documents import MALFORMED
 from stereophd.io.interchange.base import Format
 from stereophd.plugins import import_member, module_names
 
@@ -41,9 +43,6 @@ def recognise_cameras(path: Path) -> str | None:
 
 def _recognises(form: Format, path: Path) -> bool:
     """Whether a file is of a format; one that its reader cannot parse is not."""
-    if form.recognises_cameras is None:
-        return False
-    try:
-        return form.recognises_cameras(path)
-    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError):
-        return False
+    with contextlib.suppress(*MALFORMED, OSError):  # InputError is among them
+        return form.recognises_cameras is not None and form.recognises_cameras(path)
+    return False

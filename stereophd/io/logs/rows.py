@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.io.tables.reading import cast_column, check_texts
-from stereophd.io.tables.schemas import DETECTIONS, FLOAT, INTEGER
+from stereophd.io.tables.schemas import DETECTIONS, FLOAT, INTEGER, kinds_of
 
-REQUIRED = {name: DETECTIONS.field(name).type for name in DETECTIONS.names}
+REQUIRED = kinds_of(DETECTIONS)
 OPTIONAL = {
     **dict.fromkeys(("sigma_u_px", "sigma_v_px", "width_px", "height_px"), FLOAT),
     "object_id": INTEGER,

@@ -24,6 +24,7 @@ from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.control import World
 from stereophd.core.calibration.discovery.rig import RigHypothesis, View, discover
 from stereophd.core.calibration.pairing.track_pairs import image_tracks, one_camera_tracks, raw_tracks
+from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.disparity.trips import disparity_scale
@@ -127,7 +128,9 @@ def _values_of(rig: RigHypothesis) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[LoadedConfig, FoundCameras | None]:
+def with_found_cameras(
+    loaded: LoadedConfig, log_path: Path | str, limit: TimeLimit = ENDLESS
+) -> tuple[LoadedConfig, FoundCameras | None]:
     """Find cameras whose pose or clock is unknown; return the configuration with them and with priors about them.
 
     The configuration itself, and None, where none is unknown. Where none are found, their poses are placeholders.
@@ -154,7 +157,7 @@ def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[Load
     views = [_view(loaded, section, camera) for camera in cameras]
     reference = [camera.name for camera in cameras].index(section.reference)
     rng = np.random.default_rng(CAMERA_DISCOVERY.seed(loaded.config.seed))
-    discovery = discover(views, raw_tracks(recording, tracks), reference, rng)
+    discovery = discover(views, raw_tracks(recording, tracks), reference, rng, limit)
     intervals = {
         camera.name: float(np.median(np.diff(np.unique(recording.times[recording.cameras == number]))))
         for number, camera in enumerate(cameras)

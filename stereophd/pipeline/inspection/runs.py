@@ -17,18 +17,14 @@ from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
 from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.io.outputs.provenance import file_sha256
-from stereophd.io.tables.reading import damaged_is_input_error, open_parquet, read_table
-from stereophd.io.tables.schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING
+from stereophd.io.tables.reading import arrays_of, open_parquet, read_table
+from stereophd.io.tables.schemas import ASSOCIATIONS, CONFIRMED, FLOAT, INTEGER, SCANS, TRACKS, kinds_of
 from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
 from stereophd.pipeline.inspection.tables import kind_of
 
 Columns = Mapping[str, NDArray[Any]]
 
-KEY = {"time_s": FLOAT, "camera": STRING, "frame": INTEGER}
-STATE = dict.fromkeys(("x", "y", "z", "vx", "vy", "vz"), FLOAT)
-TRACKS = {**KEY, "track_id": INTEGER, **STATE, "covariance": COVARIANCE, "existence": FLOAT}
-SCANS = {**KEY, "n_detections": INTEGER, "cardinality_mean": FLOAT, "cardinality_estimate": INTEGER}
-ASSOCIATIONS = {**KEY, "u_px": FLOAT, "v_px": FLOAT, "track_id": INTEGER, "probability": FLOAT}
+SCANS_SHOWN = ("time_s", "camera", "frame", "n_detections", "cardinality_mean", "cardinality_estimate")
 SCORES = dict.fromkeys(("time_s", "ospa", "ospa_localisation", "ospa_cardinality", "gospa"), FLOAT)
 COUNTS = dict.fromkeys(("n_truth", "n_estimates", "n_matched"), INTEGER)
 
@@ -178,8 +174,8 @@ def read_run(folder: Path, command: str, report: Mapping[str, Any]) -> Run:
         report,
         _cameras(folder / "cameras.yaml", report["provenance"]),
         tracks=_tracks(held["tracks"]) if "tracks" in held else None,
-        scans=_columns(held["scans"], SCANS) if "scans" in held else None,
-        associations=_columns(held["associations"], ASSOCIATIONS) if "associations" in held else None,
+        scans=_columns(held["scans"], kinds_of(SCANS, *SCANS_SHOWN)) if "scans" in held else None,
+        associations=_columns(held["associations"], kinds_of(ASSOCIATIONS)) if "associations" in held else None,
         history=_all_columns(held["history"]) if "history" in held else None,
         posterior=_all_columns(held["posterior"]) if "posterior" in held else None,
     )
@@ -194,36 +190,28 @@ def _cameras(path: Path, record: Mapping[str, Any]) -> tuple[Camera, ...]:
 
 
 def _tracks(path: Path) -> Columns:
-    table = read_table(path, TRACKS, {"status": STRING}, what="table of tracks")
+    required = kinds_of(TRACKS)
+    table = read_table(path, required, {"status": required.pop("status")}, what="table of tracks")
     if "status" in table.schema.names:
         table = table.filter(pc.equal(table["status"], CONFIRMED)).drop_columns(["status"])
-    covariance = table.column("covariance").combine_chunks().flatten().to_numpy(zero_copy_only=False)
-    columns = {
-        name: table.column(name).to_numpy(zero_copy_only=False) for name in table.schema.names if name != "covariance"
-    }
-    variances = covariance.reshape(-1, 6, 6)[:, [0, 1, 2], [0, 1, 2]]
+    columns = arrays_of(table)
+    variances = columns.pop("covariance").reshape(-1, 6, 6)[:, [0, 1, 2], [0, 1, 2]]
     columns["position_std"] = np.sqrt(variances.sum(axis=1))
     columns["speed"] = np.sqrt(columns["vx"] ** 2 + columns["vy"] ** 2 + columns["vz"] ** 2)
     return columns
 
 
 def _columns(path: Path, required: Mapping[str, Any]) -> Columns:
-    table = read_table(path, required)
-    return {name: table.column(name).to_numpy(zero_copy_only=False) for name in required}
+    return arrays_of(read_table(path, required))
 
 
-def _all_columns(path: Path) -> Columns:
-    import pyarrow as pa
-
+def _all_columns(path: Path) -> dict[str, NDArray[Any]]:
     with open_parquet(path) as parquet:
-        names = parquet.schema_arrow
-    table = read_table(path, {name: FLOAT for name in names.names if pa.types.is_floating(names.field(name).type)})
-    columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.schema.names}
-    if "covariance" in names.names:
-        with open_parquet(path) as parquet, damaged_is_input_error(path):
-            flat = parquet.read(columns=["covariance"]).column(0).combine_chunks().flatten()
-        size = len(columns) - 1
-        columns["covariance"] = flat.to_numpy(zero_copy_only=False).reshape(-1, size, size)
+        kinds = kinds_of(parquet.schema_arrow)
+    columns = arrays_of(read_table(path, kinds))
+    if "covariance" in columns:
+        size = len(columns) - 2
+        columns["covariance"] = columns["covariance"].reshape(-1, size, size)
     return columns
 
 

@@ -33,7 +33,7 @@ def write_log(loaded: LoadedConfig, recording: Path, log: Path) -> None:
     columns = _columns_of(recording)
     schema = functools.reduce(lambda schema, name: schema.append(FIELDS[name]), columns, DETECTIONS)
     with TableWriter(log, schema, to_metadata(provenance("track", loaded.record))) as table:
-        for message in _in_order(loaded, _messages(recording)):
+        for message in _in_order(loaded, read_recording(recording)):
             row: dict[str, Any] = {"time_s": message.time_s, "camera": message.camera, "frame": message.frame}
             empty = not len(message.pixels)
             row |= (
@@ -47,7 +47,8 @@ def write_log(loaded: LoadedConfig, recording: Path, log: Path) -> None:
             table.append(row)
 
 
-def _messages(recording: Path) -> Iterator[Message]:
+def read_recording(recording: Path) -> Iterator[Message]:
+    """Yield recorded frames, as far as their lines are complete."""
     with open(recording, encoding="utf-8") as stream:
         for number, line in enumerate(stream, start=1):
             if line.endswith("\n"):
@@ -56,7 +57,7 @@ def _messages(recording: Path) -> Iterator[Message]:
 
 def _columns_of(recording: Path) -> list[str]:
     """Return the optional columns that some frame has, in the order of the schema."""
-    present = {name for message in _messages(recording) for name in message.columns}
+    present = {name for message in read_recording(recording) for name in message.columns}
     return [name for name in FIELDS if name in present]
 
 

@@ -221,7 +221,7 @@ def work_event(
     attributed = run.attribution.update(name, info.detected, estimates)
     estimates = _supported(estimates, run, len(cameras))
     associations = run.associations.update(event, name, info.claims)
-    if times.whole_run or times.after(name):
+    if info.claims is not None and (times.whole_run or times.after(name)):
         associations += tuple(run.associations.report(times.certain(estimates)))
     run.last = record = Record(
         event.time_s, name, event.frame, len(event.points) + event.outside, first_label, info, estimates, attributed,

@@ -220,8 +220,8 @@ def write_tracks(
         third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if report.associations else None
         writer = RecordWriter(
             Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third),
-            cameras, report, None if kept is None else kept.writing, uncertainty,
+            cameras, report, None if kept is None else kept.figures, uncertainty,
         )  # fmt: skip
         for record in records:
             writer.add(record)
-    return writer.report()
+    return writer.summary()

@@ -20,11 +20,11 @@ from stereophd.core.calibration.adjustment.selection import Comparison, compare
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
-from stereophd.core.calibration.annealing.control import ControlTrack, World, with_control
+from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
     adjusted_to,
+    chosen_at_marginal,
     fit_until,
-    marginal_fit,
     problem_of,
     refitted,
     restricted_fit,
@@ -73,14 +73,15 @@ class Choices:
     model: str = LENSES  # What may be given up of what is stated.
     known: KnownMeasure | None = None
     is_sampled: bool = False  # Whether a sampler states the posterior afterwards.
-    control: ControlTrack | None = None
+    control: WorldControl | None = None
 
 
 @dataclass(frozen=True)
 class Remark:
     """Something about the answer that has to be said."""
 
-    topic: str  # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `starts` or `control`
+    # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `starts`, `control` or `time`
+    topic: str
     text: str
     is_reservation: bool = False  # Whether the data determine the cameras partly at most.
 
@@ -125,7 +126,7 @@ class Calibrated:
     moves: TrackMoves
     doubt: str  # Why the answer is not to be trusted; empty if it may be.
     remarks: tuple[Remark, ...]
-    world: World | None = None  # That of the control track
+    world: World | None = None  # That of the control
 
 
 def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
@@ -151,7 +152,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
         try:
             fit, world = with_control(task, fit, choices.control)
         except ValueError as error:
-            remarks += (Remark("control", f"the control track was not used: {error}", is_reservation=True),)
+            remarks += (Remark("control", f"the control was not used: {error}", is_reservation=True),)
     values = fit.adjustment.values
     early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
     doubt = doubt or answer.doubt or early
@@ -230,7 +231,7 @@ def state(task: Task, fit: Fit, choices: Choices) -> Answer:
     """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
     joint, comparison = selected(task, fit, choices)
     any_noise = has_known_length(task, choices) and joint.held is None
-    stated, noise_factor, doubt = marginal_fit(task, joint, any_noise)
+    stated, noise_factor, doubt = chosen_at_marginal(task, joint, any_noise)
     return Answer(joint, stated, noise_factor, doubt, comparison)
 
 
@@ -264,8 +265,13 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     loosened = np.zeros(count, dtype=np.int64)
     for number in range(MOST_ROUNDS):
+        if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
+            text = "the time was over before the answer was found and doubted: these cameras are the best so far"
+            remarks = (Remark("time", text, is_reservation=True), *noise_remarks(task, noise), *freed_remarks(given_up))
+            return Believed(task, Answer(fit, fit, 1.0, "", None), noise, tuple(given_up), freed, remarks)
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
+        basis = replace(answer.fit, knots=replace(answer.fit.knots, noise_std=answer.joint.knots.noise_std))
         # joint optima with little noise follow the detections, and show still less
         shown = answer.fit if answer.is_marginal else with_independent_errors(task, fit)
         estimate = noise_factors(problem_of(task, shown), shown.adjustment, np.random.default_rng(NOISE_SEED))
@@ -273,7 +279,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         if (estimate.differs | hides).any() and not last:
             factors = np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
             task, noise, loosened = task.with_noise(factors), noise * factors, loosened + hides
-            fit = adjusted_anew(task, fit)
+            fit = adjusted_anew(task, basis)
             continue
         enlarged, suspicions = suspected(task, answer)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
@@ -281,7 +287,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             break
         given_up.append((enlarged, wrong))
         freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
-        task, fit = with_freed(task, fit, enlarged, wrong)
+        task, fit = with_freed(task, basis, enlarged, wrong)
     held = [(enlarged, suspicion) for suspicion in suspicions]
     remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held_remarks(enlarged, suspicions))
     return Believed(task, answer, noise, (*given_up, *held), freed, remarks)
@@ -360,8 +366,9 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     times = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:]
     rows = [
         HistoryRow(float(time_s), until.adjustment.values, until.adjustment.covariance)
-        for time_s in times[:-1]
-        if (until := fit_until(task, answer, float(time_s))) is not None
+        for number, time_s in enumerate(times[:-1])
+        if task.limit.begin(f"the history of the answer, {number + 1} of {HISTORY_TIMES}")
+        and (until := fit_until(task, answer, float(time_s))) is not None
     ]
     return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
 

@@ -37,10 +37,11 @@ def doubts_of_tracks(found: SlopeTracks, names: Sequence[str]) -> str | None:
     return f"no object can be followed before {', '.join(still)}: record fewer false detections, or more frames"
 
 
-def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool) -> list[str]:
+def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool, is_closed: bool) -> list[str]:
     """Return why two cameras that were found may be wrong; empty if they are believed.
 
-    Where further cameras confirm a pair, its next optimum counts no more.
+    Where further cameras confirm a pair, its next optimum counts no more. Where they close a loop with it, what the two
+    leave open (focal lengths above all) may be determined by all: the final answer is judged, not the pair.
     """
     fit = pair.best
     two = " and ".join(names[number] for number in pair.cameras)
@@ -64,7 +65,7 @@ def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool) -
         )
     if pair.gap < LEAST_GAP and not is_confirmed:
         doubts.append(_second_optimum(pair, two))
-    if fit.stds[:3].max() > MOST_ROTATION or fit.stds[3:5].max() > MOST_DIRECTION:
+    if not is_closed and (fit.stds[:3].max() > MOST_ROTATION or fit.stds[3:5].max() > MOST_DIRECTION):
         kind = "; the objects move in one plane" if _is_plane(fit) else ""
         doubts.append(
             f"the tracks leave {two} open by {np.rad2deg(fit.stds[:3].max()):.1f} degrees in rotation and "
