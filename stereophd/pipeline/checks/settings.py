@@ -180,7 +180,11 @@ def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSam
             "depth_range",
         )  # fmt: skip
     else:
-        yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}", round(covered, 3), 1.0)
+        centers = np.array([sample.camera.pose.center for sample in samples])
+        apart = np.linalg.norm(centers[:, None] - centers, axis=2)[np.triu_indices(len(centers), 1)]
+        # the name of the unit leaves no trace in the data: only the user can tell
+        size = f"the cameras are {apart.min():.3g} to {apart.max():.3g} {unit} apart: is units.length right?"
+        yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}, {size}", round(covered, 3), 1.0)
     yield from _region(config, scene, unit)
     held = np.mean([_held(sample) for sample in samples]) >= LEAST_HELD
     yield from _speeds(config, scene, bool(whole and held))

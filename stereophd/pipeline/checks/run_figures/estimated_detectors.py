@@ -29,7 +29,8 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
         yield Finding("detector.estimate", "warning", text, cause="not_converged")
     for name, estimate in report["cameras"].items():
         correlation = estimate["residual_correlation"]
-        if correlation is not None and max(correlation) > LASTING:
+        # beyond two standard errors
+        if correlation is not None and max(correlation) - 2.0 / np.sqrt(estimate["residuals"]) > LASTING:
             text = (
                 f"{name}: errors last from frame to frame (correlation {correlation[0]:.2f}, {correlation[1]:.2f} "
                 "along u, v): of pose, clock or lens, or of smoothed labels; with noise estimated from them tracks "
@@ -45,15 +46,15 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
             ratio = estimate["residual_ratio"]
             seen = "no track gave residuals" if ratio is None else f"the residuals of tracks are {ratio:.2g} times it"
             text = (
-                f"{name}: tracks do not confirm the estimated noise ({seen}): it stays at {noise} px, what the rays and "
-                "the usual noise of detectors say"
+                f"{name}: tracks do not confirm the estimated noise ({seen}): it stays at {noise} px, what the rays "
+                "and the usual noise of detectors say"
             )
             remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
             yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")
         elif (error := _unsure(estimate)) > UNSURE:
             text = (
-                f"{name}: the estimated noise of {noise} px is known to a factor of {np.exp(2.0 * error):.1f} only, from "
-                f"{estimate['residuals']:.0f} detections of tracks that two cameras saw"
+                f"{name}: the estimated noise of {noise} px is known to a factor of {np.exp(2.0 * error):.1f} only, "
+                f"from {estimate['residuals']:.0f} detections of tracks that two cameras saw"
             )
             remedy = f"state cameras.{name}.detector.sigma_px if you know it, or take a longer log"
             yield Finding(
