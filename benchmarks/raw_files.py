@@ -167,7 +167,7 @@ def mot(folder: Path, frames: int) -> Written:
         sources.append(folder / name)
         (folder / name / "det").mkdir(parents=True)
         rows = [
-            f"{frame + 1},-1,{u - 9.5:.3f},{v - 14.5:.3f},20,30,0.9,-1,-1,-1\n"
+            f"{frame + 1},-1,{u - 8.5:.3f},{v - 13.5:.3f},20,30,0.9,-1,-1,-1\n"
             for frame, row in enumerate(pixels.tolist())
             for u, v in row
         ]
