@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from stereophd.config.tracking import RegionConfig
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.region import box_half_spaces
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
-from stereophd.core.metrics.errors import FirstReports, first_reports, waits
+from stereophd.core.metrics.errors import first_reports, waits
 from stereophd.core.metrics.matching.assignment import is_positive_definite
 from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
 from stereophd.core.metrics.matching.near_pairs import near_pairs
@@ -36,7 +37,7 @@ from stereophd.core.metrics.truth.scored import (
     on_plane,
 )
 from stereophd.errors import InputError
-from stereophd.pipeline.evaluation.inputs import Tracks
+from stereophd.pipeline.evaluation.inputs import Tracks, rows_of
 from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.registering import registered_sightings, registered_tracks, registration_of
 from stereophd.pipeline.evaluation.report import Scored
@@ -145,7 +146,9 @@ def _scored(
     near = matchable if distance == cutoff else near_pairs(estimates, points, cutoff, mahalanobis=mahalanobis)
     ospa2 = track_ospa(estimates, points, options.ospa2_window, order, cutoff, mahalanobis=mahalanobis)
     errors = pair_errors(estimates, points, scores)
-    waited = waits(time_s, estimates, points, scores, _first_reports(tracks))
+    rows, start = rows_of(tracks.events)  # tentative reports count as the first
+    first = first_reports(tracks.track_id[rows], np.repeat(tracks.events.time_s, np.diff(start)))
+    waited = waits(time_s, estimates, points, scores, first)
     summary = figures(estimates, points, scores, near, matchable, ospa2, errors, waited)
     if options.switch_cost is not None:
         tgospa = trajectory_gospa(estimates, points, near, order, cutoff, options.switch_cost)
@@ -161,7 +164,7 @@ def _scored(
 
 def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path) -> PointSets:
     """Return the estimates that were reported after each event."""
-    rows, start = _rows(events)
+    rows, start = rows_of(events)
     covariance = tracks.covariance[rows]
     if options.base == "mahalanobis":
         bad = np.flatnonzero(~is_positive_definite(covariance))
@@ -176,19 +179,6 @@ def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path
         None if tracks.cameras_part is None else tracks.cameras_part[rows],
     )  # fmt: skip
     return reported if options.tentative else reported.keep_points(confirmed)
-
-
-def _rows(events: Events) -> tuple[Integers, Integers]:
-    """Return the rows of tracks that belong to events, one event after the other, and where each event starts."""
-    count = events.row_end - events.row_start
-    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-    return np.arange(start[-1]) + np.repeat(events.row_start - start[:-1], count), start
-
-
-def _first_reports(tracks: Tracks) -> FirstReports:
-    """Return when each track was first reported, tentative reports included."""
-    rows, start = _rows(tracks.events)
-    return first_reports(tracks.track_id[rows], np.repeat(tracks.events.time_s, np.diff(start)))
 
 
 def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: ScoreOptions, path: Path) -> str:

@@ -76,10 +76,12 @@ def _verdict(run: Run) -> str:
 
 def comparison(runs: Sequence[Run]) -> SummaryTable:
     """Return the figures of all runs side by side; rows that no run has are left out."""
-    rows = []
-    for name, values in zip(_FIGURES, zip(*(_figures(run) for run in runs), strict=True), strict=True):
-        if any(value is not None for value in values):
-            rows.append((name, *("-" if value is None else value for value in values)))
+    columns = [dict(zip(_FIGURES, _figures(run), strict=True)) for run in runs]
+    rows = [
+        (name, *(column[name] or "-" for column in columns))
+        for name in _FIGURES
+        if any(column[name] is not None for column in columns)
+    ]
     return SummaryTable("Summary", ("", *(run.name for run in runs)), tuple(rows))
 
 
