@@ -158,7 +158,7 @@ def linear_components(
             motion_noise(points, axes, motion.with_velocity[k], motion.alone[k], noise)
             moving_trips(
                 means[k], factor, points, noise, motion.position_noise[k], motion.velocity_noise[k], homes[k],
-                destination, motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed, images,
+                destination, motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed, images
             )  # fmt: skip
         else:
             static_trips(means[k], factor, points, homes[k], destination, images)
