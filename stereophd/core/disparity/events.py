@@ -125,10 +125,13 @@ def make_event(
     log, by default numbers in the frame. The event has no detections at which the lens model cannot be inverted; it
     counts them.
     """
-    std = np.broadcast_to(np.asarray(camera.detector.sigma if sigma is None else sigma, dtype=float), pixels.shape)
+    std = np.empty(pixels.shape)
+    std[:] = camera.detector.sigma if sigma is None else sigma
     points, covariances, areas, delays, moved = framed_detections(camera, np.full(len(pixels), time_s), pixels, std)
     order = np.lexsort((points[:, 1], points[:, 0]))
-    order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
+    good = np.isfinite(points).all(axis=1) & (areas > 0.0)
+    if not good.all():
+        order = order[good[order]]
     return Event(
         time_s, index, points[order], covariances[order], areas[order], None if delays is None else delays[order],
         frame, len(pixels) - len(order), sigma is not None, pixels[order], None if moved is None else moved[order],

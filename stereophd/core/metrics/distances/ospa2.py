@@ -97,7 +97,7 @@ def ospa2_of_windows(
         _number_tracks(truth, np.zeros(len(truth.label), dtype=bool)),
         _inverse_covariances(estimates) if mahalanobis else None,
         cutoff,
-        window,
+        min(window, max(estimates.scans, 1)),
     )
     values = np.zeros((3, estimates.scans))
     for chunk in _chunks(run):

@@ -199,6 +199,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         (`target_context.refresh`): that waits until a kernel is compiled. It needs the runtime that counts references
         to arrays; without it the process ends at the first array that a kernel makes.
         """
+        _import_array_functions()  # before a kept form, or numba's compiler, does
         rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
         for folder in kernel_folders():
@@ -216,7 +217,6 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
                     return form
             except Exception:  # a damaged file may raise anything
                 continue
-        _import_array_functions()  # before numba's compiler does
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
