@@ -62,15 +62,15 @@ def carry_components(
     move_components(which, means, covariances, homes, motion, first, destination, p_detect, region, moved)
     fraction, status = moved.fraction, moved.status
     corners = np.empty(len(which), dtype=np.int64)
-    found = 0
+    n_corners = 0
     for k in which:
         wide = covariances[k, 2, 2] > (WIDE_DISPARITY * means[k, 2]) ** 2
         if important[k] and status[k] == OUT_OF_VIEW and (wide or fraction[k] > 0.0):
-            corners[found] = k
-            found += 1
-    if found > 0:
+            corners[n_corners] = k
+            n_corners += 1
+    if n_corners > 0:
         move_components(
-            corners[:found], means, covariances, homes, motion, second, destination, p_detect, region, moved
+            corners[:n_corners], means, covariances, homes, motion, second, destination, p_detect, region, moved
         )
     for k in which:
         if status[k] == OUT_OF_VIEW:

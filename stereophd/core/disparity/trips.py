@@ -122,14 +122,7 @@ def moving_trips(
     l20, l21, l22 = factor[2, 0], factor[2, 1], factor[2, 2]
     l30, l31, l32, l33 = factor[3, 0], factor[3, 1], factor[3, 2], factor[3, 3]
     l40, l41, l42, l43, l44 = factor[4, 0], factor[4, 1], factor[4, 2], factor[4, 3], factor[4, 4]
-    l50, l51, l52, l53, l54, l55 = (
-        factor[5, 0],
-        factor[5, 1],
-        factor[5, 2],
-        factor[5, 3],
-        factor[5, 4],
-        factor[5, 5],
-    )
+    l50, l51, l52, l53, l54, l55 = (factor[5, 0], factor[5, 1], factor[5, 2], factor[5, 3], factor[5, 4], factor[5, 5])
     for i in range(samples.shape[1]):
         a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
         a3, a4, a5 = samples[3, i], samples[4, i], samples[5, i]

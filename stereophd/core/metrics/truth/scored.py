@@ -52,9 +52,9 @@ def _latest_before(detected_at: Array, detected: Integers, time_s: Array, object
     order = np.lexsort((is_question, time, label))
     place = np.maximum.accumulate(np.where(is_question[order], -1, np.arange(len(order))))
     source = order[np.maximum(place, 0)]
-    found = (place >= 0) & (label[source] == label[order])
+    was_detected = (place >= 0) & (label[source] == label[order])
     latest = np.empty(len(order))
-    latest[order] = np.where(found, time[source], -np.inf)
+    latest[order] = np.where(was_detected, time[source], -np.inf)
     return latest[len(detected) :]
 
 
