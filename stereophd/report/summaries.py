@@ -6,8 +6,8 @@ The terminal and the page print the same tables.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 from stereophd.report.tables import CHECKS, SummaryTable, table_text
 from stereophd.wording import counted, percent
@@ -49,11 +49,27 @@ def tracking_part(report: Mapping[str, Any]) -> Mapping[str, Any]:
     return part if isinstance(part.get("tracks"), list) else {}
 
 
-def residual_rms(cameras: Iterable[Mapping[str, Any]]) -> tuple[float | None, int]:
-    """Return the residual of the figures of cameras together, px, None without any, and the number of residuals."""
-    each = [(camera["residuals"], camera["residual_rms_px"] or 0.0) for camera in cameras]
-    count = sum(n for n, _ in each)
-    return ((sum(n * rms * rms for n, rms in each) / count) ** 0.5 if count > 0 else None), count
+class FitTotals(NamedTuple):
+    """How well the tracks of a run explain the detections of all cameras; None where nothing is known."""
+
+    detections: int
+    explained: float | None  # Share of the detections
+    residual_px: float | None  # Root mean square of one axis
+    ratio: float | None  # Of the residuals to what the noise leads to expect
+
+
+def fit_totals(tracking: Mapping[str, Any]) -> FitTotals:
+    """Return the figures of all cameras of a tracking run together."""
+    cameras = (tracking.get("cameras") or {}).values()
+    detections = sum(camera["detections"] for camera in cameras)
+    explained = sum(camera["explained_detections"] for camera in cameras) / detections if detections else None
+    residuals = sum(camera["residuals"] for camera in cameras)
+
+    def rms(key: str) -> float | None:
+        known = [(c["residuals"], c[key]) for c in cameras if c.get(key)]
+        return (sum(n * value**2 for n, value in known) / residuals) ** 0.5 if known and residuals else None
+
+    return FitTotals(detections, explained, rms("residual_rms_px"), rms("residual_ratio"))
 
 
 def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN) -> list[SummaryTable]:
@@ -241,16 +257,12 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
             if count
             else "No tracks"
         )
-        detections = sum(camera["detections"] for camera in cameras.values())
-        if detections and count:
-            explained = sum(camera["explained_detections"] for camera in cameras.values())
-            rms, residuals = residual_rms(cameras.values())
-            yield f"they explain {share(explained / detections)} of {detections:,} detections"
-            if rms is not None:
-                ratios = [(c["residuals"], c["residual_ratio"]) for c in cameras.values() if c.get("residual_ratio")]
-                beside = (sum(n * ratio * ratio for n, ratio in ratios) / residuals) ** 0.5
-                of_noise = f", {beside:.2f} times what the noise leads to expect" if ratios else ""
-                yield f"residual {number(rms, 2)} px{of_noise}"
+        totals = fit_totals(tracking)
+        if totals.explained is not None and count:
+            yield f"they explain {share(totals.explained)} of {totals.detections:,} detections"
+            if totals.residual_px is not None:
+                of_noise = "" if totals.ratio is None else f", {totals.ratio:.2f} times what the noise leads to expect"
+                yield f"residual {number(totals.residual_px, 2)} px{of_noise}"
     if evaluation is not None:
         ospa = evaluation["ospa"]
         scale = f" {unit}" if ospa["base"] == "euclidean" else ""

@@ -16,7 +16,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.events import EventKeys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import Events, Truth
-from stereophd.core.metrics.truth.visibility import Sightings
+from stereophd.core.metrics.truth.scored import Sightings
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
 from stereophd.io.outputs.provenance import from_metadata, length_unit

@@ -17,6 +17,7 @@ from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
 from stereophd.io.documents import expecting
 from stereophd.io.outputs.commit import refuse_unsettled
+from stereophd.io.outputs.json_text import read_report
 from stereophd.io.outputs.provenance import file_sha256
 from stereophd.io.tables.reading import arrays_of, open_parquet, read_table
 from stereophd.io.tables.schemas import ASSOCIATIONS, CONFIRMED, FLOAT, INTEGER, SCANS, TRACKS, kinds_of
@@ -50,7 +51,7 @@ class Run:
     report: Mapping[str, Any]  # Its ``report.json``
     cameras: tuple[Camera, ...] = ()  # As the run found them, else as it was given them; may be empty
     # `tracks`, `scans`, `associations`: Columns of its tables. Tracks are the confirmed estimates, with
-    # ``position_std`` and ``speed`` in place of the covariance.
+    # ``position_std`` and ``speed`` in place of the covariance; those of bodies have ``height`` and ``width``.
     tracks: Columns | None = None
     scans: Columns | None = None
     associations: Columns | None = None
@@ -66,6 +67,13 @@ class Run:
         """Version, command, configuration, seed and hashes of the inputs."""
         found: Mapping[str, Any] = self.report["provenance"]
         return found
+
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """The direction (3,) of the height of bodies; any where they are spheres."""
+        shape = self.provenance["config"].get("object") or {}
+        vector = np.array(shape.get("up") or (0.0, 0.0, 1.0), dtype=np.float64)
+        return np.asarray(vector / np.linalg.norm(vector))
 
     @property
     def length_unit(self) -> str:
@@ -140,10 +148,9 @@ def _read_folder(folder: Path, found: _Found) -> None:
 
 
 def _report(path: Path) -> dict[str, Any] | None:
-    if not path.exists():
+    if (document := read_report(path)) is None:
         return None
     with expecting("a report of stereophd", path):
-        document: dict[str, Any] = msgspec.json.decode(path.read_bytes())
         msgspec.convert(document, SHAPES.get(str(document["provenance"].get("command")), dict))
     return document
 
@@ -175,7 +182,8 @@ def _cameras(path: Path, record: Mapping[str, Any]) -> tuple[Camera, ...]:
 
 def _tracks(path: Path) -> Columns:
     required = kinds_of(TRACKS)
-    table = read_table(path, required, {"status": required.pop("status")})
+    optional = {"status": required.pop("status"), "height": FLOAT, "width": FLOAT}
+    table = read_table(path, required, optional, what="table of tracks")
     if "status" in table.schema.names:
         table = table.filter(pc.equal(table["status"], CONFIRMED)).drop_columns(["status"])
     columns = arrays_of(table)
