@@ -91,15 +91,16 @@ class MarginalOptimum:
     noise_factor: float  # Noise of the motion, in units of the scene's scale, over what is stated
 
 
-def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
+def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 1.0) -> MarginalOptimum:
     """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
 
-    Values that the problem holds stay, and keep the covariance of the prior. Returns the adjustment given, not
+    Values that the problem holds stay, and keep the covariance of the prior. The search begins at a factor on the noise
+    of the motion. Returns the adjustment given, not
     converged, at the noise stated, where the normal equations are singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
-    unknowns = np.append(found.values, np.zeros(int(len(problem.knots.links()) > 0)))
+    unknowns = np.append(found.values, np.full(int(len(problem.knots.links()) > 0), np.log(noise_factor)))
     try:
         for _ in range(MOST_WEIGHTINGS):
             posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))

@@ -20,6 +20,7 @@ from stereophd.core.calibration.adjustment.trajectories import (
     fit_states,
     interpolation,
     knot_spacing,
+    least_noise,
     place_knots,
     positions,
 )
@@ -308,15 +309,16 @@ def _with_held_unknown(task: Task, fit: Fit) -> Fit:
     return replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
 
 
-def marginal_fit(task: Task, fit: Fit) -> tuple[Fit, float]:
+def marginal_fit(task: Task, fit: Fit, factor: float = 1.0) -> tuple[Fit, float]:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
     Values that are held stay. Not for objects of one knot each, which stand still: the volume counts a velocity with
-    every knot, and would take the scene for too small. Also returns the noise of the motion over what is stated.
+    every knot, and would take the scene for too small. Also returns the noise of the motion over that of the fit, which
+    is looked for from a factor on.
     """
     if not len(fit.knots.links()):
         return fit, 1.0
-    found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment)
+    found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment, factor)
     cameras = task.parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
@@ -335,11 +337,10 @@ def stated_fit(task: Task, joint: Fit) -> tuple[Fit, float]:
         joint = adjusted_to(task, joint, seen, seen.trajectories, joint.detections)
     stated, factor = marginal_fit(task, joint)
     for _ in range(MOST_CHOICES if stated is not joint and stated.adjustment.converged else 0):
-        begin = replace(stated, knots=replace(stated.knots, noise_std=joint.knots.noise_std))
-        again = refitted(task, begin, weighted=True, still=True)
+        again = refitted(task, stated, weighted=True, still=True)
         if again is None or _same_members(again, stated):
             break
-        better, new_factor = marginal_fit(task, replace(again, held=joint.held))
+        better, new_factor = marginal_fit(task, with_stated_motion(task, replace(again, held=joint.held)), factor)
         if not better.adjustment.converged:
             break
         stated, factor = better, new_factor
@@ -357,10 +358,9 @@ def _same_members(one: Fit, other: Fit) -> bool:
     return bool(np.allclose(first, second, rtol=SAME_WEIGHT))
 
 
-def at_marginal_optimum(task: Task, fit: Fit) -> Fit:
-    """Move a fit to the maximum of the marginal posterior, and keep the stated noise of the motion."""
-    found, _ = marginal_fit(task, fit)
-    return replace(found, knots=fit.knots)
+def with_stated_motion(task: Task, fit: Fit) -> Fit:
+    """Return a fit that others follow: the noise of its motion is what is stated, whatever was found."""
+    return replace(fit, knots=replace(fit.knots, noise_std=least_noise(task.filter.motion)))
 
 
 def _fit(

@@ -28,6 +28,7 @@ from stereophd.core.calibration.annealing.fits import (
     refitted,
     restricted_fit,
     stated_fit,
+    with_stated_motion,
 )
 from stereophd.core.calibration.annealing.known_lengths import with_lengths
 from stereophd.core.calibration.annealing.known_scale import measured_scale, rescaled
@@ -260,7 +261,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     for number in range(MOST_ROUNDS):
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
-        basis = replace(answer.fit, knots=replace(answer.fit.knots, noise_std=answer.joint.knots.noise_std))
+        basis = with_stated_motion(task, answer.fit)
         rng = np.random.default_rng(NOISE_SEED)
         estimate = noise_factors(problem_of(task, answer.fit), answer.fit.adjustment, rng)
         hides = estimate.hides & (loosened < MOST_LOOSENED)

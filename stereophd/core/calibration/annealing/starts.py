@@ -19,11 +19,12 @@ from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.annealing.fits import (
     FIRST_WEIGHTED,
     FITTED_PASSES,
-    at_marginal_optimum,
     paired_fit,
     pairings_of,
     refitted,
+    stated_fit,
     tracked_fit,
+    with_stated_motion,
     without_left_out,
 )
 from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
@@ -105,7 +106,7 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
     why = disagreement(task, fit)
     if why is not None and task.parameters.prior_disagreement(values) is not None:
         # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
-        fit = at_marginal_optimum(task, fit)
+        fit = with_stated_motion(task, stated_fit(task, fit)[0])
         values = fit.adjustment.values
         history.append(values)
         why = disagreement(task, fit)
