@@ -10,34 +10,42 @@ import typer
 
 from stereophd.cli.options import Session
 from stereophd.cli.unused_options import refuse
-from stereophd.commands.options import LiveOptions
+from stereophd.commands.options import LiveOptions, TrackOptions
 from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
 from stereophd.io.streams.sources import Arrivals
 
-WHOLE_LOGS = ("jobs", "dask", "threads", "pieces_s", "overlap_s", "resume", "plots")
+WHOLE_LOGS = ("jobs", "dask", "threads", "pieces_s", "overlap_s", "plots")
 
 
 def run_live(
-    session: Session, loaded: LoadedConfig, live: LiveOptions, log: list[Path], out: Path | None, force: bool
+    session: Session, loaded: LoadedConfig, live: LiveOptions, log: list[Path], out: Path | None, options: TrackOptions
 ) -> None:
     """Track frames as they arrive; lines on standard output, a summary on standard error."""
     from stereophd.commands.track_live import LiveOutputs, track_live
+    from stereophd.io.streams.mcap import McapRows
     from stereophd.io.streams.rows import ArrowRows, JsonLines, Publisher, RowSink
 
     refuse(session, WHOLE_LOGS, "for a recording that has ended, found one that is still running")
+    if live.follow is not None:
+        refuse(session, ("resume",), "with - or --listen, found a log that is followed: it holds all frames still")
     arrivals, source = _source(log, live)
     events = None if session.quiet else sys.stderr
     rows: list[RowSink] = [ArrowRows(sys.stdout.buffer, events) if live.arrow else JsonLines(sys.stdout, events)]
     if live.publish is not None:
         rows.append(Publisher(live.publish))
-    outputs = LiveOutputs(rows, out, live.record, force)
+    mcap = None if live.mcap is None else McapRows(live.mcap)
+    rows += [] if mcap is None else [mcap]
+    outputs = LiveOutputs(rows, out, live.record, options.force, options.resume)
     try:
         done = track_live(loaded, arrivals, source, outputs)
     except BrokenPipeError:
         # the reader has gone; what Python would write at its end has no reader either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return
+    finally:
+        if mcap is not None:
+            mcap.close()
     if session.quiet:
         return
     latency, processor = done["latency_ms"], done["processor_ms"]

@@ -7,7 +7,6 @@ all others are known. Its status decides: what the data do not determine is trie
 from __future__ import annotations
 
 import tempfile
-import threading
 from collections import deque
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from stereophd.io.streams.messages import Message
 from stereophd.pipeline.live.recording import write_log
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.workers.worker_process import WorkerProcess
+from stereophd.pipeline.workers.aside import Aside
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -60,8 +59,7 @@ class Recalibration:
         }
         self._frames: deque[Message] = deque()
         self._tries = [knock.time_s + after_s for after_s in TRIES_S]
-        self._thread: threading.Thread | None = None
-        self._found: dict[str, Any] | None = None
+        self._aside = Aside()
 
     def keep(self, message: Message) -> None:
         """Keep a frame that came after the knock was noticed."""
@@ -71,31 +69,18 @@ class Recalibration:
 
     def step(self, time_s: float) -> dict[str, Any] | None:
         """Begin a try when its time has come; return what one found, ``status`` and, if it is determined, ``pose``."""
-        found, self._found = self._found, None
-        if found is not None:
-            self._thread = None
-        elif self._thread is None and self._tries and time_s >= self._tries[0]:
+        if not self._aside.is_busy and self._tries and time_s >= self._tries[0]:
             self._tries = [later for later in self._tries if later > time_s]
             lines = tuple(message.to_line() for message in self._frames)
             task = OneCamera(self._loaded, self.knock.camera, self._prior, lines)
-            self._thread = threading.Thread(target=self._solve, args=(task,), daemon=True)
-            self._thread.start()
-        return found
+            self._aside.start(lambda worker: worker.call(solve_camera, task))
+        outcome = self._aside.take()
+        return {"status": f"failed: {outcome}"} if isinstance(outcome, Exception) else outcome
 
     @property
     def is_over(self) -> bool:
         """Whether all tries have failed."""
-        return self._thread is None and not self._tries
-
-    def _solve(self, task: OneCamera) -> None:
-        worker = WorkerProcess(1)
-        try:
-            self._found = worker.call(solve_camera, task)
-        except Exception as error:
-            self._found = {"status": f"failed: {error}"}
-        finally:
-            worker.kill()
-            worker.close()
+        return not self._aside.is_busy and not self._tries
 
 
 def solve_camera(task: OneCamera) -> dict[str, Any]:

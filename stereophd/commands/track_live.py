@@ -1,42 +1,62 @@
-"""Track a recording that is still running: a line for each record as soon as it is known, the usual files at its end.
+"""Track a recording that is still running: a line for each record as soon as it is known, files beside it.
 
-Every frame that was used is recorded as a line of JSON, in the order of arrival. At the end of the stream, or at an
-interrupt, the recording becomes ``detections.parquet`` and is tracked as `stereophd.commands.track` does: the files are
-those of that command, to the byte, however the frames arrived.
+Every frame that is used is first recorded as a line of JSON, in the order of arrival. At checkpoints, and at the end of
+the stream or an interrupt, the recording becomes ``detections.parquet`` and is tracked as `stereophd.commands.track`
+does: the files are those of that command, to the byte, however the frames arrived. A process of its own writes those of
+a checkpoint, and all of them come into their places together.
 """
 
 from __future__ import annotations
 
 import contextlib
 import io
+import itertools
 import math
+import os
+import shutil
 import tempfile
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import IO, Any
 
 from stereophd.commands.recalibrate import Recalibration, with_pose
 from stereophd.config.loading import LoadedConfig, variant
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
+from stereophd.io.outputs.atomic import OutputFolder, output_folder, output_lock
+from stereophd.io.streams.documents import (
+    CameraPlace,
+    Checkpoint,
+    Knocked,
+    LiveEvent,
+    Ready,
+    Recalibrated,
+    RecordDocument,
+    Status,
+)
 from stereophd.io.streams.messages import Message
 from stereophd.io.streams.rows import JsonLines, Publisher, RowSink, document_of
 from stereophd.io.streams.sources import Arrivals
 from stereophd.pipeline.build import report_times
 from stereophd.pipeline.live.frames import FrameChecks
-from stereophd.pipeline.live.recording import write_log
+from stereophd.pipeline.live.recording import read_recording, write_log
 from stereophd.pipeline.live.run import LiveRecord, LiveRun, warm_up_messages, without_collections
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run import TrackingRun, build_tracking, estimated_cameras
+from stereophd.pipeline.workers.aside import Aside
+from stereophd.pipeline.workers.worker_process import WorkerProcess
 
 LOG_FILE = "detections.parquet"
 # Time between two reports of how a run goes, s.
 STATUS_EVERY_S = 2.0
+# Time between two checkpoints, s; more where one takes more than this part of it.
+CHECKPOINT_EVERY_S, MOST_SHARE = 60.0, 0.1
 
 
 @dataclass(frozen=True)
@@ -44,9 +64,15 @@ class LiveOutputs:
     """Where a live run writes; None: nowhere."""
 
     rows: Sequence[RowSink] = ()  # What takes each record as it comes
-    folder: Path | None = None  # The files of a batch run, at the end
-    recording: Path | None = None  # The frames as lines of JSON, while they arrive
+    folder: Path | None = None  # The files of a batch run, at checkpoints and at the end
+    recording: Path | None = None  # The frames as lines of JSON; None: beside the folder until it holds them all
     force: bool = False  # Whether the folder may hold an earlier run
+    resume: bool = False  # Whether the frames that a killed run recorded come first
+
+    @property
+    def frames(self) -> Path | None:
+        """Where the frames are recorded."""
+        return Path(f"{self.folder}.frames.jsonl") if self.recording is None and self.folder else self.recording
 
 
 def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: LiveOutputs) -> dict[str, Any]:
@@ -59,22 +85,34 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
     if an output cannot be written.
     """
     _check(loaded)
-    if outputs.recording is not None and outputs.recording.exists():
-        raise InputError(f"{outputs.recording}: the file exists; choose another name for the recording")
-    tracking = build_tracking(loaded)
-    with _recording(outputs) as (path, stream):
+    tracking = _tracking(loaded)
+    with contextlib.ExitStack() as held:
+        if outputs.folder is not None:
+            held.enter_context(output_lock(outputs.folder))
+        recorded, stream = _recording(outputs, held)
+        if outputs.folder is not None:
+            output_folder(outputs.folder, outputs.force or outputs.resume, _files())
         with without_collections("" if loaded.config.filter is None else loaded.config.filter.kind):
             warming_up = variant(loaded, [("warm-up", {"input.on_bad_row": "drop", "live.recalibrate": False})])
-            _Session(warming_up, tracking, [JsonLines(io.StringIO())], None).work(
+            _Session(warming_up, tracking, LiveOutputs([JsonLines(io.StringIO())])).work(
                 warm_up_messages(tracking.cameras), "warm-up"
             )
-            session = _Session(loaded, tracking, outputs.rows, stream)
-            session.tell({"event": "ready", "cameras": [_described(camera) for camera in tracking.cameras]})
-            session.work(arrivals, source)
-        report = {"frames": session.checks.counts, **_summary(session.run)}
+            session = _Session(loaded, tracking, outputs)
+            session.tell(Ready([_described(camera) for camera in tracking.cameras]))
+            session.work(itertools.chain(recorded, session.recording_to(stream, arrivals)), source)
         if outputs.folder is not None and session.checks.counts["frames"]:
-            _write_files(session.found, path, outputs)
-    return report
+            _write_files(session.found, outputs)
+        if outputs.recording is None and outputs.frames is not None:
+            os.truncate(outputs.frames, 0)  # the folder holds all frames
+    return {"frames": session.checks.counts, **_summary(session.run)}
+
+
+def _tracking(loaded: LoadedConfig) -> TrackingRun:
+    """Return what tracks, without claims to detections: no row has them."""
+    tracking = build_tracking(loaded)
+    if not isinstance(tracking.estimator, DisparityFilter):
+        return tracking
+    return replace(tracking, estimator=replace(tracking.estimator, claims=False))
 
 
 class _Session:
@@ -83,21 +121,27 @@ class _Session:
     `found` is the configuration with the poses that were found.
     """
 
-    def __init__(
-        self, loaded: LoadedConfig, tracking: TrackingRun, rows: Sequence[RowSink], stream: IO[str] | None
-    ) -> None:
+    def __init__(self, loaded: LoadedConfig, tracking: TrackingRun, outputs: LiveOutputs) -> None:
         config = loaded.config
         self.found = self._tracked_by = loaded
         self.checks = FrameChecks(tracking.cameras, config.input.on_bad_row, config.input.image_margin_px)
         times = report_times(config.report)
         self.run = LiveRun(tracking.estimator, times, self.checks, config.live, self._keep)
-        self._rows, self._stream = rows, stream
+        self._outputs, self._rows = outputs, outputs.rows
+        self._stream: IO[str] | None = None
         self._most_std = config.report.max_position_std
         self._told_s = -math.inf
         self._knock: Knock | None = None
         self._recalibration: Recalibration | None = None
+        self._checkpoint = Aside()
+        self._began_s, self._next_s = 0.0, time.monotonic() + CHECKPOINT_EVERY_S
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def recording_to(self, stream: IO[str] | None, arrivals: Arrivals) -> Arrivals:
+        """Yield arrivals; those that are used are recorded."""
+        self._stream = stream
+        yield from arrivals
+
+    def tell(self, event: LiveEvent) -> None:
         """Report an event to every sink."""
         for sink in self._rows:
             sink.tell(event)
@@ -105,7 +149,9 @@ class _Session:
     def work(self, arrivals: Arrivals, source: str) -> None:
         """Work all arrivals."""
         processor_s = time.thread_time()
-        with contextlib.suppress(KeyboardInterrupt):
+        with contextlib.ExitStack() as ending:
+            ending.enter_context(contextlib.suppress(KeyboardInterrupt))
+            ending.callback(self._checkpoint.stop)
             for live in self.run.records(arrivals, source):
                 if self._rows and live.record.reported:
                     document = _document(live, self._most_std)
@@ -118,19 +164,29 @@ class _Session:
                 if time.monotonic() > self._told_s + STATUS_EVERY_S:
                     self._told_s = time.monotonic()
                     self._tell_status()
+                    self._save()
 
     def _tell_status(self) -> None:
         """Tell those who watch how the run goes."""
         counts, residuals = self.checks.counts, self.run.residuals
-        status = {"event": "status", "frames": counts["frames"], "late": self.run.counts.late}
-        status |= {
-            "too_late": counts["too_late"],
-            "residuals": residuals,
-            "latency_ms": self.run.counts.latency.percentiles_ms(),
-        }
+        late, latency_ms = self.run.counts.late, self.run.counts.latency.percentiles_ms()
+        status = Status(counts["frames"], late, counts["too_late"], residuals, latency_ms)
         for sink in self._rows:
             if isinstance(sink, Publisher):
                 sink.tell(status)
+
+    def _save(self) -> None:
+        """Let a process write the files of a checkpoint when it is time; tell how the last one ended."""
+        if self._outputs.folder is None or self._stream is None:
+            return
+        now_s, outcome = time.monotonic(), self._checkpoint.take()
+        if outcome is not None:
+            self._next_s = now_s + max(CHECKPOINT_EVERY_S, (now_s - self._began_s) / MOST_SHARE)
+            failed = isinstance(outcome, Exception)
+            self.tell(Checkpoint(error=str(outcome)) if failed else Checkpoint(outcome))
+        elif now_s >= self._next_s and not self._checkpoint.is_busy:
+            self._began_s, found, outputs = now_s, self.found, self._outputs
+            self._checkpoint.start(lambda worker: _write_files(found, outputs, worker))
 
     def _keep(self, message: Message) -> None:
         """Write a frame before it is worked: a killed run has lost none."""
@@ -143,7 +199,7 @@ class _Session:
     def _look_after_cameras(self, record: Record) -> None:
         if record.knock is not None and record.knock != self._knock:
             self._knock = record.knock
-            self.tell({"event": "knocked", **asdict(record.knock)})
+            self.tell(Knocked(**asdict(record.knock)))
             if self.found.config.live.recalibrate:
                 self._recalibration = Recalibration(self._tracked_by, record.knock, record)
                 self.run.pass_over(record.knock.camera)
@@ -153,19 +209,18 @@ class _Session:
         if result is None:
             return
         knock, pose = self._recalibration.knock, result.get("pose")
-        self.tell({"event": "recalibrated", "camera": knock.camera, "time_s": record.time_s, **result})
+        self.tell(Recalibrated(knock.camera, record.time_s, **result))
         if pose is not None:
             self._tracked_by = with_pose(self._tracked_by, knock.camera, pose, None)
             self.found = with_pose(self.found, knock.camera, pose, knock.since_s)
-            self.run.go_on(build_tracking(self._tracked_by).estimator)
+            self.run.go_on(_tracking(self._tracked_by).estimator)
         if pose is not None or self._recalibration.is_over:
             self._recalibration = None
 
 
-def _described(camera: Camera) -> dict[str, Any]:
+def _described(camera: Camera) -> CameraPlace:
     """Return where a camera stands and looks, for those who draw the tracks."""
-    pose = camera.pose
-    return {"name": camera.name, "center": pose.center.tolist(), "looks_along": pose.rotation[2].tolist()}
+    return CameraPlace(camera.name, camera.pose.center.tolist(), camera.pose.rotation[2].tolist())
 
 
 def _check(loaded: LoadedConfig) -> None:
@@ -179,24 +234,35 @@ def _check(loaded: LoadedConfig) -> None:
         )
 
 
-@contextlib.contextmanager
-def _recording(outputs: LiveOutputs) -> Iterator[tuple[Path, IO[str] | None]]:
-    """Open the file of the frames: the user's, or a temporary one for the files of the end."""
-    with contextlib.ExitStack() as held:
-        path = outputs.recording
-        if path is None and outputs.folder is None:
-            yield Path(), None
-            return
-        if path is None:
-            path = Path(held.enter_context(tempfile.TemporaryDirectory())) / "frames.jsonl"
-        try:
-            stream = held.enter_context(open(path, "x", encoding="utf-8", newline="\n"))
-        except OSError as error:
-            raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
-        yield path, stream
+def _files() -> tuple[str, ...]:
+    """Return the names of all files of a run."""
+    from stereophd.commands.track import FILES
+
+    return FILES
 
 
-def _document(live: LiveRecord, max_position_std: float | None) -> dict[str, Any]:
+def _recording(outputs: LiveOutputs, held: contextlib.ExitStack) -> tuple[Arrivals, IO[str] | None]:
+    """Open the file of the frames; return those that it holds already, and where further ones are written."""
+    path = outputs.frames
+    if path is None:
+        return iter(()), None
+    if path.exists() and not outputs.resume and (outputs.recording is not None or not outputs.force):
+        raise InputError(
+            f"{path}: the file exists; choose another name for the recording, or `resume=True` to go on after its "
+            "frames"
+        )
+    try:
+        stream = held.enter_context(path.open("a" if outputs.resume else "w", encoding="utf-8", newline="\n"))
+        held.callback(_remove_empty, path)
+        with path.open("rb") as content:  # what a killed run wrote last may be half a line
+            size = sum(len(line) for line in content if line.endswith(b"\n"))
+        os.truncate(path, size)
+    except OSError as error:
+        raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
+    return read_recording(path), stream
+
+
+def _document(live: LiveRecord, max_position_std: float | None) -> RecordDocument:
     record = live.record
     estimates = record.estimates if max_position_std is None else record.estimates.certain(max_position_std)
     return document_of(record.time_s, record.camera, record.frame, estimates, live.is_revised)
@@ -212,17 +278,47 @@ def _summary(run: LiveRun) -> dict[str, Any]:
     }
 
 
-def _write_files(loaded: LoadedConfig, recording: Path, outputs: LiveOutputs) -> None:
-    """Turn the recording into a log, and track it as a batch run does."""
+def _remove_empty(path: Path) -> None:
+    """Remove a recording without frames."""
+    with contextlib.suppress(OSError):
+        if not path.stat().st_size:
+            path.unlink()
+
+
+@dataclass(frozen=True)
+class _Files:
+    """What is to be written where."""
+
+    loaded: LoadedConfig
+    recording: Path
+    folder: Path
+
+
+def _write_files(loaded: LoadedConfig, outputs: LiveOutputs, worker: WorkerProcess | None = None) -> int:
+    """Track the recording so far as a batch run does, here or in a worker, and put its files into their places.
+
+    Returns the number of its frames.
+    """
+    assert outputs.folder is not None
+    assert outputs.frames is not None
+    with OutputFolder(outputs.folder, _files(), force=True) as out:
+        files = _Files(loaded, outputs.frames, out.path(LOG_FILE).parent)
+        frames: int = track_recording(files) if worker is None else worker.call(track_recording, files)
+    return frames
+
+
+def track_recording(files: _Files) -> int:
+    """Turn a recording into a log, and track it as a batch run does; return the number of its frames."""
     from stereophd.commands.track import CAMERAS_FILE, track
 
-    assert outputs.folder is not None
+    loaded = files.loaded
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / LOG_FILE
-        write_log(loaded, recording, log)
-        track(loaded, log, outputs.folder, force=outputs.force)
+        write_log(loaded, files.recording, log)
+        report = track(loaded, log, files.folder)
         if any(camera.poses for camera in loaded.cameras.values()):
-            write_cameras(outputs.folder / CAMERAS_FILE, loaded.cameras, loaded.config.units.length)
+            write_cameras(files.folder / CAMERAS_FILE, loaded.cameras, loaded.config.units.length)
         # after the other files: the log lies beside them, and is no output of `track`
-        with open(log, "rb") as content, open(outputs.folder / LOG_FILE, "wb") as target:
-            target.write(content.read())
+        shutil.copyfile(log, files.folder / LOG_FILE)
+    frames: int = report["input"]["frames"]
+    return frames

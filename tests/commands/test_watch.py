@@ -14,9 +14,11 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
 
+import msgspec
 import pytest
 
 from stereophd.commands.watch import PAGE, Watch
+from stereophd.io.streams.documents import CameraPlace, Ready, RecordDocument
 from stereophd.io.streams.rows import Publisher
 
 pytest.importorskip("zmq")
@@ -29,6 +31,7 @@ CAMERAS = [
 
 def document(number: int) -> dict[str, Any]:
     track = {"track_id": 3, "x": 0.01 * number, "y": 0.0, "z": 5.0, "status": "confirmed"}
+    track |= {"vx": 0.0, "vy": 0.0, "vz": 0.0, "position_covariance": [1.0] * 6, "existence": 1.0}
     return {"time_s": 0.1 * number, "camera": "left", "frame": number, "revised": False, "tracks": [track]}
 
 
@@ -39,12 +42,12 @@ def watch() -> Iterator[Watch]:
     watching = Watch(publisher.address)
 
     def publish() -> None:
-        publisher.tell({"event": "ready", "cameras": CAMERAS})
+        publisher.tell(Ready([CameraPlace(**camera) for camera in CAMERAS]))
         number = 0
         while not is_over.wait(0.05):
-            publisher.add(document(number))
+            publisher.add(msgspec.convert(document(number), RecordDocument))
             if number % 5 == 0:
-                publisher.tell({"event": "ready", "cameras": CAMERAS})
+                publisher.tell(Ready([CameraPlace(**camera) for camera in CAMERAS]))
             number += 1
 
     threads = [

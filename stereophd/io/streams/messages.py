@@ -14,44 +14,19 @@ import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.io.documents import MAX_DETECTIONS_AT_ONCE
+from stereophd.io.streams.documents import FURTHER, FrameDocument
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-VERSION = 1
-# Optional columns of a log that a message may carry; others are ignored.
-FURTHER = ("sigma_u_px", "sigma_v_px", "score", "object_id", "width_px", "height_px")
-
-SCHEMA: dict[str, Any] = {
-    "$schema": "https://json-schema.org/draft/2020-12/schema",
-    "title": f"stereophd frame message, version {VERSION}",
-    "type": "object",
-    "required": ["camera", "frame", "time_s", "detections"],
-    "properties": {
-        "camera": {"type": "string", "description": "name of the camera, as in the configuration"},
-        "frame": {"type": "integer", "description": "number of the frame; rises with time"},
-        "time_s": {"type": "number", "description": "time of the frame on the camera's own clock, s"},
-        "detections": {
-            "type": "array",
-            "maxItems": MAX_DETECTIONS_AT_ONCE,
-            "items": {"type": "array", "minItems": 2, "items": {"type": "number"}},
-            "description": "u_px, v_px and the values that `columns` names, of each detection",
-        },
-        "columns": {
-            "type": "array",
-            "items": {"enum": list(FURTHER)},
-            "description": "names of the values of a detection after u_px and v_px",
-        },
-    },
-}
+_decode = msgspec.json.Decoder(FrameDocument).decode
 
 
 @dataclass(frozen=True)
@@ -81,39 +56,37 @@ def parse_line(line: bytes | str, where: str, arrived_s: float | None = None) ->
     """
     arrived_s = perf_counter() if arrived_s is None else arrived_s
     try:
-        document = json.loads(line)
+        frame = _decoded(line)
+    except msgspec.ValidationError as error:
+        what, _, place = str(error).replace(", got", ", found").partition(" - at `$")
+        if place or "missing" in what:
+            key = f"{place.strip('.`')}: " if place else ""
+            raise InputError(f"{where}: {key}{what[0].lower()}{what[1:].replace('`', '')}") from error
+        raise InputError(f"{where}: expected a frame as one line of JSON, found {_shown(line)}") from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{where}: expected a frame as one line of JSON, found {_shown(line)}") from error
-    if not isinstance(document, dict):
-        raise InputError(f"{where}: expected a frame as one line of JSON, found {_shown(line)}")
-    camera = _value(document, "camera", str, "the name of a camera", where)
-    frame = _value(document, "frame", int, "a whole number", where)
-    time_s = float(_value(document, "time_s", (int, float), "a number of seconds", where))
-    names = document.get("columns", [])
-    if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise InputError(f"{where}: columns: expected a list of names, found {_shown(names)}")
-    rows = _value(document, "detections", list, "a list of detections", where)
-    if len(rows) > MAX_DETECTIONS_AT_ONCE:
-        raise InputError(f"{where}: detections: expected at most {MAX_DETECTIONS_AT_ONCE}, found {len(rows)}")
+    rows, names = frame.detections, frame.columns
     width = 2 + len(names)
     try:
         values = np.array(rows, dtype=np.float64).reshape(-1, width) if rows else np.empty((0, width))
         if len(values) != len(rows):
             raise ValueError("rows of another length")
-    except (ValueError, TypeError) as error:
+    except ValueError as error:
         raise InputError(
             f"{where}: detections: expected rows of {width} numbers (u_px, v_px{''.join(f', {n}' for n in names)}), "
             f"found {_shown(rows)}"
         ) from error
     further = {name: values[:, 2 + k] for k, name in enumerate(names) if name in FURTHER}
-    return Message(camera, frame, time_s, values[:, :2], further, arrived_s)
+    return Message(frame.camera, frame.frame, frame.time_s, values[:, :2], further, arrived_s)
 
 
-def _value(document: Mapping[str, Any], key: str, kinds: Any, expected: str, where: str) -> Any:
-    value = document.get(key)
-    if not isinstance(value, kinds) or isinstance(value, bool):
-        raise InputError(f"{where}: {key}: expected {expected}, found {_shown(value)}")
-    return value
+def _decoded(line: bytes | str) -> FrameDocument:
+    try:
+        return _decode(line)
+    except msgspec.ValidationError:
+        raise
+    except msgspec.DecodeError:  # NaN is no JSON, and Python writes it
+        return msgspec.convert(json.loads(line), FrameDocument)
 
 
 def _shown(value: object) -> str:

@@ -12,6 +12,7 @@ import msgspec
 import pyarrow as pa
 
 from stereophd.core.multi.state.estimates import Estimates
+from stereophd.io.streams.documents import LiveEvent, Ready, RecordDocument, ReportedTrack
 from stereophd.io.streams.sources import bind
 from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, TENTATIVE
 
@@ -36,41 +37,30 @@ READY_EVERY_S = 5.0
 _encode = msgspec.json.Encoder().encode
 
 
-def document_of(time_s: float, camera: str, frame: int, estimates: Estimates, is_revised: bool) -> dict[str, Any]:
-    """Return the document of a record: its event, and the objects then with the columns of ``tracks.parquet``.
-
-    ``position_covariance`` holds the upper triangle (xx, xy, xz, yy, yz, zz) of the covariance of the position; the
-    whole covariance is in the tables. Bodies have their extents too. A revised document replaces the earlier one of
-    the same camera and frame.
-    """
-    tracks: list[dict[str, Any]] = []
+def document_of(time_s: float, camera: str, frame: int, estimates: Estimates, is_revised: bool) -> RecordDocument:
+    """Return the document of a record."""
+    tracks: list[ReportedTrack] = []
+    make: Any = ReportedTrack  # (of positions whose number a type checker does not know)
     for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
         if level is None:
             continue
-        upper = level.covariances[:, (0, 0, 0, 1, 1, 2), (0, 1, 2, 1, 2, 2)].tolist()
+        upper = level.covariances.reshape(-1, 36)[:, (0, 1, 2, 7, 8, 14)].tolist()
         extents = [()] * len(upper) if level.extents is None else level.extents.tolist()
-        columns = (level.track_ids.tolist(), level.states.tolist(), upper, level.existence.tolist(), extents)
-        for track_id, state, covariance, existence, sizes in zip(*columns, strict=True):
-            tracks.append(
-                {
-                    "track_id": track_id,
-                    **dict(zip(STATE, state, strict=True)),
-                    "position_covariance": covariance,
-                    "existence": existence,
-                    "status": status,
-                    **dict(zip((field.name for field in EXTENTS), sizes, strict=False)),
-                }
-            )
-    return {"time_s": time_s, "camera": camera, "frame": frame, "revised": is_revised, "tracks": tracks}
+        rows = (level.track_ids.tolist(), level.states.tolist(), upper, level.existence.tolist(), extents)
+        tracks += [
+            make(track_id, *state, covariance, existence, status, *extent)
+            for track_id, state, covariance, existence, extent in zip(*rows, strict=True)
+        ]
+    return RecordDocument(time_s, camera, frame, is_revised, tracks)
 
 
 class RowSink(Protocol):
     """What takes the documents of records as they come, and events such as that a camera was knocked."""
 
-    def add(self, document: dict[str, Any]) -> None:
+    def add(self, document: RecordDocument) -> None:
         """Take the document of a record."""
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def tell(self, event: LiveEvent) -> None:
         """Take an event."""
 
 
@@ -81,12 +71,12 @@ class JsonLines:
     records: TextIO
     events: TextIO | None = None
 
-    def add(self, document: dict[str, Any]) -> None:
+    def add(self, document: RecordDocument) -> None:
         """See `RowSink`; numbers have all their digits, NaN is null."""
         self.records.write(_encode(document).decode() + "\n")
         self.records.flush()
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def tell(self, event: LiveEvent) -> None:
         """See `RowSink`."""
         if self.events is not None:
             self.events.write(_encode(event).decode() + "\n")
@@ -100,15 +90,15 @@ class ArrowRows:
         self._records, self._lines = records, JsonLines(io.StringIO(), events)
         self._writer = pa.ipc.new_stream(records, ROWS)
 
-    def add(self, document: dict[str, Any]) -> None:
+    def add(self, document: RecordDocument) -> None:
         """See `RowSink`; a record without tracks has no rows."""
-        event = {name: value for name, value in document.items() if name != "tracks"}
-        rows = [event | track for track in document["tracks"]]
+        content = msgspec.to_builtins(document)
+        rows = [content | track for track in content["tracks"]]
         if rows:
             self._writer.write_batch(pa.RecordBatch.from_pylist(rows, schema=ROWS))
             self._records.flush()
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def tell(self, event: LiveEvent) -> None:
         """See `RowSink`."""
         self._lines.tell(event)
 
@@ -124,17 +114,17 @@ class Publisher:
         #: Where it is bound: a port that the system chose in place of ``*``.
         self.address: str = self._socket.last_endpoint.decode()
         # Whoever comes later is told where the cameras are.
-        self._ready: dict[str, Any] | None = None
+        self._ready: Ready | None = None
         self._told_s = -math.inf
 
-    def add(self, document: dict[str, Any]) -> None:
+    def add(self, document: RecordDocument) -> None:
         """See `RowSink`."""
         if self._ready is not None and time.monotonic() > self._told_s + READY_EVERY_S:
             self.tell(self._ready)
         self._socket.send(_encode(document))
 
-    def tell(self, event: dict[str, Any]) -> None:
+    def tell(self, event: LiveEvent) -> None:
         """See `RowSink`; where the cameras are is said again every few seconds."""
-        if event["event"] == "ready":
+        if isinstance(event, Ready):
             self._ready, self._told_s = event, time.monotonic()
         self._socket.send(_encode(event))

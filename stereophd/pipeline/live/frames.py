@@ -9,8 +9,9 @@ from typing import Literal
 import numpy as np
 import pyarrow as pa
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.settings import LARGEST_TIME_S
 from stereophd.errors import InputError
 from stereophd.io.logs.checks import KINDS, duplicate_fault, point_faults, raise_first
 from stereophd.io.logs.reading import Frame
@@ -42,10 +43,39 @@ class FrameChecks:
         Raises InputError if something is bad, and ``on_bad_row`` is ``error``.
         """
         camera = self._index.get(message.camera, -1)
-        count = max(len(message.pixels), 1)
-        empty = not len(message.pixels)
         sigma = _pairs(message, "sigma_u_px", "sigma_v_px")
         sizes = _pairs(message, "width_px", "height_px")
+        pixels = message.pixels
+        if sigma is not None or sizes is not None or not self._is_faultless(message, camera):
+            good = self._good(message, camera, sigma, sizes, where)
+            if not good.any():
+                return None
+            good = good[: len(pixels)]  # a frame without detections has one row
+            pixels, sigma, sizes = pixels[good], _rows(sigma, good), _rows(sizes, good)
+        if message.frame in self._recent[camera]:
+            self.refuse("repeated_frame", f"{where}: frame: expected each frame once, found {message.frame} again")
+            return None
+        self._recent[camera].append(message.frame)
+        self.counts["frames"] += 1
+        self.counts["empty_frames"] += not len(pixels)
+        self.counts["detections"] += len(pixels)
+        time_s = self._cameras[camera].clock.to_true(message.time_s)
+        return Frame(time_s, camera, message.frame, pixels, sigma, sizes=sizes)
+
+    def _is_faultless(self, message: Message, camera: int) -> bool:
+        """Whether a frame of points is all good: a short answer for nearly all of them, by the rules of `_good`."""
+        if camera < 0 or not abs(message.time_s) <= LARGEST_TIME_S:
+            return False
+        pixels, limits = message.pixels, self._sizes[camera] - 0.5 + self._margin
+        if not ((pixels >= -0.5 - self._margin) & (pixels <= limits)).all():
+            return False
+        ordered = np.sort(pixels.view(np.complex128), axis=0)  # by u, then by v
+        return not (ordered[1:] == ordered[:-1]).any()
+
+    def _good(self, message: Message, camera: int, sigma: Array | None, sizes: Array | None, where: str) -> Booleans:
+        """Return which detections of a frame, or whether one without any, can be used; count the others, or raise."""
+        count = max(len(message.pixels), 1)
+        empty = not len(message.pixels)
         rows = Rows(
             np.arange(count),
             np.full(count, message.time_s),
@@ -68,25 +98,17 @@ class FrameChecks:
                 raise_first([fault], rows, where)
             self.counts[fault.kind] += int((fault.bad & good).sum())
             good &= ~fault.bad
-        if not good.any():
-            return None
-        if message.frame in self._recent[camera]:
-            self.refuse("repeated_frame", f"{where}: frame: expected each frame once, found {message.frame} again")
-            return None
-        self._recent[camera].append(message.frame)
-        self.counts["frames"] += 1
-        self.counts["empty_frames"] += empty
-        self.counts["detections"] += 0 if empty else int(good.sum())
-        time_s = self._cameras[camera].clock.to_true(message.time_s)
-        pixels = rows.pixels[:0] if empty else rows.pixels[good]
-        sigma, sizes = (None if values is None else values[good] for values in (sigma, sizes))
-        return Frame(time_s, camera, message.frame, pixels, sigma, sizes=sizes)
+        return good
 
     def refuse(self, kind: str, reason: str) -> None:
         """Count a frame that cannot be used, or raise."""
         if not self._drop:
             raise InputError(reason)
         self.counts[kind] += 1
+
+
+def _rows(values: Array | None, kept: Booleans) -> Array | None:
+    return None if values is None else values[kept]
 
 
 def _pairs(message: Message, first: str, second: str) -> Array | None:

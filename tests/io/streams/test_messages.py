@@ -10,7 +10,8 @@ import pyarrow as pa
 import pytest
 
 from stereophd.errors import InputError
-from stereophd.io.streams.messages import SCHEMA, Message, messages_of_rows, parse_line
+from stereophd.io.streams.documents import schema
+from stereophd.io.streams.messages import Message, messages_of_rows, parse_line
 
 FRAME = {"camera": "left", "frame": 7, "time_s": 0.1 + 0.2, "detections": [[612.5, 301.25], [0.1, 240.9]]}
 
@@ -46,14 +47,16 @@ def test_a_frame_without_detections_is_a_frame() -> None:
         ("{", "expected a frame as one line of JSON, found '{'"),
         ("[1]", "expected a frame as one line of JSON"),
         ("[" * 100_000, "expected a frame as one line of JSON"),
-        ({"camera": None}, "camera: expected the name of a camera, found None"),
-        ({"frame": 1.5}, "frame: expected a whole number, found 1.5"),
-        ({"frame": True}, "frame: expected a whole number, found True"),
-        ({"time_s": "now"}, "time_s: expected a number of seconds, found 'now'"),
+        ({"camera": None}, "camera: expected str, found null"),
+        ({"frame": 1.5}, "frame: expected int, found float"),
+        ({"frame": True}, "frame: expected int, found bool"),
+        ({"time_s": "now"}, "time_s: expected float, found str"),
         ({"detections": [[1, 2], [3]]}, r"detections: expected rows of 2 numbers \(u_px, v_px\), found"),
-        ({"detections": [["a", 2]]}, "detections: expected rows of 2 numbers"),
+        ({"detections": [["a", 2]]}, r"detections\[0\]\[0\]: expected float \| null, found str"),
+        ({"frame": 2**70}, "frame: expected int <= 9223372036854775807"),
+        ('{"camera": "a"}', "object missing required field frame"),
         ({"columns": ["score"]}, r"detections: expected rows of 3 numbers \(u_px, v_px, score\)"),
-        ({"columns": [1]}, "columns: expected a list of names"),
+        ({"columns": [1]}, r"columns\[0\]: expected str, found int"),
     ],
 )
 def test_what_is_no_frame_is_refused_with_its_place(change: object, expected: str) -> None:
@@ -62,10 +65,16 @@ def test_what_is_no_frame_is_refused_with_its_place(change: object, expected: st
         parse_line(line, "input: line 4")
 
 
+def test_numbers_that_json_does_not_know_are_missing_values() -> None:
+    for text in ("NaN", "null"):
+        line = json.dumps(FRAME).replace("612.5", text)
+        np.testing.assert_array_equal(parse_line(line, "line 1").pixels[0], [np.nan, 301.25])
+
+
 def test_the_schema_in_the_repository_is_that_of_the_code() -> None:
-    file = Path(__file__).resolve().parents[3] / "configs" / "frame_message.schema.json"
-    assert json.loads(file.read_text()) == SCHEMA
-    assert set(FRAME) == set(SCHEMA["required"])
+    file = Path(__file__).resolve().parents[3] / "docs" / "reference" / "messages.schema.json"
+    assert json.loads(file.read_text()) == schema()
+    assert set(FRAME) == set(schema()["$defs"]["FrameDocument"]["required"])
 
 
 def test_rows_of_a_log_are_frames() -> None:

@@ -5,7 +5,10 @@ from __future__ import annotations
 import io
 import json
 import random
-from collections.abc import Sequence
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +16,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+import stereophd.commands.track_live as commands
 from stereophd.commands.recalibrate import Recalibration
 from stereophd.commands.track import track
 from stereophd.commands.track_live import LiveOutputs, track_live
@@ -24,6 +28,7 @@ from stereophd.io.streams.rows import ROWS, ArrowRows, JsonLines, Publisher
 from stereophd.io.streams.sources import from_stream
 from stereophd.pipeline.tracking import loop
 from stereophd.pipeline.tracking.knocked import Knock, KnockTest
+from stereophd.pipeline.workers.aside import Aside
 
 HALL = Path(__file__).resolve().parents[3] / "sample_data"
 
@@ -119,6 +124,28 @@ def test_a_bad_frame_is_refused_with_its_place(
         track_live(loaded, from_stream(io.BytesIO(content)), "frames", LiveOutputs())
 
 
+def test_rows_of_a_grid_are_predicted_to_now(loaded: LoadedConfig, frames: list[Message]) -> None:
+    gridded = load_config(loaded.path, ["report.times=grid 0.1"], cameras_path=HALL / "hall" / "cameras.yaml")
+    lines, end_s = io.StringIO(), max(frame.time_s for frame in frames[:60])
+
+    def arrivals() -> Iterator[Message | None]:
+        yield from (replace(frame, arrived_s=time.perf_counter()) for frame in frames[:60])
+        before = len(lines.getvalue().splitlines())
+        until_s = time.perf_counter() + 0.3
+        while time.perf_counter() < until_s:
+            yield None
+        ahead = [json.loads(line)["time_s"] for line in lines.getvalue().splitlines()[before:]]
+        assert any(end_s < time_s <= end_s + 0.4 for time_s in ahead)
+        yield from (replace(frame, arrived_s=time.perf_counter()) for frame in frames[60:])
+
+    track_live(gridded, arrivals(), "frames", LiveOutputs([JsonLines(lines)]))
+    rows = [json.loads(line) for line in lines.getvalue().splitlines()]
+    # what came early comes once more, and the last row of each time is that of a run that nobody waited for
+    assert any(row["revised"] for row in rows if row["time_s"] > end_s)
+    last = {row["time_s"]: row["tracks"] for row in rows}
+    assert last == {row["time_s"]: row["tracks"] for row in run(gridded, frames)[1]}
+
+
 def test_a_camera_that_stops_does_not_stop_the_others(loaded: LoadedConfig, frames: list[Message]) -> None:
     names = list(loaded.cameras)
     stopped = [m for m in frames if m.camera != names[1] or m.time_s < 1.0 or m.time_s > 2.0]
@@ -142,6 +169,45 @@ def test_a_recording_holds_what_was_used(loaded: LoadedConfig, frames: list[Mess
     assert lines == [frame.to_line() for frame in frames]
     with pytest.raises(InputError, match="the file exists"):
         track_live(loaded, iter(frames), "frames", outputs)
+
+
+def test_files_are_whole_at_checkpoints_and_a_killed_run_goes_on(
+    loaded: LoadedConfig, frames: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The work of a checkpoint is done in this process; whoever looks between two frames finds files of a batch run."""
+
+    def start(self: Aside, work: Any) -> None:
+        self._thread, self._outcome = threading.Thread(), work(None)
+
+    monkeypatch.setattr(Aside, "start", start)
+    monkeypatch.setattr(commands, "CHECKPOINT_EVERY_S", 0.0)
+    monkeypatch.setattr(commands, "STATUS_EVERY_S", 0.0)
+    out, events = tmp_path / "live", io.StringIO()
+
+    def until_killed() -> Iterator[Message]:
+        yield from frames[:20]
+        assert (out / "report.json").exists()
+        raise MemoryError
+
+    with pytest.raises(MemoryError):
+        track_live(loaded, until_killed(), "frames", LiveOutputs([JsonLines(io.StringIO(), events)], out))
+    told = [json.loads(line) for line in events.getvalue().splitlines()]
+    assert {"event": "checkpoint", "frames": 1} in told
+    track(loaded, out / "detections.parquet", tmp_path / "at checkpoint")
+    for name in ("tracks.parquet", "scans.parquet"):
+        assert (out / name).read_bytes() == (tmp_path / "at checkpoint" / name).read_bytes()
+    recording = tmp_path / "live.frames.jsonl"
+    assert len(recording.read_text().splitlines()) == 20
+    with open(recording, "a") as stream:
+        stream.write('{"camera": "half a li')
+    with pytest.raises(InputError, match=r"live.frames.jsonl: the file exists; .*resume=True"):
+        track_live(loaded, iter(frames[20:]), "frames", LiveOutputs(folder=out))
+    monkeypatch.setattr(commands, "CHECKPOINT_EVERY_S", 60.0)
+    track_live(loaded, iter(frames[20:]), "frames", LiveOutputs(folder=out, resume=True))
+    run(loaded, frames, tmp_path / "plain")
+    for name in ("tracks.parquet", "scans.parquet", "detections.parquet"):
+        assert (out / name).read_bytes() == (tmp_path / "plain" / name).read_bytes()
+    assert not recording.exists()
 
 
 def test_a_knocked_camera_is_solved_anew(

@@ -8,7 +8,7 @@ fit                    detections of a trajectory             holds             
 =====================  =====================================  ==========================  ======  =====================
 ``paired_fit``         paired one-camera tracks               the first stage's unknowns  Cauchy  ``starts.run_start``
 ``tracked_fit``        tracks of the filter, noise inflated   the unknowns of its pass    Cauchy  ``starts.run_start``
-``refitted``           chosen anew by the trajectories        nothing, or all values       floor   ``starts``, below
+``refitted``           chosen anew by the trajectories        nothing, or all values      floor   ``starts``, ``method``
 ``adjusted_to``        those given                            what the fit given held     floor   the others below
 ``without_left_out``   those that the loss did not leave out  as the fit given            floor   ``starts.run_start``
 ``fit_until``          those until a time                     as the fit given            floor   ``method.history_of``

@@ -20,7 +20,7 @@ from stereophd.core.calibration.adjustment.selection import Comparison, compare
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
-from stereophd.core.calibration.annealing.control import ControlTrack, World, with_control
+from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
     adjusted_to,
     fit_until,
@@ -75,14 +75,15 @@ class Choices:
     model: str = LENSES  # What may be given up of what is stated.
     known: KnownMeasure | None = None
     is_sampled: bool = False  # Whether a sampler states the posterior afterwards.
-    control: ControlTrack | None = None
+    control: WorldControl | None = None
 
 
 @dataclass(frozen=True)
 class Remark:
     """Something about the answer that has to be said."""
 
-    topic: str  # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `starts` or `control`
+    # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `starts`, `control` or `time`
+    topic: str
     text: str
     is_reservation: bool = False  # Whether the data determine the cameras partly at most.
 
@@ -121,7 +122,7 @@ class Calibrated:
     moves: TrackMoves
     doubt: str  # Why the answer is not to be trusted; empty if it may be.
     remarks: tuple[Remark, ...]
-    world: World | None = None  # That of the control track
+    world: World | None = None  # That of the control
 
 
 def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
@@ -147,7 +148,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
         try:
             fit, world = with_control(task, fit, choices.control)
         except ValueError as error:
-            remarks += (Remark("control", f"the control track was not used: {error}", is_reservation=True),)
+            remarks += (Remark("control", f"the control was not used: {error}", is_reservation=True),)
     values = fit.adjustment.values
     early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
     doubt = doubt or early
@@ -259,6 +260,10 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     loosened = np.zeros(count, dtype=np.int64)
     for number in range(MOST_ROUNDS):
+        if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
+            text = "the time was over before the answer was found and doubted: these cameras are the best so far"
+            remarks = (Remark("time", text, is_reservation=True), *noise_remarks(task, noise), *freed_remarks(given_up))
+            return Believed(task, Answer(fit, fit, 1.0, None), noise, tuple(given_up), freed, remarks)
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
         basis = with_stated_motion(task, answer.fit)
@@ -346,8 +351,9 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     times = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:]
     rows = [
         HistoryRow(float(time_s), until.adjustment.values, until.adjustment.covariance)
-        for time_s in times[:-1]
-        if (until := fit_until(task, answer, float(time_s))) is not None
+        for number, time_s in enumerate(times[:-1])
+        if task.limit.begin(f"the history of the answer, {number + 1} of {HISTORY_TIMES}")
+        and (until := fit_until(task, answer, float(time_s))) is not None
     ]
     return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
 
