@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.tracking import RegionConfig
-from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.geometry.region import box_half_spaces
 from stereophd.core.arrays import Array, Booleans
+from stereophd.core.geometry.region import box_half_spaces
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
 from stereophd.core.metrics.errors import first_reports, waits
 from stereophd.core.metrics.matching.assignment import is_positive_definite
