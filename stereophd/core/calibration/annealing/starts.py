@@ -82,10 +82,10 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
         values = fit.adjustment.values
         history.append(values)
         inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
-    count = len(inflations) + FITTED_PASSES
+    count = len(inflations) + FITTED_PASSES + 1
     about = f"start {number + 1} of at most {task.most_starts}, from {origin}: pass"
     for number_of_pass, inflation in enumerate(inflations):
-        if not task.limit.begin(f"{about} {number_of_pass + 1} of {count}, {inflation:g} times the noise"):
+        if not task.limit.begin(f"{about} {number_of_pass + 1} of at most {count}, {inflation:g} times the noise"):
             return failed(TIME_OVER)
         ratio = 1.0 if fit is None else depth_ratio(task, fit, KEPT_WITHIN)
         fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio)
@@ -97,7 +97,10 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
     for number_of_pass in range(FITTED_PASSES + 1):
         if number_of_pass == FITTED_PASSES and fit.observations.weights is None:
             break  # one more pass only where the last one found weights
-        if not task.limit.begin(f"{about} {count - FITTED_PASSES + number_of_pass + 1} of {count}") and number_of_pass:
+        if (
+            not task.limit.begin(f"{about} {count - FITTED_PASSES + number_of_pass} of at most {count}")
+            and number_of_pass
+        ):
             break  # judged as it is
         again = refitted(
             task, fit, tracked=number_of_pass == 0, weighted=number_of_pass >= FIRST_WEIGHTED,
