@@ -54,6 +54,8 @@ def _detector(name: str, detector: dict[str, Any]) -> str:
 
 
 def _shown(value: Any) -> str:
-    if isinstance(value, list):
+    if isinstance(value, list) and len(value) == 2:
         return f"{value[0]:g} to {value[1]:g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_shown(part)}" for key, part in value.items())
     return f"{value:g}" if isinstance(value, float) else str(value)

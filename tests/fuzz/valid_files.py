@@ -109,6 +109,7 @@ USES = {
     "import myptv": Use("myptv", "import myptv blobs_left --fps 50 --truth trajectories --out OUT", 48),
     "import openptv": Use("openptv", "import openptv parameters/ptv.par --fps 50 --out OUT", 48),
     "import sleap": Use("sleap", "import sleap top.analysis.h5 --fps 2 --out OUT"),
+    "import yolo": Use("yolo", "import yolo north --fps 2 --image-size 64x48 --out OUT", 12),
     "foreign cameras of a configuration": Use("opencv", "info rig.yml"),
 }  # fmt: skip
 
@@ -183,6 +184,13 @@ def write_coco(folder: Path) -> None:
     boxes = [{"id": k, "image_id": k, "bbox": [k, 2, 3, 4], "score": 0.5, "track_id": 1} for k in range(4)]
     points = [{"id": 9, "image_id": 3, "keypoints": [3, 4, 2, 0, 0, 0, 7, 8, 1]}]
     (folder / "labels.json").write_text(json.dumps({"images": images, "annotations": [*boxes, *points]}))
+
+
+def write_yolo(folder: Path) -> None:
+    (folder / "north" / "labels").mkdir(parents=True)
+    for frame in range(3):
+        text = f"0 0.5 0.{frame + 1} 0.25 0.5 0.9 1\n"
+        (folder / "north" / "labels" / f"street_{frame}.txt").write_text(text)
 
 
 def write_deeplabcut(folder: Path) -> None:
@@ -291,6 +299,7 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "run": write_run,
     "sleap": write_sleap,
     "tank": write_glass,
+    "yolo": write_yolo,
 }
 
 

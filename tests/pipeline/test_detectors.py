@@ -223,7 +223,7 @@ def test_values_from_sums() -> None:
     np.testing.assert_allclose(found.detector.sigma, [4.0, 6.0], rtol=1e-4)
     # standard error of R_new / R: sqrt(2 * 50 * (0.64 + 0.16)) / 60, over the mean share (0.64 + 0.16) / 1.2
     relative = np.sqrt(2 * 50 * 0.8) / 60 / (0.8 / 1.2) / 2
-    np.testing.assert_allclose(found.sigma_error, np.array([4.0, 6.0]) * relative, rtol=1e-4)
+    np.testing.assert_allclose(found.noise_error, np.array([4.0, 6.0]) * relative, rtol=1e-4)
     assert found.residual_ratio == pytest.approx(2.0)
     assert found.detector.p_detect == pytest.approx(79.5 / 105.0)
     assert found.detector.clutter_per_frame == pytest.approx(50.5 / 50.0)

@@ -167,6 +167,17 @@ def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSam
     settings, unit = config.filter, config.units.length
     if settings is None or isinstance(settings, SingleSettings) or scene.depths is None:
         return
+    if config.object.shape == "point":
+        # boxes tell the depth of bodies
+        yield from _depths(config, scene, samples, unit)
+        yield from _region(config, scene, unit)
+    held = np.mean([_held(sample) for sample in samples]) >= LEAST_HELD
+    yield from _speeds(config, scene, bool(whole and held))
+
+
+def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
+    """Yield whether births cover the depths at which rays meet."""
+    assert scene.depths is not None
     low, high = expected_depths(config, samples)
     covered = float(((scene.depth_samples >= 0.8 * low) & (scene.depth_samples <= 1.25 * high)).mean())
     where = f"between {scene.depths[0]:.3g} and {scene.depths[2]:.3g} {unit}"
@@ -181,9 +192,6 @@ def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSam
         )  # fmt: skip
     else:
         yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}", round(covered, 3), 1.0)
-    yield from _region(config, scene, unit)
-    held = np.mean([_held(sample) for sample in samples]) >= LEAST_HELD
-    yield from _speeds(config, scene, bool(whole and held))
 
 
 def _held(sample: CameraSample) -> float:
