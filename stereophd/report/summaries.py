@@ -114,7 +114,8 @@ def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:
 def _scale(report: Mapping[str, Any]) -> Iterator[str]:
     """Yield what the scale is known from."""
     if (scale := report.get("scale")) is not None:
-        yield f"scale from {SCALES.get(scale['determined_by'], 'what is stated: ' + scale['determined_by'])}"
+        determined_by = str(scale.get("determined_by"))
+        yield f"scale from {SCALES.get(determined_by, f'what is stated: {determined_by}')}"
 
 
 def _parameters(report: Mapping[str, Any]) -> SummaryTable:

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.config.tracking import RegionConfig
 from stereophd.core.arrays import Array, Booleans
+from stereophd.core.geometry.region import box_half_spaces
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
 from stereophd.core.metrics.errors import first_reports, waits
 from stereophd.core.metrics.matching.assignment import is_positive_definite
@@ -58,7 +60,8 @@ def score_tracks(
     found = registration_of(tracks, truth, options, max_gap_s, tracks_path)
     if found is not None:
         tracks, sightings = registered_tracks(tracks, found), registered_sightings(sightings, found)
-    scans = _scans_of_sight(_common_scans(tracks, truth, options, max_gap_s, tracks_path), sightings, options)
+    scans = _common_scans(tracks, truth, options, max_gap_s, tracks_path)
+    scans = _scans_of_sight(scans, sightings, options, _region(tracks, options, tracks_path))
     if len(scans.time_s) == 0:
         raise InputError(_nothing_to_score(tracks, truth, scans.unscored, options, tracks_path))
     return _scored(scans, tracks, found, options, tracks_path)
@@ -101,7 +104,18 @@ def _common_scans(tracks: Tracks, truth: Truth, options: ScoreOptions, max_gap_s
     return _Scans(events.time_s[usable], estimates, points, unscored)
 
 
-def _scans_of_sight(scans: _Scans, sightings: Sightings | None, options: ScoreOptions) -> _Scans:
+def _region(tracks: Tracks, options: ScoreOptions, tracks_path: Path) -> Array | None:
+    """Return the half-spaces (h, 4) of the region in which objects count; None: they count anywhere."""
+    if options.region is None or not isinstance(options.region, str):
+        return None if options.region is None else box_half_spaces(options.region)
+    stated = (tracks.metadata or {}).get("config", {}).get("region")
+    spaces = np.empty((0, 4)) if stated is None else RegionConfig.model_validate(stated).half_spaces()
+    if not len(spaces):
+        raise InputError(f"{tracks_path}: expected tracks of a configuration with region.box or region.polygon")
+    return spaces
+
+
+def _scans_of_sight(scans: _Scans, sightings: Sightings | None, options: ScoreOptions, region: Array | None) -> _Scans:
     """Leave out objects that no camera saw lately, and what lies outside the region, with the estimates of them."""
     order, cutoff = options.order, options.known_cutoff
     if sightings is not None and options.seen_by is not None and options.within_s is not None:
@@ -111,8 +125,8 @@ def _scans_of_sight(scans: _Scans, sightings: Sightings | None, options: ScoreOp
             mahalanobis=options.base == "mahalanobis",
         )  # fmt: skip
         scans = scans.without(emptied, estimates, points, "unseen")
-    if options.region is not None:
-        estimates, points, emptied = leave_out_outside(scans.estimates, scans.points, options.region, order, cutoff)
+    if region is not None:
+        estimates, points, emptied = leave_out_outside(scans.estimates, scans.points, region, order, cutoff)
         scans = scans.without(emptied, estimates, points, "outside_region")
     return scans
 

@@ -108,13 +108,13 @@ def _figures(run: Run) -> Iterator[str | None]:
     yield f"{tracking['log_likelihood']:.1f}" if "log_likelihood" in tracking else None
     yield str(sum(c["status"] == "warning" for c in run.report["checks"])) if "checks" in run.report else None
     yield f"{number(score['ospa']['mean'])} {unit}" if score else None
-    yield f"{number(score['gospa']['mean'])} {unit}" if score else None
-    yield f"{number(score['rmse']['position'])} {unit}" if score else None
+    yield f"{number(score['gospa'].get('mean'))} {unit}" if score else None
+    yield f"{number(score['rmse'].get('position'))} {unit}" if score else None
     yield str(score["identity_switches"]) if score and score["identity_switches"] is not None else None
-    yield number(score["nees"]["position"]) if score else None
+    yield number(score["nees"].get("position")) if score else None
     yield number(score["nees"]["without_cameras"]) if score and "without_cameras" in score["nees"] else None
     part = tracking.get("cameras_part")
-    yield f"{number(part['common_std'])}, {number(part['other_std'])} {unit}" if part else None
+    yield f"{number(part.get('common_std'))}, {number(part.get('other_std'))} {unit}" if part else None
 
 
 def _details(run: Run, index: int) -> str:
