@@ -36,7 +36,6 @@ from stereophd.io.streams.documents import (
     LiveEvent,
     Ready,
     Recalibrated,
-    RecordDocument,
     Status,
 )
 from stereophd.io.streams.messages import Message
@@ -44,8 +43,9 @@ from stereophd.io.streams.rows import JsonLines, Publisher, RowSink, document_of
 from stereophd.io.streams.sources import Arrivals
 from stereophd.pipeline.build import report_times
 from stereophd.pipeline.live.frames import FrameChecks
+from stereophd.pipeline.live.lagged import LaggedRecords
 from stereophd.pipeline.live.recording import read_recording, write_log
-from stereophd.pipeline.live.run import LiveRecord, LiveRun, warm_up_messages, without_collections
+from stereophd.pipeline.live.run import LiveRun, warm_up_messages, without_collections
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run import TrackingRun, build_tracking, estimated_cameras
@@ -126,7 +126,9 @@ class _Session:
         self.found = self._tracked_by = loaded
         self.checks = FrameChecks(tracking.cameras, config.input.on_bad_row, config.input.image_margin_px)
         times = report_times(config.report)
-        self.run = LiveRun(tracking.estimator, times, self.checks, config.live, self._keep)
+        lag_s, self._is_lagged = config.report.lag_s, config.report.lag_s is not None
+        lagged = None if lag_s is None else LaggedRecords(tracking.motion, lag_s)
+        self.run = LiveRun(tracking.estimator, times, self.checks, config.live, self._keep, lagged)
         self._outputs, self._rows = outputs, outputs.rows
         self._stream: IO[str] | None = None
         self._most_std = config.report.max_position_std
@@ -153,10 +155,10 @@ class _Session:
             ending.enter_context(contextlib.suppress(KeyboardInterrupt))
             ending.callback(self._checkpoint.stop)
             for live in self.run.records(arrivals, source):
-                if self._rows and live.record.reported:
-                    document = _document(live, self._most_std)
-                    for sink in self._rows:
-                        sink.add(document)
+                if not self._is_lagged:
+                    self._show(live.record, live.is_revised)
+                elif not live.is_revised:
+                    self._show_late()
                 if not live.is_revised:
                     before_s, processor_s = processor_s, time.thread_time()
                     self.run.counts.add_row(live.arrived_s, processor_s - before_s)
@@ -165,6 +167,21 @@ class _Session:
                     self._told_s = time.monotonic()
                     self._tell_status()
                     self._save()
+            self._show_late(is_over=True)
+
+    def _show(self, record: Record, is_revised: bool) -> None:
+        """Give a record to every sink."""
+        if not self._rows or not record.reported:
+            return
+        shown = record.estimates if self._most_std is None else record.estimates.certain(self._most_std)
+        document = document_of(record.time_s, record.camera, record.frame, shown, is_revised)
+        for sink in self._rows:
+            sink.add(document)
+
+    def _show_late(self, is_over: bool = False) -> None:
+        """Give the smoothed records that are due to every sink."""
+        for record in self.run.late_records(is_over):
+            self._show(record, False)
 
     def _tell_status(self) -> None:
         """Tell those who watch how the run goes."""
@@ -260,12 +277,6 @@ def _recording(outputs: LiveOutputs, held: contextlib.ExitStack) -> tuple[Arriva
     except OSError as error:
         raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
     return read_recording(path), stream
-
-
-def _document(live: LiveRecord, max_position_std: float | None) -> RecordDocument:
-    record = live.record
-    estimates = record.estimates if max_position_std is None else record.estimates.certain(max_position_std)
-    return document_of(record.time_s, record.camera, record.frame, estimates, live.is_revised)
 
 
 def _summary(run: LiveRun) -> dict[str, Any]:
