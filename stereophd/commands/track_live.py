@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from stereophd.commands.recalibrate import Recalibration, with_pose
+from stereophd.commands.track import CAMERAS_FILE, FILES, track
 from stereophd.config.loading import LoadedConfig, variant
-from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
@@ -91,20 +91,28 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
             held.enter_context(output_lock(outputs.folder))
         recorded, stream = _recording(outputs, held)
         if outputs.folder is not None:
-            output_folder(outputs.folder, outputs.force or outputs.resume, _files())
+            output_folder(outputs.folder, outputs.force or outputs.resume, FILES)
         with without_collections("" if loaded.config.filter is None else loaded.config.filter.kind):
             warming_up = variant(loaded, [("warm-up", {"input.on_bad_row": "drop", "live.recalibrate": False})])
             _Session(warming_up, tracking, LiveOutputs([JsonLines(io.StringIO())])).work(
                 warm_up_messages(tracking.cameras), "warm-up"
             )
             session = _Session(loaded, tracking, outputs)
-            session.tell(Ready([_described(camera) for camera in tracking.cameras]))
+            poses = [(camera.name, camera.pose) for camera in tracking.cameras]
+            session.tell(Ready([CameraPlace(n, pose.center.tolist(), pose.rotation[2].tolist()) for n, pose in poses]))
             session.work(itertools.chain(recorded, session.recording_to(stream, arrivals)), source)
         if outputs.folder is not None and session.checks.counts["frames"]:
             _write_files(session.found, outputs)
         if outputs.recording is None and outputs.frames is not None:
             os.truncate(outputs.frames, 0)  # the folder holds all frames
-    return {"frames": session.checks.counts, **_summary(session.run)}
+    counts = session.run.counts
+    return {
+        "frames": session.checks.counts,
+        "late_frames": counts.late,
+        "revised_events": counts.revised,
+        "latency_ms": counts.latency.percentiles_ms(),
+        "processor_ms": counts.processor.percentiles_ms(),
+    }
 
 
 def _tracking(loaded: LoadedConfig) -> TrackingRun:
@@ -235,11 +243,6 @@ class _Session:
             self._recalibration = None
 
 
-def _described(camera: Camera) -> CameraPlace:
-    """Return where a camera stands and looks, for those who draw the tracks."""
-    return CameraPlace(camera.name, camera.pose.center.tolist(), camera.pose.rotation[2].tolist())
-
-
 def _check(loaded: LoadedConfig) -> None:
     """Refuse what needs the whole log."""
     if isinstance(loaded.config.filter, SingleSettings):
@@ -249,13 +252,6 @@ def _check(loaded: LoadedConfig) -> None:
             f"{loaded.path}: detector: expected the detectors of all cameras for a live run, found estimate; estimate "
             "them from a recording first (`stereophd track`)"
         )
-
-
-def _files() -> tuple[str, ...]:
-    """Return the names of all files of a run."""
-    from stereophd.commands.track import FILES
-
-    return FILES
 
 
 def _recording(outputs: LiveOutputs, held: contextlib.ExitStack) -> tuple[Arrivals, IO[str] | None]:
@@ -279,30 +275,11 @@ def _recording(outputs: LiveOutputs, held: contextlib.ExitStack) -> tuple[Arriva
     return read_recording(path), stream
 
 
-def _summary(run: LiveRun) -> dict[str, Any]:
-    counts = run.counts
-    return {
-        "late_frames": counts.late,
-        "revised_events": counts.revised,
-        "latency_ms": counts.latency.percentiles_ms(),
-        "processor_ms": counts.processor.percentiles_ms(),
-    }
-
-
 def _remove_empty(path: Path) -> None:
     """Remove a recording without frames."""
     with contextlib.suppress(OSError):
         if not path.stat().st_size:
             path.unlink()
-
-
-@dataclass(frozen=True)
-class _Files:
-    """What is to be written where."""
-
-    loaded: LoadedConfig
-    recording: Path
-    folder: Path
 
 
 def _write_files(loaded: LoadedConfig, outputs: LiveOutputs, worker: WorkerProcess | None = None) -> int:
@@ -312,24 +289,22 @@ def _write_files(loaded: LoadedConfig, outputs: LiveOutputs, worker: WorkerProce
     """
     assert outputs.folder is not None
     assert outputs.frames is not None
-    with OutputFolder(outputs.folder, _files(), force=True) as out:
-        files = _Files(loaded, outputs.frames, out.path(LOG_FILE).parent)
-        frames: int = track_recording(files) if worker is None else worker.call(track_recording, files)
+    with OutputFolder(outputs.folder, FILES, force=True) as out:
+        task = loaded, outputs.frames, out.path(LOG_FILE).parent
+        frames: int = track_recording(task) if worker is None else worker.call(track_recording, task)
     return frames
 
 
-def track_recording(files: _Files) -> int:
-    """Turn a recording into a log, and track it as a batch run does; return the number of its frames."""
-    from stereophd.commands.track import CAMERAS_FILE, track
-
-    loaded = files.loaded
+def track_recording(task: tuple[LoadedConfig, Path, Path]) -> int:
+    """Turn a recording into a log in a folder, and track it as a batch run does; return the number of its frames."""
+    loaded, recording, place = task
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / LOG_FILE
-        write_log(loaded, files.recording, log)
-        report = track(loaded, log, files.folder)
+        write_log(loaded, recording, log)
+        report = track(loaded, log, place)
         if any(camera.poses for camera in loaded.cameras.values()):
-            write_cameras(files.folder / CAMERAS_FILE, loaded.cameras, loaded.config.units.length)
+            write_cameras(place / CAMERAS_FILE, loaded.cameras, loaded.config.units.length)
         # after the other files: the log lies beside them, and is no output of `track`
-        shutil.copyfile(log, files.folder / LOG_FILE)
+        shutil.copyfile(log, place / LOG_FILE)
     frames: int = report["input"]["frames"]
     return frames
