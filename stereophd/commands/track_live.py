@@ -225,7 +225,8 @@ class _Session:
         if record.knock is not None and record.knock != self._knock:
             self._knock = record.knock
             self.tell(Knocked(**asdict(record.knock)))
-            if self.found.config.live.recalibrate:
+            # another pose for a camera that stands still would be a confident wrong answer
+            if self.found.config.live.recalibrate and not record.knock.others:
                 self._recalibration = Recalibration(self._tracked_by, record.knock, record)
                 self.run.pass_over(record.knock.camera)
         if self._recalibration is None:
