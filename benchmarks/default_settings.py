@@ -16,6 +16,7 @@ from __future__ import annotations
 import argparse
 import logging
 import math
+import signal
 import tempfile
 import time
 from pathlib import Path
@@ -42,7 +43,7 @@ NOISE_FACTOR, OSPA_FACTOR = 1.5, 1.3
 MOST_FALSE = 0.01
 
 
-def draw(number: int) -> tuple[dict[str, Any], dict[str, Any]]:
+def draw(number: int, most: int = MOST_DETECTIONS) -> tuple[dict[str, Any], dict[str, Any]]:
     """Configuration of a simulation, and what was drawn."""
     rng = np.random.default_rng([number, 25])
     count = int(rng.integers(2, 9))
@@ -52,7 +53,7 @@ def draw(number: int) -> tuple[dict[str, Any], dict[str, Any]]:
     noise = 10.0 ** rng.uniform(-1.0, 2.0)
     objects = round(10.0 ** rng.uniform(0.0, 3.0))
     frames = round(10.0 ** rng.uniform(math.log10(3.0), math.log10(3000.0)))
-    frames = max(3, min(frames, MOST_DETECTIONS // (objects * count), MOST_FRAMES // count))
+    frames = max(3, min(frames, most // (objects * count), MOST_FRAMES // count))
     rate = float(rng.choice([5.0, 10.0, 25.0, 30.0, 100.0]))
     speed, time_constant = size * rng.uniform(0.05, 0.5), float(rng.uniform(1.0, 4.0))
     start = rng.uniform(-math.pi, math.pi)
@@ -76,9 +77,9 @@ def draw(number: int) -> tuple[dict[str, Any], dict[str, Any]]:
     return tree, {**row, "rate_hz": rate, "noise_px": round(noise, 3), "distance": scene.distance}
 
 
-def simulated(number: int, folder: Path) -> tuple[dict[str, Any], dict[str, Any]]:
+def simulated(number: int, folder: Path, most: int = MOST_DETECTIONS) -> tuple[dict[str, Any], dict[str, Any]]:
     """Write ``true.yaml`` and ``scene/`` of a set-up; return its configuration and what was drawn."""
-    tree, row = draw(number)
+    tree, row = draw(number, most)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "true.yaml").write_text(yaml.safe_dump(tree))
     if not (folder / "scene").exists():
@@ -99,9 +100,9 @@ def score(folder: Path, name: str, cutoff: float) -> tuple[float, set[str]]:
     return float(result["ospa"]["mean"]), causes
 
 
-def one_run(number: int, folder: Path) -> dict[str, Any]:
+def one_run(number: int, folder: Path, most: int) -> dict[str, Any]:
     """Figures of one set-up."""
-    tree, row = simulated(number, folder)
+    tree, row = simulated(number, folder, most)
     described = yaml.safe_load((folder / "scene" / "cameras.yaml").read_text())
     for camera in described["cameras"].values():
         for key in ("detector", "frame_rate_hz", "phase_s"):
@@ -139,16 +140,21 @@ def main() -> int:
     parser.add_argument("--runs", type=int, default=60)
     parser.add_argument("--keep", type=Path)
     parser.add_argument("--checks-only", action="store_true")
+    parser.add_argument("--most", type=int, default=MOST_DETECTIONS, help="detections of a set-up")
+    parser.add_argument("--limit", type=float, default=math.inf, help="CPU seconds of a set-up")
     options = parser.parse_args()
     logging.getLogger("stereophd").setLevel(logging.CRITICAL)
+    signal.signal(signal.SIGPROF, _stop)
     rows = []
     for number in range(options.first, options.first + options.runs):
         with tempfile.TemporaryDirectory() as temporary:
             folder = Path(temporary) if options.keep is None else options.keep / str(number)
+            signal.setitimer(signal.ITIMER_PROF, min(options.limit, 1e8))
             try:
-                row = checked(number, folder) if options.checks_only else one_run(number, folder)
-            except InputError as error:
-                row = {**draw(number)[1], "error": str(error)[:120]}
+                row = (checked if options.checks_only else one_run)(number, folder, options.most)
+            except (InputError, TimeoutError, SystemError) as error:  # the last: within compiled code
+                row = {**draw(number, options.most)[1], "error": str(error)[:120]}
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
             rows.append(row)
             print(yaml.safe_dump(row, default_flow_style=True, width=1000, sort_keys=False).strip(), flush=True)
     done = [row for row in rows if "error" not in row]
@@ -161,9 +167,13 @@ def main() -> int:
     return int(any(row["silent"] for row in done))
 
 
-def checked(number: int, folder: Path) -> dict[str, Any]:
+def _stop(*_: object) -> None:
+    raise TimeoutError("took longer than --limit")
+
+
+def checked(number: int, folder: Path, most: int) -> dict[str, Any]:
     """Warnings of the checks on a right set-up."""
-    row = simulated(number, folder)[1]
+    row = simulated(number, folder, most)[1]
     findings = check_log(load_config(folder / "true.yaml"), folder / "scene" / "detections.parquet", thorough=False)
     return {**row, "warned": sorted(str(found.cause) for found in findings if found.status == "warning")}
 

@@ -12,7 +12,7 @@ import shutil
 import tempfile
 import weakref
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -25,6 +25,7 @@ from stereophd.commands.options import (
     EvaluateCamerasOptions,
     EvaluateOptions,
     ExperimentOptions,
+    InitOptions,
     SimulateOptions,
     TrackOptions,
 )
@@ -32,7 +33,9 @@ from stereophd.config.loading import LoadedConfig, as_config, load_config
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
+from stereophd.io.interchange.options import ExportOptions, ImportOptions
 from stereophd.io.tables.reading import open_parquet
+from stereophd.options import takes
 from stereophd.pipeline.files import read_cameras, write_cameras, write_log
 
 if TYPE_CHECKING:
@@ -215,18 +218,10 @@ def _inside(given: Any, name: str) -> Path:
     return path / name if path.is_dir() else path
 
 
-def _options(kind: Any, given: Mapping[str, Any]) -> Any:
-    """Return the options of a command by name."""
-    known = [each.name for each in fields(kind)]
-    unknown = [name for name in given if name not in known]
-    if unknown:
-        raise InputError(f"`{unknown[0]}`: expected one of {', '.join(known)}, found another name")
-    return kind(**given)
-
-
+@takes(InitOptions)
 def init(
-    detections: Any = None, cameras: Any = None, *, out: Path | str | None = None, length_unit: str | None = None,
-    **more: Any,
+    detections: Any = None, cameras: Any = None, *, out: Path | str | None = None, overrides: Sequence[str] = (),
+    options: InitOptions,
 ) -> Outputs:  # fmt: skip
     """Estimate settings from detections; `Outputs.config` holds them.
 
@@ -238,20 +233,13 @@ def init(
         Default: ``cameras.yaml`` beside the log.
     out : path, optional
         Folder of ``config.yaml``; temporary without it.
-    length_unit : str, optional
-        Unit of the cameras' centres and of the results (default m).
-    **more
-        ``kind``, ``force``, ``overrides`` as in `stereophd.commands.init.init`.
-
-    Raises
-    ------
-    InputError
-        What is given cannot be used; the message says where.
+    overrides : sequence of str
+        ``key.path=value`` each: values that are known, and that `init` keeps.
     """
     work = _Work(out)
     log = None if detections is None else work.log(detections)
-    report = write_config(work.out, log, work.cameras(cameras, length_unit or "m"), length_unit, **more)
-    return work.outputs(report, log)
+    given = work.cameras(cameras, options.length_unit or "m")
+    return work.outputs(write_config(work.out, log, given, overrides, options=options), log)
 
 
 def check(detections: Any, config: Any = None, cameras: Any = None) -> Outputs:
@@ -266,23 +254,25 @@ def check(detections: Any, config: Any = None, cameras: Any = None) -> Outputs:
     return work.outputs(run(work.config(config, cameras, log), log), log)
 
 
+@takes(SimulateOptions)
 def simulate(
     config: Any, cameras: Any = None, *, out: Path | str | None = None, seed: int | None = None,
-    overrides: Sequence[str] = (), **options: Any,
+    overrides: Sequence[str] = (), options: SimulateOptions,
 ) -> Outputs:  # fmt: skip
     """Simulate the scene of a configuration: the tables ``detections`` and ``truth``, and `Outputs.cameras`.
 
-    Parameters as of `track`; the options are those of `stereophd.commands.options.SimulateOptions`.
+    `config`, `cameras`, `out`, `seed` and `overrides` are those of `track`.
     """
     from stereophd.commands.simulate import simulate as run
 
-    work, chosen = _Work(out), _options(SimulateOptions, options)
-    return work.outputs(run(work.config(config, cameras, None, seed, overrides), work.out, options=chosen))
+    work = _Work(out)
+    return work.outputs(run(work.config(config, cameras, None, seed, overrides), work.out, options=options))
 
 
+@takes(TrackOptions)
 def track(
     detections: Any, config: Any = None, cameras: Any = None, *, out: Path | str | None = None, smooth: bool = False,
-    associations: bool = False, seed: int | None = None, overrides: Sequence[str] = (), **options: Any,
+    associations: bool = False, seed: int | None = None, overrides: Sequence[str] = (), options: TrackOptions,
 ) -> Outputs:  # fmt: skip
     """Track the objects of a detection log.
 
@@ -303,8 +293,6 @@ def track(
         Replaces that of the configuration.
     overrides : sequence of str
         ``key.path=value`` each, such as ``filter.kind=phd``.
-    **options
-        Those of `stereophd.commands.options.TrackOptions`, such as ``jobs`` and ``force``.
 
     Returns
     -------
@@ -319,50 +307,53 @@ def track(
     from stereophd.commands.batches import track_logs
     from stereophd.commands.track import track as run
 
-    work, chosen = _Work(out), _options(TrackOptions, options)
+    work = _Work(out)
     log = None if isinstance(detections, list | tuple) else work.log(detections)
     loaded = work.config(config, cameras, log, seed, overrides)
     wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
-    wanted += ["report.associations=true"] if associations or chosen.plots else []
+    wanted += ["report.associations=true"] if associations or options.plots else []
     loaded = as_config(loaded, wanted)
     if log is None:
-        return work.outputs(track_logs(loaded, [work.log(one) for one in detections], work.out, options=chosen))
-    return work.outputs(run(loaded, log, work.out, options=chosen), log)
+        return work.outputs(track_logs(loaded, [work.log(each) for each in detections], work.out, options=options))
+    return work.outputs(run(loaded, log, work.out, options=options), log)
 
 
+@takes(CalibrateOptions)
 def calibrate(
     detections: Any, config: Any, cameras: Any = None, *, out: Path | str | None = None, seed: int | None = None,
-    overrides: Sequence[str] = (), **options: Any,
+    overrides: Sequence[str] = (), options: CalibrateOptions,
 ) -> Outputs:  # fmt: skip
     """Calibrate cameras from the detections of moving objects: `Outputs.cameras`, and the tables of `track`.
 
-    Parameters as of `track`; the options are those of `stereophd.commands.options.CalibrateOptions`. The ``status`` of
-    the report says whether the data determine the cameras; a `GateError` where they determine less than ``require``.
+    The arguments before the options are those of `track`. The ``status`` of the report says whether the data determine
+    the cameras; a `GateError` where they determine less than ``require``.
     """
     from stereophd.commands.batches import calibrate_logs
     from stereophd.commands.calibrate import calibrate as run
 
-    work, chosen = _Work(out), _options(CalibrateOptions, {"plots": None if out else False, **options})
+    work = _Work(out)
+    loaded = work.config(config, cameras, None, seed, overrides)
+    options = replace(options, plots=False) if out is None and options.plots is None else options
     if isinstance(detections, list | tuple):
-        loaded = work.config(config, cameras, None, seed, overrides)
-        return work.outputs(calibrate_logs(loaded, [work.log(one) for one in detections], work.out, options=chosen))
+        return work.outputs(calibrate_logs(loaded, [work.log(each) for each in detections], work.out, options=options))
     log = work.log(detections)
-    return work.outputs(run(work.config(config, cameras, None, seed, overrides), log, work.out, options=chosen), log)
+    return work.outputs(run(loaded, log, work.out, options=options), log)
 
 
-def align(cameras: Any, to: Path | str, *, out: Path | str | None = None, **options: Any) -> Outputs:
+@takes(AlignOptions)
+def align(cameras: Any, to: Path | str, *, out: Path | str | None = None, options: AlignOptions) -> Outputs:
     """Bring cameras (a path, or `Outputs` with their tracks) into a world frame; the report has the similarity.
 
-    `to` is a control track, ``floor``, ``gravity`` or the name of a camera; the options are those of
-    `stereophd.commands.options.AlignOptions`.
+    `to` is a control track, ``floor``, ``gravity`` or the name of a camera.
     """
     from stereophd.commands.align import align as run
 
-    work, chosen = _Work(out), _options(AlignOptions, options)
-    return work.outputs(run([_path(cameras)], to, work.out, options=chosen))
+    work = _Work(out)
+    return work.outputs(run([_path(cameras)], to, work.out, options=options))
 
 
-def evaluate(tracks: Any, truth: Any, *, out: Path | str | None = None, **options: Any) -> Outputs:
+@takes(EvaluateOptions)
+def evaluate(tracks: Any, truth: Any, *, out: Path | str | None = None, options: EvaluateOptions) -> Outputs:
     """Score tracks against the truth; the report has the scores, and the table ``per_scan`` those of each time.
 
     Parameters
@@ -373,56 +364,56 @@ def evaluate(tracks: Any, truth: Any, *, out: Path | str | None = None, **option
         ``time_s, object_id, x, y, z`` and perhaps ``vx, vy, vz``; for a folder of runs a folder of truths.
     out : path, optional
         Folder for the files; nothing is kept without it.
-    **options
-        Those of `stereophd.commands.options.EvaluateOptions`, such as ``cutoff`` in the unit of length.
 
-    Raises
-    ------
-    InputError
-        What is given cannot be used; the message says where.
-    GateError
-        A figure is beyond ``fail_above`` or ``fail_below``.
+    Returns
+    -------
+    Outputs
+        A `GateError` in their place where a figure is beyond ``fail_above`` or ``fail_below``.
     """
     from stereophd.commands.batches import evaluate_runs
     from stereophd.commands.evaluate import evaluate as run
 
-    work, chosen = _Work(out), _options(EvaluateOptions, {"plots": None if out else False, **options})
+    work = _Work(out)
+    options = replace(options, plots=False) if out is None and options.plots is None else options
     scored = _path(tracks)
     if scored.is_dir() and not (scored / "tracks.parquet").exists():
-        return work.outputs(evaluate_runs(scored, truth, work.out, options=chosen))
+        return work.outputs(evaluate_runs(scored, truth, work.out, options=options))
     if not isinstance(truth, Outputs | str | Path):
         truth = work.truth(truth)
-    found = run(_inside(tracks, "tracks.parquet"), _inside(truth, "truth.parquet"), work.out, options=chosen)
-    return work.outputs(found)
+    paths = _inside(tracks, "tracks.parquet"), _inside(truth, "truth.parquet")
+    return work.outputs(run(*paths, work.out, options=options))
 
 
+@takes(EvaluateCamerasOptions)
 def evaluate_cameras(
-    estimated: Any, true: Any, config: Any = None, *, out: Path | str | None = None, **options: Any
+    estimated: Any, true: Any, config: Any = None, *, out: Path | str | None = None, options: EvaluateCamerasOptions
 ) -> Outputs:
     """Score cameras (paths or `Outputs`) against true ones; with a configuration also against the Cramer-Rao bound."""
     from stereophd.commands.evaluate_cameras import evaluate_calibration
 
-    work, chosen = _Work(out), _options(EvaluateCamerasOptions, options)
+    work = _Work(out)
     paths = _inside(estimated, "cameras.yaml"), _inside(true, "cameras.yaml")
     loaded = None if config is None else work.config(config, paths[1])
-    return work.outputs(evaluate_calibration(*paths, work.out, loaded, options=chosen))
+    return work.outputs(evaluate_calibration(*paths, work.out, loaded, options=options))
 
 
+@takes(ExperimentOptions)
 def experiment(
     config: Any, *, out: Path | str | None = None, seed: int | None = None, overrides: Sequence[str] = (),
-    **options: Any,
+    options: ExperimentOptions,
 ) -> Outputs:  # fmt: skip
-    """Compare methods over many runs of a scenario: the tables ``runs`` and ``summary``; parameters as of `track`."""
+    """Compare methods over many runs of a scenario: the tables ``runs`` and ``summary``; arguments as of `track`."""
     from stereophd.commands.experiment import experiment as run
 
-    work, chosen = _Work(out), _options(ExperimentOptions, options)
-    run(work.config(config, None, None, seed, overrides), work.out, options=chosen)
+    work = _Work(out)
+    run(work.config(config, None, None, seed, overrides), work.out, options=options)
     return work.outputs({})
 
 
+@takes(ImportOptions)
 def import_recording(
     form: str, sources: Any, cameras: Path | str | None = None, *, out: Path | str | None = None, force: bool = False,
-    **options: Any,
+    options: ImportOptions,
 ) -> Outputs:  # fmt: skip
     """Import detections and cameras of another program: the table ``detections`` and `Outputs.cameras`.
 
@@ -434,37 +425,21 @@ def import_recording(
     cameras : path, optional
         Native or foreign cameras, for sources that hold detections only.
     out : path, optional
-        Folder for the files; nothing is kept without it.
-    **options
-        Those of `stereophd.io.interchange.base.ImportOptions`, such as ``rates=60`` (per second) and
-        ``offsets={"left": 0.1}`` (s): one value, or a mapping by camera.
-
-    Raises
-    ------
-    InputError
-        What is given cannot be used; the message says where.
+        Folder for the files; nothing is kept without it. Of the options, those of cameras (`PerCamera`) are one value,
+        such as ``rates=60`` (per second), or a mapping by camera: ``offsets={"left": 0.1}`` (s).
     """
     from stereophd.commands.importing import import_recording as run
-    from stereophd.io.interchange.base import ImportOptions, PerCamera
 
-    plain = ImportOptions()
-    for name in [name for name in options if isinstance(getattr(plain, name, None), PerCamera)]:
-        value = options[name]
-        options[name] = PerCamera(named=value) if isinstance(value, Mapping) else PerCamera(other=value)
-    work, chosen = _Work(out), _options(ImportOptions, options)
-    paths = sources if isinstance(sources, list | tuple) else [sources]
-    return work.outputs(run(form, paths, work.out, chosen, cameras, force))
+    work, paths = _Work(out), sources if isinstance(sources, list | tuple) else [sources]
+    return work.outputs(run(form, paths, work.out, options, cameras, force))
 
 
-def export(form: str, source: Any, out: Path | str, force: bool = False, **options: Any) -> Outputs:
-    """Write tracks or cameras as a file of another program.
-
-    The options are those of `stereophd.io.interchange.base.ExportOptions`, such as ``rate_hz``.
-    """
+@takes(ExportOptions)
+def export(form: str, source: Any, out: Path | str, force: bool = False, *, options: ExportOptions) -> Outputs:
+    """Write tracks or cameras as a file of another program."""
     from stereophd.commands.export import export as run
-    from stereophd.io.interchange.base import ExportOptions
 
-    return Outputs(Path(out).parent, run(form, _path(source), out, _options(ExportOptions, options), force))
+    return Outputs(Path(out).parent, run(form, _path(source), out, options, force))
 
 
 def report_page(*sources: Any, out: Path | str | None = None, title: str = "stereophd", force: bool = False) -> Outputs:

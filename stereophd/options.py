@@ -8,7 +8,8 @@
 
 `stereophd.cli.parameters` makes the parameters of the command line and their help from the class, and
 `stereophd.cli.flags` the options in messages. In Python a function that `takes` the class is given an object of it, or
-its fields by name, and its docstring lists them. Nothing heavy may be imported here: the help must be quick.
+its fields by name, and its docstring lists them. A field without `option` is no option of the command line. Nothing
+heavy may be imported here: the help must be quick.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import inspect
 import math
 import textwrap
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import wraps
 from typing import Any, TypeVar, dataclass_transform
 
@@ -45,18 +46,12 @@ class Declaration:
 
 
 def option(
-    meaning: str,
-    *,
-    default: Any,
-    metavar: str = "",
-    flag: str = "",
-    least: float | None = None,
-    parse: Parser | None = None,
-    use: str = "",
-) -> Any:
+    meaning: str, *, default: Any = MISSING, default_factory: Any = MISSING, metavar: str = "", flag: str = "",
+    least: float | None = None, parse: Parser | None = None, use: str = "",
+) -> Any:  # fmt: skip
     """Declare a field of `options`; the parameters are those of `Declaration`, and its default."""
     declared = Declaration(meaning, metavar, flag, least, parse, use)
-    return field(default=default, metadata={"option": declared})
+    return field(default=default, default_factory=default_factory, metadata={"option": declared})
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(option,))
@@ -80,24 +75,28 @@ def takes(kind: type[Any]) -> Callable[[Callable[..., Result]], Callable[..., Re
 
     The signature and the docstring of the function list them.
     """
-    declared = declarations(kind)
+    names = [each.name for each in fields(kind)]
 
     def decorate(function: Callable[..., Result]) -> Callable[..., Result]:
+        plain = inspect.signature(function)
+
         @wraps(function)
         def call(*arguments: Any, options: Any = None, **words: Any) -> Result:
-            stated = {name: words.pop(name) for name in declared.keys() & words.keys()}
+            if unknown := [name for name in words if name not in (*names, *plain.parameters)]:
+                raise InputError(f"`{unknown[0]}`: expected one of {', '.join(names)}, found another name")
+            stated = {name: words.pop(name) for name in names if name in words}
             chosen = kind(**stated) if options is None else replace(options, **stated)
             return function(*arguments, options=chosen, **words)
 
-        plain = inspect.signature(function)
         own = [parameter for parameter in plain.parameters.values() if parameter.name != "options"]
         by_name = [
-            inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=each.default, annotation=each.type)
+            inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=_default(each), annotation=each.type)
             for each in fields(kind)
         ]
         call.__signature__ = plain.replace(parameters=[*own, *by_name])  # type: ignore[attr-defined]
         before, heading, after = (function.__doc__ or "").partition("\n    Returns\n")
-        call.__doc__ = f"{before.rstrip()}\n{_listed(kind)}\n{heading}{after}"
+        title = "" if "    Parameters\n" in before else "\n    Parameters\n    ----------\n"
+        call.__doc__ = f"{before.rstrip()}\n{title}{_listed(kind)}\n{heading}{after}"
         return call
 
     return decorate
@@ -107,9 +106,14 @@ def _listed(kind: type[Any]) -> str:
     """Return the options of a class as a docstring lists parameters."""
     lines = []
     for each in fields(kind):
-        declared: Declaration = each.metadata["option"]
-        lines += [f"    {each.name} : {each.type}", *_paragraph(f"{declared.meaning} (default {each.default})")]
+        declared: Declaration | None = each.metadata.get("option")
+        meaning = "" if declared is None else declared.meaning
+        lines += [f"    {each.name} : {each.type}", *_paragraph(f"{meaning} (default {_default(each)})")]
     return "\n".join(lines)
+
+
+def _default(each: Field[Any]) -> Any:
+    return each.default if each.default_factory is MISSING else each.default_factory()
 
 
 def _paragraph(text: str) -> list[str]:

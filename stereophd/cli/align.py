@@ -24,7 +24,10 @@ def align_command(
     to: Annotated[
         str,
         options.option(
-            "--to", "WORLD", "Control track (Parquet: time_s, x, y, z), floor, gravity, or a camera's name."
+            "--to",
+            "WORLD",
+            "Control track (time_s, x, y, z) or points (camera, u_px, v_px, x, y, z), Parquet or CSV; floor, gravity, "
+            "or a camera's name.",
         ),
     ],
     words: AlignOptions,

@@ -8,13 +8,14 @@ from typing import Annotated, Any
 
 from stereophd.cli import options
 from stereophd.cli.terminal import print_report, progress_bar
+from stereophd.commands.options import Replacing
 from stereophd.site import page
 
 
 def demo_command(
     session: options.Session,
     folder: Annotated[Path, options.argument("DIR", "Folder of the demonstration; created if missing.")],
-    force: options.Force = False,
+    replacing: Replacing,
 ) -> None:
     """Simulate, track and score a small scene, and write a page to open in a browser.
 
@@ -24,7 +25,7 @@ def demo_command(
     from stereophd.commands.demo import demo
 
     with progress_bar(session, "demo") as progress:
-        result = demo(folder, force, progress)
+        result = demo(folder, replacing.force, progress)
     print_report(session, result, lambda: _lines(folder, result))
 
 

@@ -12,30 +12,7 @@ from stereophd.commands.options import OPTIONS
 from stereophd.options import declarations
 
 # Parameter -> option, where no class of options declares it; other words in backquotes, such as sections, stay.
-_SHELL = {
-    "box_point": "--box-point",
-    "columns": "--column",
-    "detector": "--sigma-px",
-    "fill": "--fill-missing-frames",
-    "frames": "--recorded-frames",
-    "image_sizes": "--image-size",
-    "kind": "--preset",
-    "least_score": "--min-score",
-    "length_unit": "--length-unit",
-    "offsets": "--offset",
-    "out_dir": "--out",
-    "overrides": "--set",
-    "pixel_origin": "--pixel-origin",
-    "rate_hz": "--rate",
-    "rates": "--fps",
-    "rename": "--rename",
-    "rows_from": "--rows-from",
-    "seed": "--seed",
-    "time_unit": "--time-unit",
-    "tracks": "--track",
-    "truth": "--truth",
-    "undistorted": "--pixels-undistorted",
-}
+_SHELL = {"detector": "--sigma-px", "out_dir": "--out", "overrides": "--set", "seed": "--seed"}
 _DECLARED = [item for kind in OPTIONS.values() for item in declarations(kind).items()]
 FLAGS = _SHELL | {name: declared.flag_of(name) for name, declared in _DECLARED}
 _PARAMETER = re.compile(r"(?<!`)`([a-z][a-z0-9_]*)(?:=True)?`(?!`)")

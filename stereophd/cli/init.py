@@ -3,67 +3,31 @@
 from __future__ import annotations
 
 import shlex
-from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
-import typer
-
-from stereophd.cli import options
+from stereophd.cli.options import Session, Set, Strict, argument, option
 from stereophd.cli.terminal import exit_if_strict, print_report
 from stereophd.cli.unused_options import refuse
+from stereophd.commands.options import InitOptions
 
-
-class ObjectKind(StrEnum):
-    """Kind of the objects."""
-
-    ANIMALS = "animals"
-    DRONES = "drones"
-    LAB = "lab"
-
-
-class LengthUnit(StrEnum):
-    """Units of length."""
-
-    MM = "mm"
-    CM = "cm"
-    M = "m"
-    KM = "km"
+Folder = Annotated[Path, argument("DIR", "Folder of the new config.yaml; created if missing.")]
+Log = Annotated[Path | None, option("--log", "FILE", "Detection log to estimate values from.")]
+Cameras = Annotated[
+    Path | None, option("--cameras", "FILE", "Cameras, of any program; default: cameras.yaml in the log's folder.")
+]
 
 
 def init_command(
-    session: options.Session,
-    folder: Annotated[Path, options.argument("DIR", "Folder of the new config.yaml; created if missing.")],
-    log: Annotated[Path | None, options.option("--log", "FILE", "Detection log to estimate values from.")] = None,
-    cameras: Annotated[
-        Path | None,
-        options.option("--cameras", "FILE", "Cameras, of any program; default: cameras.yaml in the log's folder."),
-    ] = None,
-    length_unit: Annotated[
-        LengthUnit | None,
-        typer.Option("--length-unit", help="Unit of length; default: that of the cameras, else m.", show_default=False),
-    ] = None,
-    kind: Annotated[
-        ObjectKind | None,
-        typer.Option(
-            "--preset",
-            help="Kind of the objects, for values that the log does not show; default lab.",
-            show_default=False,
-        ),
-    ] = None,
-    overrides: options.Set = None,
-    strict: options.Strict = False,
-    force: options.Force = False,
-) -> None:
+    session: Session, folder: Folder, options: InitOptions, log: Log = None, cameras: Cameras = None,
+    overrides: Set = None, strict: Strict = False,
+) -> None:  # fmt: skip
     """Write a commented configuration, with values estimated from a log and cameras as far as these show them."""
     if log is None:
         refuse(session, ("strict",), "with --log FILE, which is checked, found none")
     from stereophd.commands.init import init
 
-    report = init(
-        folder, log, cameras, None if length_unit is None else length_unit.value, None if kind is None else kind.value,
-        force, tuple(overrides or ()),
-    )  # fmt: skip
+    report = init(folder, log, cameras, overrides or (), options=options)
     print_report(session, report, lambda: _lines(report, log))
     exit_if_strict(strict, report)
 
@@ -90,6 +54,8 @@ def _detector(name: str, detector: dict[str, Any]) -> str:
 
 
 def _shown(value: Any) -> str:
-    if isinstance(value, list):
+    if isinstance(value, list) and len(value) == 2:
         return f"{value[0]:g} to {value[1]:g}"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {_shown(part)}" for key, part in value.items())
     return f"{value:g}" if isinstance(value, float) else str(value)

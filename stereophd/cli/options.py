@@ -10,6 +10,8 @@ from typing import Annotated, Any
 import typer
 import typer.core
 
+from stereophd.site import page
+
 
 @dataclass
 class Session:
@@ -122,6 +124,7 @@ def _to_session(name: str) -> Callable[[typer.Context, Any], Any]:
     return keep
 
 
+Form = Annotated[str, argument("FORMAT", f"Format, such as csv; all: {page('reference/interchange')}")]
 Config = Annotated[Path, argument("CONFIG", "Configuration (YAML).")]
 Out = Annotated[Path, option("--out", "DIR", "Output folder; created if missing.")]
 Logs = Annotated[list[Path], argument("LOG", "Detection logs (Parquet), or patterns such as 'day1/*.parquet'.")]
@@ -145,7 +148,6 @@ Set = Annotated[
 ]
 Seed = Annotated[int | None, option("--seed", "N", "Seed of the random numbers, in place of the configuration's.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 1 if a check warns.")]
-Force = Annotated[bool, typer.Option("--force", help="Replace the outputs of an earlier run.")]
 
 
 def _common(name: str, *words: str, text: str, **more: Any) -> Any:
@@ -166,19 +168,16 @@ Debug = Annotated[bool, _common("debug", "--debug", text="Show the traceback of 
 
 
 @dataclass(frozen=True)
-class ConfigWords:
-    """A configuration, its cameras, and what replaces its values."""
+class SceneWords:
+    """A configuration with the cameras that it names, and what replaces its values."""
 
     config: Config
-    cameras: Cameras = None
     overrides: Set = None
     seed: Seed = None
 
 
 @dataclass(frozen=True)
-class SceneWords:
-    """A configuration with the cameras that it names."""
+class ConfigWords(SceneWords):
+    """A configuration, and cameras that replace those that it names."""
 
-    config: Config
-    overrides: Set = None
-    seed: Seed = None
+    cameras: Cameras = None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.terminal import begin
+from stereophd.errors import InputError
 from stereophd.options import Declaration
 
 
@@ -51,9 +53,12 @@ def command(function: Callable[..., Any]) -> Callable[..., Any]:
         session = begin(values.pop("context"))
         for name in common:
             del values[name]
+        for parameter in session.context.command.params if session.context else ():
+            value = values.get(parameter.name or "")
+            if isinstance(value, float) and not math.isfinite(value):
+                raise InputError(f"{parameter.opts[0]}: expected a finite number, found {value}")
         for name, kind in classes.items():
-            words = {each.name: _parsed(each, values.pop(each.name)) for each in fields(kind)}
-            values[name] = kind(**words)
+            values[name] = kind(**{each.name: _parsed(each, values.pop(each.name)) for each in _stated(kind)})
         return function(session, **values)
 
     run.__name__, run.__doc__ = function.__name__, function.__doc__
@@ -65,14 +70,21 @@ def command(function: Callable[..., Any]) -> Callable[..., Any]:
 def _of_class(kind: type[Any]) -> dict[str, inspect.Parameter]:
     """Return the parameters of the fields of a dataclass."""
     hints = get_type_hints(kind, include_extras=True)
-    return {each.name: _parameter(each, hints[each.name]) for each in fields(kind)}
+    return {each.name: _parameter(each, hints[each.name]) for each in _stated(kind)}
+
+
+def _stated(kind: type[Any]) -> list[Field[Any]]:
+    """Return the fields of a class that the command line states: of a class of options those that are declared."""
+    declared = [each for each in fields(kind) if "option" in each.metadata]
+    return declared or list(fields(kind))
 
 
 def _parameter(each: Field[Any], hint: Any) -> inspect.Parameter:
     default = inspect.Parameter.empty if each.default is MISSING else each.default
+    default = default if each.default_factory is MISSING else None
     declared: Declaration | None = each.metadata.get("option")
     if declared is not None:
-        hint = Annotated[_shell_type(hint, declared), _typer_option(each.name, hint, declared)]
+        hint = Annotated[_shell_type(hint, declared), _typer_option(each.name, hint, declared, default)]
     return inspect.Parameter(each.name, inspect.Parameter.KEYWORD_ONLY, default=default, annotation=hint)
 
 
@@ -85,9 +97,9 @@ def _shell_type(hint: Any, declared: Declaration) -> Any:
     return hint
 
 
-def _typer_option(name: str, hint: Any, declared: Declaration) -> Any:
+def _typer_option(name: str, hint: Any, declared: Declaration, default: Any) -> Any:
     flag, is_flag = declared.flag_of(name), bool in (hint, *get_args(hint))
-    words = f"{flag}/{flag.replace('--', '--no-', 1)}" if is_flag and type(None) in get_args(hint) else flag
+    words = f"{flag}/{flag.replace('--', '--no-', 1)}" if is_flag and default is not False else flag
     more: dict[str, Any] = {"metavar": declared.metavar} if declared.metavar else {}
     if declared.least is not None:
         more["min"] = declared.least

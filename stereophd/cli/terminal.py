@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import sys
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -13,12 +14,16 @@ import typer
 from stereophd.cli import interrupts, memory
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import ConfigWords, SceneWords, Session
+from stereophd.errors import GateError
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
 
 # 128 + SIGPIPE, as the shell reports a program that wrote into a closed pipe.
 EXIT_BROKEN_PIPE = 141
+
+# Seconds between two lines of progress where stderr is no terminal.
+PACE_S = 10.0
 
 # Keys of a report that are for machines; the summary on the terminal leaves them out.
 _NOT_IN_SUMMARY = frozenset({"provenance", "report_version"})
@@ -44,7 +49,7 @@ def begin(context: typer.Context) -> Session:
     return session
 
 
-def load(words: ConfigWords | SceneWords, further: Sequence[str] = ()) -> LoadedConfig:
+def load(words: SceneWords, further: Sequence[str] = ()) -> LoadedConfig:
     """Load the configuration of a command; `further` overrides come after those of the command line."""
     from stereophd.config.loading import load_config
 
@@ -97,6 +102,18 @@ def print_run(session: Session, report: Mapping[str, Any]) -> None:
     print_report(session, report, lambda: summary_text(report))
 
 
+def print_scored(session: Session, run: Callable[[], Mapping[str, Any]], text: Callable[[Any], str]) -> dict[str, Any]:
+    """Run a command and print its report; where a gate fails the run is done, and its report comes before the error."""
+    try:
+        report = run()
+    except GateError as error:
+        if (failed := error.report) is not None:
+            print_report(session, failed, lambda: text(failed))
+        raise
+    print_report(session, report, lambda: text(report))
+    return dict(report)
+
+
 def exit_if_strict(strict: bool, report: Mapping[str, Any]) -> None:
     """Exit with code 1 if `strict` and a check of a report warns."""
     from stereophd.pipeline.checks.finding import count_warnings
@@ -125,9 +142,16 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 
 @contextlib.contextmanager
 def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
-    """Yield a function (done, total) that moves a bar, with the time left and spent, on stderr if it is a terminal."""
-    if session.quiet or not sys.stderr.isatty():
+    """Yield a function (done, total) that moves a bar, with the time left and spent, on stderr if it is a terminal.
+
+    The bar names the stages that the run logs; without a terminal one of them is a line every `PACE_S`.
+    """
+    if session.quiet:
         yield lambda done, total: interrupts.check()
+        return
+    if not sys.stderr.isatty():
+        with _stages_shown(session, _paced(label)):
+            yield lambda done, total: interrupts.check()
         return
     from rich.console import Console
     from rich.progress import Progress, TimeElapsedColumn
@@ -141,4 +165,37 @@ def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, floa
             interrupts.check()
             bar.update(task, completed=done, total=total)
 
-        yield advance
+        with _stages_shown(session, lambda stage: bar.update(task, description=f"{label}: {stage}")):
+            yield advance
+
+
+@contextlib.contextmanager
+def _stages_shown(session: Session, show: Callable[[str], None]) -> Iterator[None]:
+    """Show the stages that a run logs (`stereophd.progress`); with --verbose they are messages as all others."""
+    import logging
+
+    handler, logger = logging.Handler(), logging.getLogger("stereophd.progress")
+    handler.emit = lambda record: show(record.getMessage())  # type: ignore[method-assign]
+    if session.verbosity:
+        yield
+        return
+    logger.handlers, logger.propagate = [handler], False
+    logger.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        logger.handlers, logger.propagate = [], True
+        logger.setLevel(logging.NOTSET)
+
+
+def _paced(label: str) -> Callable[[str], None]:
+    """Return a function that prints a stage on stderr if none was printed for `PACE_S`."""
+    began = printed = time.monotonic()
+
+    def show(stage: str) -> None:
+        nonlocal printed
+        if (now := time.monotonic()) - printed >= PACE_S:
+            printed = now
+            print(f"{label}, {now - began:.0f} s: {stage}", file=sys.stderr, flush=True)
+
+    return show

@@ -13,6 +13,7 @@ from stereophd.commands.options import AlignOptions
 from stereophd.config.loading import load_cameras
 from stereophd.core.alignment.cameras import moved_camera
 from stereophd.core.alignment.frames import GRAVITY, camera_frame, floor_frame, gravity_frame
+from stereophd.core.alignment.to_points import ControlPoints, align_to_points
 from stereophd.core.alignment.to_track import Alignment, align_to_track
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.registration import Freedom
@@ -23,7 +24,7 @@ from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.options import takes
-from stereophd.pipeline.alignment.control import alignment_report, read_control
+from stereophd.pipeline.alignment.control import Control, alignment_report, points_report, read_control
 from stereophd.pipeline.alignment.tables import write_moved
 from stereophd.pipeline.calibration.unknowns import with_quantities
 from stereophd.pipeline.cameras_covariance import in_world, rows_of, stated_uncertainty
@@ -44,27 +45,14 @@ def align(
 ) -> dict[str, Any]:
     """Bring cameras, and the tracks made with them, into a world frame.
 
-    Parameters
-    ----------
-    cameras : sequence of path
-        Files ``cameras.yaml``, or the folders of `calibrate` or `track` that hold them. Tables beside a file
-        (``tracks.parquet``, ``scans.parquet``, ``associations.parquet``) are moved with it. Each is aligned by itself.
-    to : path or str
-        A control track (Parquet: ``time_s, x, y, z`` of one object, on a clock of its own; or ``time_s, latitude_deg,
-        longitude_deg, altitude_m``), ``floor``, ``gravity``, or the name of a camera.
-    out_dir : path, optional
-        Where ``cameras.yaml``, the tables and ``report.json`` are written, of several each into a folder of the name of
-        its own; nothing is written without it.
-
-    Returns
-    -------
-    dict
-        ``runs``: of each the similarity, the map of time, their standard deviations, and what is left over.
-
-    Raises
-    ------
-    InputError
-        A file is not usable, or the motion does not determine the frame; the message names what is missing.
+    The cameras are files ``cameras.yaml``, or the folders of `calibrate` or `track` that hold them; tables of tracks,
+    scans and associations beside a file are moved with it. Each is aligned by itself, `to` a control track (Parquet or
+    CSV: ``time_s, x, y, z`` of one object, on a clock of its own; or ``time_s, latitude_deg, longitude_deg,
+    altitude_m``), points of known place (``camera, u_px, v_px, x, y, z``), ``floor``, ``gravity``, or a camera by its
+    name. ``cameras.yaml``, the tables and ``report.json`` go into `out_dir` if it is given, of several into a folder of
+    the name of each. Returns ``runs``: of each the similarity, the map of time, their standard deviations, and what is
+    left over. Raises InputError if a file is not usable, or the motion does not determine the frame; the message names
+    what is missing.
     """
     sources = [Path(path) / CAMERAS_FILE if Path(path).is_dir() else Path(path) for path in cameras]
     names = [path.parent.resolve().name if path.name == CAMERAS_FILE else path.stem for path in sources]
@@ -82,7 +70,8 @@ def _aligned(path: Path, to: Path | str, out_dir: Path | None, options: AlignOpt
     file = load_cameras(path)
     built = {name: camera.build(name) for name, camera in file.cameras.items()}
     tracks_path = Path(options.tracks_path or path.with_name(TRACKS_FILE))
-    found, unit, origin = _alignment(path, to, options, file, built, tracks_path)
+    control = read_control(Path(to), list(built.values())) if Path(to).is_file() else None
+    found, unit, origin = _alignment(path, to, options, file, built, tracks_path, control)
     try:
         moved = [moved_camera(camera, found.registration) for camera in built.values()]
     except ValueError as error:
@@ -94,10 +83,12 @@ def _aligned(path: Path, to: Path | str, out_dir: Path | None, options: AlignOpt
         rows = rows_of(in_world(stated, found.registration, found.center, joint))
     report: dict[str, Any] = {"report_version": 1, "to": str(to) if str(to) in (FLOOR, FALL, *built) else "control"}
     report |= {**alignment_report(found, unit), **({} if origin is None else {"origin": origin})}
+    if isinstance(control, ControlPoints):
+        report |= points_report(control, moved, str(to))
     if unit == NO_LENGTH:
         report["scale_is_unknown"] = "no length is known: lengths are in units of the distance of two cameras"
         LOGGER.warning("%s: %s", path, report["scale_is_unknown"])
-    tables = {name: tracks_path.with_name(name) for name in TABLES[1:]} | {TRACKS_FILE: tracks_path}
+    tables = {name: tracks_path.parent / name for name in TABLES[1:]} | {TRACKS_FILE: tracks_path}
     tables = {name: source for name, source in tables.items() if source.exists()}
     inputs: dict[str, Path | str] = {"cameras": path, **{name.partition(".")[0]: tables[name] for name in tables}}
     if Path(to).is_file():
@@ -114,8 +105,9 @@ def _aligned(path: Path, to: Path | str, out_dir: Path | None, options: AlignOpt
 
 
 def _alignment(
-    path: Path, to: Path | str, options: AlignOptions, file: CamerasFile, built: dict[str, Camera], tracks_path: Path
-) -> tuple[Alignment, str, dict[str, float] | None]:
+    path: Path, to: Path | str, options: AlignOptions, file: CamerasFile, built: dict[str, Camera], tracks_path: Path,
+    control: Control | ControlPoints | None,
+) -> tuple[Alignment, str, dict[str, float] | None]:  # fmt: skip
     """Return how the cameras lie in the world, the world's unit of length, and its geographic origin."""
     unit = file.units.length
     forward = options.forward or next(iter(built))
@@ -123,11 +115,20 @@ def _alignment(
         raise InputError(f"`forward`: {unknown_camera(forward, list(built))}")
     if str(to) in built:
         return camera_frame(built[str(to)].pose), unit, None
-    if not Path(to).is_file() and str(to) not in (FLOOR, FALL):
+    if control is None and str(to) not in (FLOOR, FALL):
         raise InputError(
-            f"`to`: expected a control track (Parquet), {FLOOR}, {FALL}, or a camera ({', '.join(built)}), found {to}"
+            f"`to`: expected a control track or points (Parquet or CSV), {FLOOR}, {FALL}, or a camera "
+            f"({', '.join(built)}), found {to}"
         )
-    control = read_control(Path(to)) if Path(to).is_file() else None
+    # a control without a unit has that of the cameras
+    target = (control.length_unit if control is not None else None) or ("m" if unit == NO_LENGTH else unit)
+    if options.same_scale and target != unit:
+        raise InputError(f"`same_scale`: expected cameras in {target} as {to}, found {unit}")
+    if isinstance(control, ControlPoints):
+        try:
+            return align_to_points(list(built.values()), control, not options.same_scale), target, None
+        except ValueError as error:
+            raise InputError(f"{to}: {error}") from None
     tracks = read_tracks(tracks_path)
     if tracks.length_unit not in (None, unit):
         raise InputError(f"{tracks_path}: expected lengths in {unit} as in {path}, found {tracks.length_unit}")
@@ -137,12 +138,7 @@ def _alignment(
         if control is None and str(to) == FLOOR:
             return floor_frame(position, pose), unit, None
         if control is None:
-            unit = "m" if unit == NO_LENGTH else unit
-            return gravity_frame(time_s, position, tracks.track_id[rows], pose, GRAVITY / METRES[unit]), unit, None
-        # a control without a unit has that of the cameras
-        target = control.length_unit or ("m" if unit == NO_LENGTH else unit)
-        if options.same_scale and target != unit:
-            raise InputError(f"`same_scale`: expected cameras in {target} as {to}, found {unit}")
+            return gravity_frame(time_s, position, tracks.track_id[rows], pose, GRAVITY / METRES[target]), target, None
         freedom = Freedom(True, not options.same_scale, not options.same_clock)
         found = align_to_track(time_s, position, tracks.track_id[rows], control.track, freedom)
         return found, target, control.origin

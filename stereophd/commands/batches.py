@@ -1,4 +1,10 @@
-"""Commands over many recordings: a folder for each, and a summary of all; one that fails stops no other."""
+"""Commands over many recordings: a folder for each, and a summary of all; one that fails stops no other.
+
+The output folder gets ``NAME/`` for each recording, with the files of the command, and ``summary.parquet``. `progress`
+is called with the recordings done and their number. Each command returns ``logs``, the rows of the summary, ``done``
+and ``failed``, their numbers, and ``exit_code``, and raises InputError if a file is named twice or not there, or an
+option or the folder cannot be used. A recording that fails is a row with the reason.
+"""
 
 from __future__ import annotations
 
@@ -26,144 +32,87 @@ from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 
-# Columns of ``summary.parquet`` besides those of every batch. The standard deviations are the largest of the cameras.
-TRACK_COLUMNS = {
-    **dict.fromkeys(("frames", "detections", "tracks", "estimates"), INTEGER),
-    **dict.fromkeys(("duration_s", "log_likelihood"), FLOAT),
-    "warnings": INTEGER,
+Report = Mapping[str, Any]
+
+
+def _largest(report: Report, key: str) -> float | None:
+    """Return the largest figure of the cameras."""
+    return max((camera[key] for camera in report.get("cameras", {}).values()), default=None)
+
+
+#: Command -> its columns of ``summary.parquet`` besides those of every batch: type, and value from a report.
+COLUMNS: dict[str, dict[str, tuple[Any, Callable[[Report], Any]]]] = {
+    "track": {
+        "frames": (INTEGER, lambda report: report["input"]["frames"]),
+        "detections": (INTEGER, lambda report: report["input"]["detections"]),
+        "tracks": (INTEGER, lambda report: len(report["tracks"])),
+        "estimates": (INTEGER, lambda report: report["estimates"]),
+        "duration_s": (FLOAT, lambda report: report["duration_s"]),
+        "log_likelihood": (FLOAT, lambda report: report["log_likelihood"]),
+        "warnings": (INTEGER, count_warnings),
+    },
+    "calibrate": {
+        "calibration": (STRING, lambda report: report["status"]),
+        "frames": (INTEGER, lambda report: report["input"].get("frames")),
+        "detections": (INTEGER, lambda report: report["input"].get("detections")),
+        "information_bits": (FLOAT, lambda report: report.get("observability", {}).get("information_bits")),
+        "rotation_std_deg": (FLOAT, lambda report: _largest(report, "rotation_std_deg")),
+        "center_std": (FLOAT, lambda report: _largest(report, "center_std")),
+        "warnings": (INTEGER, count_warnings),
+    },
+    "evaluate": {
+        "scans": (INTEGER, lambda report: report["scans"]["scored"]),
+        "ospa": (FLOAT, lambda report: report["ospa"]["mean"]),
+        "ospa2": (FLOAT, lambda report: report["ospa2"]["mean"]),
+        "gospa": (FLOAT, lambda report: report["gospa"]["mean"]),
+        "rmse_position": (FLOAT, lambda report: report["rmse"]["position"]),
+        "rmse_velocity": (FLOAT, lambda report: report["rmse"]["velocity"]),
+        "cardinality_bias": (FLOAT, lambda report: report["cardinality"]["bias"]),
+        "identity_switches": (INTEGER, lambda report: report["identity_switches"]),
+        "nees_position": (FLOAT, lambda report: report["nees"]["position"]),
+    },
 }
-CALIBRATE_COLUMNS = {
-    "calibration": STRING,
-    **dict.fromkeys(("frames", "detections"), INTEGER),
-    **dict.fromkeys(("information_bits", "rotation_std_deg", "center_std"), FLOAT),
-    "warnings": INTEGER,
-}
-SCORE_COLUMNS = {
-    "scans": INTEGER,
-    **dict.fromkeys(("ospa", "ospa2", "gospa", "rmse_position", "rmse_velocity", "cardinality_bias"), FLOAT),
-    "identity_switches": INTEGER,
-    "nees_position": FLOAT,
-}
+
+
+def _values(command: str, report: Report) -> Report:
+    """Return the values of a row of the summary."""
+    return {name: value(report) for name, (_, value) in COLUMNS[command].items()}
 
 
 @takes(TrackOptions)
 def track_logs(
-    loaded: LoadedConfig,
-    logs: Sequence[Path | str],
-    out_dir: Path | str,
-    *,
-    options: TrackOptions,
+    loaded: LoadedConfig, logs: Sequence[Path | str], out_dir: Path | str, *, options: TrackOptions,
     progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Track the objects of many detection logs.
+) -> dict[str, Any]:  # fmt: skip
+    """Track the objects of many detection logs (paths, or patterns such as ``day-*/detections.parquet``).
 
-    A log that fails is a row of the summary with the reason; the others are tracked.
-
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With a ``filter`` section and cameras.
-    logs : sequence of path
-        Detection logs, or patterns such as ``day-*/detections.parquet``.
-    out_dir : path
-        Folder for the outputs: ``NAME/`` for each log, with the files of `stereophd.commands.track.track`, and
-        ``summary.parquet``. NAME is the log's file name without its ending, or the name of its folder if the file is
-        called ``detections.parquet``.
-    progress : callable, optional
-        Called with the logs done and their number.
-
-    Returns
-    -------
-    dict
-        ``logs``: the rows of the summary; ``done`` and ``failed``: their numbers; ``exit_code``.
-
-    Raises
-    ------
-    InputError
-        No log fits a pattern, one is given twice, or the output folder cannot be used.
+    NAME is the log's file name without its ending, or that of its folder if the file is called ``detections.parquet``.
     """
     work = partial(_one_log, track, loaded, replace(options, jobs=1, dask=None))
-    files, record = (*FILES, *UNFINISHED_FILES), provenance("track", loaded.record)
-    batch = Batch(log_items(logs), work, _track_values, files, TRACK_COLUMNS, record)
-    return run_batch(batch, out_dir, options.jobs, options.dask, options.force, options.resume, progress)
+    return _run("track", log_items(logs), work, FILES, loaded.record, out_dir, options, progress)
 
 
 @takes(CalibrateOptions)
 def calibrate_logs(
-    loaded: LoadedConfig,
-    logs: Sequence[Path | str],
-    out_dir: Path | str,
-    *,
-    options: CalibrateOptions,
+    loaded: LoadedConfig, logs: Sequence[Path | str], out_dir: Path | str, *, options: CalibrateOptions,
     progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Calibrate cameras from many detection logs, each separately.
-
-    A log that fails is a row of the summary with the reason; the others are used.
-
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        The same as in `stereophd.commands.calibrate.calibrate`.
-    logs : sequence of path
-        Detection logs, or patterns.
-    out_dir : path
-        Folder for the outputs: ``NAME/`` for each log (named as in `track_logs`) and
-        ``summary.parquet``.
-    progress : callable, optional
-        Called with the logs done and their number.
-
-    Returns
-    -------
-    dict
-        ``logs``: the rows of the summary; ``done`` and ``failed``: their numbers; ``exit_code``.
-
-    Raises
-    ------
-    InputError
-        As `track_logs`.
-    """
+) -> dict[str, Any]:  # fmt: skip
+    """Calibrate cameras from many detection logs, each separately; the folders are named as by `track_logs`."""
     from joblib import effective_n_jobs
 
     work = partial(_one_log, calibrate, loaded, replace(options, jobs=1, dask=None))
-    files, record = (*CALIBRATE_FILES, *UNFINISHED_FILES), provenance("calibrate", loaded.record)
-    batch = Batch(log_items(logs), work, _calibrate_values, files, CALIBRATE_COLUMNS, record)
-    jobs = effective_n_jobs(options.jobs)
-    return run_batch(batch, out_dir, jobs, options.dask, options.force, options.resume, progress)
+    options = replace(options, jobs=effective_n_jobs(options.jobs))
+    return _run("calibrate", log_items(logs), work, CALIBRATE_FILES, loaded.record, out_dir, options, progress)
 
 
 @takes(EvaluateOptions)
 def evaluate_runs(
-    tracks_dir: Path | str,
-    truth_dir: Path | str,
-    out_dir: Path | str,
-    *,
-    options: EvaluateOptions,
+    tracks_dir: Path | str, truth_dir: Path | str, out_dir: Path | str, *, options: EvaluateOptions,
     progress: Progress | None = None,
-) -> dict[str, Any]:
-    """Score the tracks of many runs against the truths of the same names.
+) -> dict[str, Any]:  # fmt: skip
+    """Score the tracks of many runs, ``NAME/tracks.parquet``, against the truths of the same names.
 
-    Parameters
-    ----------
-    tracks_dir : path
-        Folder of runs, ``NAME/tracks.parquet``, as `track_logs` writes it.
-    truth_dir : path
-        Folder of truths, ``NAME/truth.parquet`` (as ``simulate`` writes runs) or ``NAME.parquet``.
-    out_dir : path
-        Folder for the outputs: ``NAME/`` for each run, with the files of `stereophd.commands.evaluate.evaluate`, and
-        ``summary.parquet``.
-    progress : callable, optional
-        Called with the runs done and their number.
-
-    Returns
-    -------
-    dict
-        ``logs``: the rows of the summary; ``done`` and ``failed``: their numbers; ``exit_code``.
-
-    Raises
-    ------
-    InputError
-        A folder or an option cannot be used.
+    These are ``NAME/truth.parquet`` (as `simulate` writes runs) or ``NAME.parquet``.
     """
     if options.log_path is not None:
         raise InputError("`log_path`: expected the tracks of one run, found a folder of runs")
@@ -175,67 +124,32 @@ def evaluate_runs(
     each = replace(options, jobs=1, dask=None)
     values = {name: None if value is None else str(value) for name, value in vars(each).items() if name != "force"}
     files = (REPORT_NAME, PER_SCAN_NAME, *PLOT_NAMES)
-    batch = Batch(items, partial(_evaluate, each), _score_values, files, SCORE_COLUMNS, provenance("evaluate", values))
-    return run_batch(batch, out_dir, options.jobs, options.dask, options.force, progress=progress)
+    return _run("evaluate", items, partial(_evaluate, each), files, values, out_dir, options, progress)
+
+
+def _run(
+    command: str, items: Sequence[Item], work: Any, files: Sequence[str], record: Any, out_dir: Path | str,
+    options: TrackOptions | CalibrateOptions | EvaluateOptions, progress: Progress | None,
+) -> dict[str, Any]:  # fmt: skip
+    """Do the work of a command for all items."""
+    columns = {name: kind for name, (kind, _) in COLUMNS[command].items()}
+    resume = not isinstance(options, EvaluateOptions) and options.resume
+    files = files if isinstance(options, EvaluateOptions) else (*files, *UNFINISHED_FILES)
+    batch = Batch(items, work, partial(_values, command), files, columns, provenance(command, record))
+    return run_batch(batch, out_dir, options.jobs, options.dask, options.force, resume, progress)
 
 
 def _one_log(
-    command: Callable[..., Mapping[str, Any]],
-    loaded: LoadedConfig,
-    options: TrackOptions | CalibrateOptions,
-    item: Item,
-    out: Path,
-    progress: Progress | None,
-) -> Mapping[str, Any]:
+    command: Callable[..., Report], loaded: LoadedConfig, options: TrackOptions | CalibrateOptions, item: Item,
+    out: Path, progress: Progress | None,
+) -> Report:  # fmt: skip
     """Track or calibrate from one log."""
     tidy(out)  # of a run that was killed while it moved its files, or before it had kept anything
     return command(loaded, item.paths[0], out, options=options, progress=progress)
 
 
-def _evaluate(options: EvaluateOptions, item: Item, out: Path, progress: Progress | None) -> Mapping[str, Any]:
+def _evaluate(options: EvaluateOptions, item: Item, out: Path, progress: Progress | None) -> Report:
     """Score one run."""
     if progress is not None:
         progress(0, 1)
     return evaluate(item.paths[0], item.paths[1], out, options=options)
-
-
-def _track_values(report: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the values of a row of the summary."""
-    return {
-        "frames": report["input"]["frames"],
-        "detections": report["input"]["detections"],
-        "tracks": len(report["tracks"]),
-        "estimates": report["estimates"],
-        "duration_s": report["duration_s"],
-        "log_likelihood": report["log_likelihood"],
-        "warnings": count_warnings(report),
-    }
-
-
-def _calibrate_values(report: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the values of a row of the summary."""
-    cameras = report.get("cameras", {}).values()
-    return {
-        "calibration": report["status"],
-        "frames": report["input"].get("frames"),
-        "detections": report["input"].get("detections"),
-        "information_bits": report.get("observability", {}).get("information_bits"),
-        "rotation_std_deg": max((camera["rotation_std_deg"] for camera in cameras), default=None),
-        "center_std": max((camera["center_std"] for camera in cameras), default=None),
-        "warnings": count_warnings(report),
-    }
-
-
-def _score_values(report: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Return the values of a row of the summary."""
-    return {
-        "scans": report["scans"]["scored"],
-        "ospa": report["ospa"]["mean"],
-        "ospa2": report["ospa2"]["mean"],
-        "gospa": report["gospa"]["mean"],
-        "rmse_position": report["rmse"]["position"],
-        "rmse_velocity": report["rmse"]["velocity"],
-        "cardinality_bias": report["cardinality"]["bias"],
-        "identity_switches": report["identity_switches"],
-        "nees_position": report["nees"]["position"],
-    }

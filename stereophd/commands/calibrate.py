@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import logging
+import math
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -13,6 +15,8 @@ from numpy.typing import NDArray
 
 from stereophd.commands.options import CalibrateOptions
 from stereophd.config.loading import LoadedConfig
+from stereophd.core.alignment.to_points import ControlPoints
+from stereophd.core.calibration.time_limit import TimeLimit
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
@@ -23,6 +27,7 @@ from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.io.tables.schemas import history_schema, posterior_schema
 from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
+from stereophd.pipeline.alignment.control import points_report
 from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.annealed import annealed_outcome
 from stereophd.pipeline.calibration.found_cameras import in_world, with_found_cameras
@@ -51,8 +56,7 @@ from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
     TRACKS_FILE,
-    reported_records,
-    write_tracks,
+    TrackingRun,
 )
 from stereophd.report.installed import whether_to_draw
 
@@ -81,31 +85,14 @@ def calibrate(
     options: CalibrateOptions,
     progress: Progress | None = None,
 ) -> dict[str, Any]:
-    """Calibrate cameras from a detection log (paper section VII).
+    """Calibrate cameras from a detection log (paper section VII), as `stereophd.api.calibrate`.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With a ``calibration`` and a ``filter`` section, and cameras at the prior mean.
-    log_path : path
-        Detection log.
-    out_dir : path
-        Folder for ``report.json``, ``posterior.parquet`` and ``history.parquet``, and where the data determine the
-        cameras ``cameras.yaml``, and the tables of ``track`` made with them.
-    progress : callable, optional
-        Called with (done, total); an exception that it raises ends the run, and leaves a checkpoint.
-
-    Returns
-    -------
-    dict
-        The report, as in ``report.json``; its ``status`` is ``undetermined`` if the data do not determine the cameras.
-
-    Raises
-    ------
-    InputError
-        Configuration, log, checkpoint or output folder are not usable; the calibration needs too much memory.
-    GateError
-        The data determine less than `require`. Everything has been written; the error carries the report.
+    The configuration has the sections ``calibration`` and ``filter``, and cameras at the prior mean. The output folder
+    gets ``report.json``, ``posterior.parquet`` and ``history.parquet``, and where the data determine the cameras
+    ``cameras.yaml``, and the tables of ``track`` made with them. `progress` is called with (done, total); an exception
+    that it raises ends the run, and leaves a checkpoint. Returns the report. Raises InputError if configuration, log,
+    checkpoint or folder are not usable, or it needs too much memory; GateError, which carries the report, if the data
+    determine less than `require`: everything has been written then.
     """
     if options.require not in ACCEPTED:
         raise InputError(f"`require`: expected determined or partly, found {options.require}")
@@ -114,8 +101,11 @@ def calibrate(
     from joblib import effective_n_jobs
 
     jobs = effective_n_jobs(options.jobs)
-    loaded, unknown = with_found_cameras(loaded, log_path)
+    limit = TimeLimit(math.inf if options.time_s is None else time.monotonic() + options.time_s)
+    loaded, unknown = with_found_cameras(loaded, log_path, limit)
     section = calibration_section(loaded)
+    if options.time_s is not None and (section.method != "annealed" or section.posterior == "smc"):
+        raise InputError("`time_s`: expected method annealed with posterior laplace, found particles, which need all")
     problem = read_problem(loaded, log_path)
     control = control_path(loaded)
     inputs = {"detections": log_path, **({} if control is None else {"control": control})}
@@ -125,6 +115,10 @@ def calibrate(
     recording = problem.recording
     size = size_of_calibration(section, len(recording.cameras), len(recording.pixels))
     check_size(size, f"{log_path}: calibration", out_dir)
+    limit.begin(
+        f"{problem.parameters.size} unknowns of {len(problem.parameters.cameras)} cameras, "
+        f"{len(recording.pixels)} detections in {len(recording.cameras)} frames"
+    )
     drawn = whether_to_draw(options.plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
@@ -136,7 +130,7 @@ def calibrate(
         held.enter_context(unfinished.held(options.resume, options.force))
         out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists))
         outcome = unknown.outcome_of_none(problem) if unknown is not None else None
-        outcome = outcome or _outcome(CalibrationRun(loaded, problem, unfinished, jobs, progress))
+        outcome = outcome or _outcome(CalibrationRun(loaded, problem, unfinished, jobs, progress, limit))
         outcome = outcome if unknown is None else unknown.judged(problem, outcome)
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, outcome, to_metadata(record))
@@ -146,11 +140,14 @@ def calibrate(
             if (world := outcome.world) is not None and problem.control is not None:
                 unit, found = problem.control.length_unit, world.alignment
                 loaded, cameras, report["control"] = in_world(loaded, cameras, world, unit)
+                if isinstance(problem.control.known, ControlPoints):
+                    report["control"] |= points_report(problem.control.known, cameras, str(control))
                 uncertainty = uncertainty_in_world(uncertainty, found.registration, found.center, world.covariance)
             write_cameras(
                 out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record,
                 rows_of(uncertainty),
             )  # fmt: skip
+            limit.begin("tracks are made with the cameras")
             report["tracking"], further = _track(loaded, uncertainty, log_path, out, to_metadata(record))
             findings += report_findings(further)
         report["checks"] = findings + _findings_of(report, outcome)
@@ -158,10 +155,10 @@ def calibrate(
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
             # Costly to import, and matplotlib is an extra.
-            from stereophd.report.plots.calibration_plots import pictures_of, write_calibration_plots
+            from stereophd.report.plots.calibration_plots import write_calibration_plots
 
             paths = {name: out.path(name) for name in PLOTS if outcome.fit or not name.startswith("residuals")}
-            write_calibration_plots(pictures_of(outcome, loaded.config.units.length), paths)
+            write_calibration_plots(outcome, loaded.config.units.length, paths)
     return _accepted(report, options.require, log_path)
 
 
@@ -222,19 +219,16 @@ def _write_posterior(out: OutputFolder, outcome: Outcome, metadata: dict[bytes, 
 
 
 def _track(
-    loaded: LoadedConfig,
-    uncertainty: CameraUncertainty,
-    log_path: Path | str,
-    out: OutputFolder,
+    loaded: LoadedConfig, uncertainty: CameraUncertainty, log_path: Path | str, out: OutputFolder,
     metadata: dict[bytes, bytes],
-) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+) -> tuple[dict[str, Any], tuple[Finding, ...]]:  # fmt: skip
     """Track with the calibrated cameras, as `stereophd.commands.track` does; return figures and findings of the run."""
-    report, cameras = loaded.config.report, uncertainty.parameters.cameras
+    report = loaded.config.report.model_copy(update={"associations": True})
+    cameras = uncertainty.parameters.cameras
     multi_filter = replace(pmb_filter(loaded, cameras), claims=True)
     stream = open_stream(loaded.config, cameras, log_path)
-    records = reported_records(multi_filter, multi_filter.motion, stream, report, reach_back=True)
-    summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}),
-                           uncertainty=uncertainty)  # fmt: skip
+    run = TrackingRun(loaded, 1, multi_filter, multi_filter.motion, cameras, report)
+    summary = run.write(run.records(stream), out, metadata, uncertainty=uncertainty)
     findings = [
         found
         for found in check_log(loaded, log_path, thorough=False, cameras=cameras)

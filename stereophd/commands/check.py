@@ -15,25 +15,11 @@ REPORT_VERSION = 1
 
 
 def check(loaded: LoadedConfig, log_path: Path | str) -> dict[str, Any]:
-    """Check a log against a configuration; nothing is written.
+    """Check a log, or a folder that holds one, against a configuration with cameras; nothing is written.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With cameras.
-    log_path : path
-        Detection log, or a folder that holds one.
-
-    Returns
-    -------
-    dict
-        ``report_version``, ``warnings`` (their number), ``checks`` (the fields of
-        `stereophd.pipeline.checks.finding.Finding`, one entry a check) and ``provenance``.
-
-    Raises
-    ------
-    InputError
-        The configuration has no cameras; the log is not usable.
+    Returns ``report_version``, ``warnings`` (their number), ``checks`` (the fields of
+    `stereophd.pipeline.checks.finding.Finding`, one entry a check) and ``provenance``. Raises InputError if the
+    configuration has no cameras, or the log is not usable.
     """
     [log_path] = expand([log_path])
     findings = check_log(loaded, log_path)

@@ -16,7 +16,7 @@ from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.options import takes
-from stereophd.pipeline.evaluation.gates import Limits, check_limits, raise_if_failed
+from stereophd.pipeline.evaluation.gates import check_limits, limits_of, raise_if_failed
 from stereophd.pipeline.evaluation.inputs import (
     SCANS_NAME,
     Tracks,
@@ -46,29 +46,13 @@ def evaluate(
     *,
     options: EvaluateOptions,
 ) -> dict[str, Any]:
-    """Score tracks against the truth, and write ``report.json``, ``per_scan.parquet`` and plots.
+    """Score tracks against the truth, as `stereophd.api.evaluate`; ``report.json``, ``per_scan.parquet`` and plots.
 
-    Parameters
-    ----------
-    tracks_path, truth_path : path
-        Tables of tracks and truth. With ``scans.parquet`` in the folder of the tracks every event is known, also
-        those that reported nothing; without it, the times of the truth stand in for them.
-    out_dir : path, optional
-        Where to write; nothing is written without it.
-
-    Returns
-    -------
-    dict
-        The report, as it is in ``report.json``.
-
-    Raises
-    ------
-    InputError
-        An option or file is not usable, units differ, no cutoff is known, nothing can be scored, or a limit names
-        no figure.
-    GateError
-        A figure is beyond its limit (or is not a number). Everything has been written; the error carries the
-        report as `report`.
+    With ``scans.parquet`` in the folder of the tracks every event is known, also those that reported nothing; without
+    it, the times of the truth stand in for them. Nothing is written without `out_dir`. Returns the report. Raises
+    InputError if an option or file is not usable, units differ, no cutoff is known, nothing can be scored, or a limit
+    names no figure; GateError, which carries the report, if a figure is beyond its limit or is not a number:
+    everything has been written then.
     """
     check_options(options, options.log_path)
     inputs = _input_paths(tracks_path, truth_path, options.log_path, options.cameras_path)
@@ -94,7 +78,7 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
     max_gap_s = DEFAULT_GAP_STEPS * truth.step_s if options.max_gap_s is None else options.max_gap_s
     scored = score_tracks(tracks, truth, sightings, options, max_gap_s, inputs["tracks"])
     warn_of_another_scene(inputs, tracks, truth, scored.scans)
-    limits = Limits(options.fail_above or {}, options.fail_below or {})
+    limits = limits_of(options.fail_above, options.fail_below)
     check_limits(limits, {**scored.figures, "scans": scored.scans})
     record = provenance("evaluate", scoring_values(options), inputs=inputs, length_unit=unit)
     report = build_report(scored, options, max_gap_s, unit, record, limits)

@@ -31,7 +31,7 @@ from stereophd.io.tables.reading import open_parquet
 from stereophd.options import takes
 from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
-from stereophd.pipeline.evaluation.gates import Limits, check_limits, gates, raise_if_failed
+from stereophd.pipeline.evaluation.gates import check_limits, gates, limits_of, raise_if_failed
 from stereophd.validated import NO_LENGTH
 
 if TYPE_CHECKING:
@@ -65,30 +65,12 @@ def evaluate_calibration(
     *,
     options: EvaluateCamerasOptions,
 ) -> dict[str, Any]:
-    """Compare two camera files, and write ``report.json``.
+    """Compare two files ``cameras.yaml``, an estimated and the true one; ``report.json`` goes into `out_dir`, if given.
 
-    Parameters
-    ----------
-    cameras_path, true_path : path
-        Estimated and true ``cameras.yaml``. With the ``posterior.parquet`` of `calibrate` beside the estimate,
-        NEES and coverage of the posterior are reported too.
-    out_dir : path, optional
-        Where to write; nothing is written without it.
-    loaded : LoadedConfig, optional
-        Scenario (``simulate``) and priors (``calibration``) whose Cramer-Rao bound is reported, its cameras the true
-        ones.
-
-    Returns
-    -------
-    dict
-        The report.
-
-    Raises
-    ------
-    InputError
-        A file is not usable, or the two have not the same cameras.
-    GateError
-        A figure is beyond its limit. Everything has been written; the error carries the report as `report`.
+    With the ``posterior.parquet`` of `calibrate` beside the estimate, NEES and coverage of the posterior are reported
+    too; with `loaded`, a scenario (``simulate``) and priors (``calibration``), the Cramer-Rao bound, its cameras the
+    true ones. Returns the report. Raises InputError if a file is not usable, or the two have not the same cameras;
+    GateError, which carries the report, if a figure is beyond its limit: everything has been written then.
     """
     estimated, true, unit = _read_pair(cameras_path, true_path)
     posterior = _posterior_of(Path(cameras_path), [camera.name for camera in true])
@@ -106,7 +88,7 @@ def evaluate_calibration(
         report["posterior"] = posterior_figures(posterior, true)
     if loaded is not None:
         report["bounds"] = bound_figures(loaded, true)
-    limits, figures = Limits(options.fail_above or {}, options.fail_below or {}), {"joint": report["joint"]}
+    limits, figures = limits_of(options.fail_above, options.fail_below), {"joint": report["joint"]}
     check_limits(limits, figures)
     report["gates"] = gates(limits, figures)
     if out_dir is not None:

@@ -46,26 +46,9 @@ def experiment(
 ) -> Results:
     """Run an experiment, and write ``runs.parquet``, ``summary.parquet``, ``timing.json`` and the figure.
 
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With an ``experiment`` section.
-    out_dir : path
-        Output folder. Finished runs are kept there until all are done.
-    progress : callable, optional
-        Called with the runs done and their total.
-
-    Returns
-    -------
-    Results
-
-    Raises
-    ------
-    InputError
-        The configuration lacks something, a setting of a method or case is wrong, the output folder cannot
-        be used, or no scheduler answers.
-    StereophdError
-        A run failed again and again; finished runs are kept.
+    Finished runs are kept in the output folder until all are done; `progress` is called with their number and the
+    total. Raises InputError if the configuration lacks something, a setting of a method or case is wrong, the folder
+    cannot be used, or no scheduler answers; StereophdError if a run failed again and again: finished runs are kept.
     """
     settings = loaded.config.experiment
     if settings is None:

@@ -9,11 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import stereophd
+from stereophd.commands.options import InitOptions
 from stereophd.config.loading import load_cameras, load_config, make_config
 from stereophd.config.yaml import Tree, apply_override, parse_override
 from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.io.outputs.disk import write_error
+from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.initial.draft import draft_from_log
@@ -27,53 +30,26 @@ REPORT_VERSION = 1
 LOGGER = logging.getLogger("stereophd")
 
 
+@takes(InitOptions)
 def init(
-    out_dir: Path | str,
-    log_path: Path | str | None = None,
-    cameras_path: Path | str | None = None,
-    length_unit: str | None = None,
-    kind: Kind | None = None,
-    force: bool = False,
-    overrides: Sequence[str] = (),
-) -> dict[str, Any]:
+    out_dir: Path | str, log_path: Path | str | None = None, cameras_path: Path | str | None = None,
+    overrides: Sequence[str] = (), *, options: InitOptions,
+) -> dict[str, Any]:  # fmt: skip
     """Write ``config.yaml`` for a log, so that `track` runs with it as it is.
 
-    Parameters
-    ----------
-    out_dir : path
-        Folder of the configuration; created if missing.
-    log_path : path, optional
-        Detection log, from which values are estimated.
-    cameras_path : path, optional
-        Cameras, native or of another program; default ``cameras.yaml`` beside the log, if it is there.
-    length_unit : str, optional
-        mm, cm, m or km; default that of the cameras, else m.
-    kind : str, optional
-        What the objects are (`animals`, `drones`, `lab`), for values that nothing else gives; default `lab`.
-    force : bool
-        Whether a ``config.yaml`` that `init` wrote may be replaced.
-    overrides : sequence of str
-        ``key.path=value`` with a YAML value each: values that are known, and that `init` keeps.
-
-    Returns
-    -------
-    dict
-        ``config`` (the path), ``length_unit``, ``values`` (key, value, source, measured), ``detectors`` (by camera,
-        with their sources), ``cameras`` and ``checks``.
-
-    Raises
-    ------
-    InputError
-        The log or the cameras are not usable, or the folder holds another ``config.yaml``.
+    Cameras are native or of another program, and by default ``cameras.yaml`` beside the log, if it is there. Values
+    that `overrides` give stay as they are. Returns ``config`` (the path), ``length_unit``, ``values`` (key, value,
+    source, measured), ``detectors`` (by camera, with their sources), ``cameras`` and ``checks``. Raises InputError if
+    the log or the cameras are not usable, or the folder holds another ``config.yaml``.
     """
     if log_path is not None:
         [log_path] = expand([log_path])
-    target = Path(out_dir) / CONFIG_FILE
+    target, kind, force = Path(out_dir) / CONFIG_FILE, options.kind or "lab", options.force
     _check_target(target, force)
-    if kind is not None and kind not in SCALES:
+    if kind not in SCALES:
         raise InputError(f"`kind`: expected one of {', '.join(SCALES)}, found {kind}")
     cameras_file = _cameras_file(log_path, cameras_path)
-    draft = _with_overrides(_begin(cameras_file, log_path, length_unit, kind or "lab"), overrides)
+    draft = _with_overrides(_begin(cameras_file, log_path, options.length_unit, kind), overrides)
     if log_path is not None and draft.cameras:
         draft = draft_from_log(draft, log_path)
     sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
@@ -125,10 +101,8 @@ def _check_target(target: Path, force: bool) -> None:
     """Refuse to overwrite a configuration that `init` did not write, or any without `force`."""
     if not target.exists():
         return
-    try:
+    with expecting("a configuration", target):
         ours = target.read_text(encoding="utf-8", errors="replace").startswith(MARK)
-    except OSError as error:
-        raise InputError(f"{target}: cannot be read: {error.strerror or error}") from error
     if not ours:
         raise InputError(
             f"{target}: expected no configuration, or one of `init`, found another one; choose a new folder"

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
+from stereophd.io.interchange.options import ExportOptions, ImportOptions
 from stereophd.options import numbers_by_key, option, options
 from stereophd.pipeline.evaluation.options import ScoreOptions
 
@@ -113,6 +114,13 @@ class CalibrateOptions(Replacing):
     require: Literal["determined", "partly"] | None = option(
         "Exit with 1 if the data determine the cameras less than this.", default=None, flag="require-status"
     )
+    time_s: float | None = option(
+        "End the search after this long with the best so far, and its status; the tracks are made after it.",
+        default=None,
+        metavar="SECONDS",
+        flag="time",
+        least=0.0,
+    )
 
 
 @options
@@ -194,6 +202,27 @@ class ExperimentOptions(Replacing):
     resume: bool = option("Continue an interrupted experiment.", default=False)
 
 
+@options
+class InitOptions(Replacing):
+    """Options of `init`."""
+
+    length_unit: Literal["mm", "cm", "m", "km"] | None = option(
+        "Unit of length; default: that of the cameras, else m.", default=None
+    )
+    kind: Literal["animals", "drones", "lab"] | None = option(
+        "Kind of the objects, for values that the log does not show; default lab.", default=None, flag="preset"
+    )
+
+
+@options
+class ReportOptions(Replacing):
+    """Options of `report`."""
+
+    logs: list[Path] | None = option("Detection log elsewhere (repeatable).", default=None, metavar="FILE", flag="log")
+    truths: list[Path] | None = option("Truth elsewhere (repeatable).", default=None, metavar="FILE", flag="truth")
+    title: str = option("Title of the page.", default="stereophd report", metavar="TEXT")
+
+
 #: Command -> the class of its options.
 OPTIONS: Mapping[str, type] = {
     "align": AlignOptions,
@@ -201,6 +230,10 @@ OPTIONS: Mapping[str, type] = {
     "evaluate": EvaluateOptions,
     "evaluate-cameras": EvaluateCamerasOptions,
     "experiment": ExperimentOptions,
+    "export": ExportOptions,
+    "import": ImportOptions,
+    "init": InitOptions,
+    "report": ReportOptions,
     "simulate": SimulateOptions,
     "track": TrackOptions,
 }

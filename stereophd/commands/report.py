@@ -6,24 +6,20 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from stereophd.errors import InputError
+import numpy as np
+
+from stereophd.commands.options import ReportOptions
 from stereophd.io.outputs.atomic import atomic_write
+from stereophd.options import takes
 from stereophd.pipeline.inspection.runs import read_runs
 
 
-def report(
-    folders: Sequence[Path | str],
-    out: Path | str,
-    *,
-    logs: Sequence[Path | str] = (),
-    truths: Sequence[Path | str] = (),
-    title: str = "stereophd report",
-    force: bool = False,
-) -> dict[str, Any]:
+@takes(ReportOptions)
+def report(folders: Sequence[Path | str], out: Path | str, *, options: ReportOptions) -> dict[str, Any]:
     """Write one self-contained HTML page about the runs in some output folders.
 
     The folders are those of `track`, `calibrate`, `evaluate` and `simulate`, in any order: what belongs together is
-    found by the hashes of the inputs. `logs` and `truths` are detection logs and truths that lie elsewhere. Returns
+    found by the hashes of the inputs. Returns
     ``page``, ``bytes``, and for each run ``name``, ``command`` and ``verdict``. Raises InputError if a folder holds
     nothing to report on, a log belongs to no run, the page exists and `force` is not given, or plotly is not installed.
     """
@@ -31,11 +27,10 @@ def report(
     from stereophd.report.summaries import verdict
 
     target = Path(out)
-    if target.exists() and not force:
-        raise InputError(f"{target}: the file exists; use `force=True` to replace it")
-    runs = read_runs(folders, logs, truths)
-    text = page(runs, title)
-    with atomic_write(target, replace=force) as temporary:
+    with atomic_write(target, replace=options.force) as temporary:
+        runs = read_runs(folders, options.logs or (), options.truths or ())
+        with np.errstate(all="ignore"):  # what cannot be drawn is not drawn
+            text = page(runs, options.title)
         temporary.write_text(text, encoding="utf-8")
     return {
         "page": str(target),

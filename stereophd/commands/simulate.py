@@ -49,32 +49,14 @@ PROGRESS_EVERY = 500
 def simulate(
     loaded: LoadedConfig, out_dir: Path | str, *, options: SimulateOptions, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """Simulate the scene of a configuration and write ``detections.parquet truth.parquet cameras.yaml``.
+    """Simulate the scene of a configuration, and write ``detections.parquet truth.parquet cameras.yaml``.
 
-    If the configuration has a section ``calibration``, ``guess.yaml`` is written too: cameras that differ from the true
-    ones by a draw from its priors.
-
-    Parameters
-    ----------
-    loaded : LoadedConfig
-        With a ``simulate`` section and cameras.
-    out_dir : path
-        Folder of the files, or of the folders ``run-0000``, ``run-0001``, ... of several runs; all
-        appear together or not at all.
-    progress : callable, optional
-        Called with ``(done, total)``: frames of one run, runs of several.
-
-    Returns
-    -------
-    dict
-        ``runs``, ``seed``, ``duration_s``, ``cameras`` (names), and sums over the runs: ``frames``,
-        ``detections`` (rows with a pixel), ``clutter`` (false ones among them), ``objects``.
-
-    Raises
-    ------
-    InputError
-        No ``simulate`` section, no object fits into the view, a bad number of runs or jobs, or an
-        output folder that cannot be used.
+    With a section ``calibration`` also ``guess.yaml``: cameras that differ from the true ones by a draw from its
+    priors. Several runs go into the folders ``run-0000``, ``run-0001``, ...; all appear together or not at all.
+    `progress` is called with (done, total): frames of one run, runs of several. Returns ``runs``, ``seed``,
+    ``duration_s``, ``cameras`` (names), and sums over the runs: ``frames``, ``detections`` (rows with a pixel),
+    ``clutter`` (false ones among them), ``objects``. Raises InputError if there is no ``simulate`` section, no object
+    fits into the view, the number of runs or jobs is bad, or the output folder cannot be used.
     """
     config, settings, runs = loaded.config, check_simulation(loaded), options.runs
     if runs is not None and runs < 1:
@@ -188,10 +170,13 @@ def _write_log(
 ) -> dict[str, int]:
     counts = {"frames": 0, "detections": 0, "clutter": 0, "objects": len(scene.objects)}
     names = [camera.name for camera in scene.cameras]
-    with LogWriter(path, metadata, object_id, scene.sized is not None) as writer:
+    optional = [*(("width_px", "height_px") if scene.sized is not None else ()), *(("object_id",) if object_id else ())]
+    with LogWriter(path, metadata, optional) as writer:
         for frame in simulate_frames(scene, seed):
-            labels = frame.object_id if object_id else None
-            writer.write(frame.log_time_s, names[frame.camera], frame.frame, frame.pixels, labels, frame.sizes)
+            values: dict[str, Any] = {"object_id": frame.object_id}
+            if frame.sizes is not None:
+                values |= {"width_px": frame.sizes[:, 0], "height_px": frame.sizes[:, 1]}
+            writer.write(frame.log_time_s, names[frame.camera], frame.frame, frame.pixels, values)
             counts["frames"] += 1
             counts["detections"] += len(frame.pixels)
             counts["clutter"] += int(np.count_nonzero(frame.object_id == CLUTTER_ID))

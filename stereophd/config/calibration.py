@@ -119,16 +119,31 @@ class NoScale(Model):
 
 
 class ControlConfig(Model):
-    """What is known of places in the world."""
+    """What is known of places in the world: a track or points."""
 
-    track: str = parameter(
-        "Parquet table of time_s, x, y, z (or latitude_deg, longitude_deg, altitude_m) of one of the objects, on a "
-        "clock of its own; relative to this file, else to the working folder"
+    track: str | None = parameter(
+        "Parquet or CSV table of time_s, x, y, z (or latitude_deg, longitude_deg, altitude_m) of one of the objects, "
+        "on a clock of its own; relative to this file, else to the working folder",
+        default=None,
     )
+    points: str | None = parameter(
+        "Parquet or CSV table of camera, u_px, v_px, x, y, z: points of known place in the images", default=None
+    )
+
+    @model_validator(mode="after")
+    def _is_one(self) -> ControlConfig:
+        if (self.track is None) == (self.points is None):
+            raise ValueError("expected track or points")
+        return self
+
+    @property
+    def file(self) -> str:
+        """The one file."""
+        return self.track or self.points or ""
 
 
 def _parse_control(value: Any) -> Any:
-    """Turn the name of a file into that of a track."""
+    """Turn the name of a file into that of a track; its columns say what it is."""
     return {"track": value} if isinstance(value, str) else value
 
 
@@ -168,7 +183,7 @@ class CalibrationConfig(Model):
     scale: ScaleConfig = parameter("what fixes the scale, which moving objects do not show", default_factory=NoScale)
     control: Annotated[
         ControlConfig | None, BeforeValidator(_parse_control, json_schema_input_type=ControlConfig | str | None)
-    ] = parameter("what fixes scale, frame and clock: a control track", default=None)
+    ] = parameter("what fixes scale and frame: a control track, which fixes the clock too, or points", default=None)
     annealed: AnnealedSettings = parameter("settings of this method", default_factory=AnnealedSettings)
     sequential: SequentialSettings = parameter("settings of this method", default_factory=SequentialSettings)
     smc: TemperedSettings = parameter("settings of posterior smc", default_factory=TemperedSettings)

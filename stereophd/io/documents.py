@@ -36,6 +36,25 @@ MAX_DETECTIONS_AT_ONCE = 1_000_000
 SAFE_LOADER: type[Any] = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
 
 
+# A longer reason is cut in the message.
+MAX_SHOWN = 200
+
+
+@contextmanager
+def expecting(what: str, where: object) -> Iterator[None]:
+    """Refuse a file whose reading fails in the block: it cannot be read, or is not `what` was expected."""
+    try:
+        yield
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:  # what libraries raise at another structure has no common name
+        if isinstance(error, OSError) and error.errno is not None:
+            raise InputError(f"{where}: cannot be read: {error.strerror or error}") from error
+        reason = " ".join(str(error).split())[:MAX_SHOWN]
+        reason = f"missing key {reason}" if isinstance(error, KeyError) else reason or type(error).__name__
+        raise InputError(f"{where}: expected {what}, found: {reason}") from error
+
+
 def most_bytes(packed: int) -> int:
     """Return the number of bytes to which `packed` bytes of a file may expand."""
     return FREE_BYTES + MAX_EXPANSION * packed
@@ -49,15 +68,12 @@ def check_claim(claimed: int, present: int, where: str) -> None:
         )
 
 
-def read_bytes(path: Path, most: int = MAX_DOCUMENT_BYTES) -> bytes:
-    """Return the bytes of a document; InputError if it cannot be read, or holds more than `most` bytes."""
-    try:
-        with open(path, "rb") as stream:
-            content = stream.read(most + 1)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    if len(content) > most:
-        raise InputError(f"{path}: expected a document of at most {most // 10**6} MB, found more")
+def read_bytes(path: Path) -> bytes:
+    """Return the bytes of a document; InputError if it cannot be read, or is larger than any of its kind."""
+    with expecting("a document", path), open(path, "rb") as stream:
+        content = stream.read(MAX_DOCUMENT_BYTES + 1)
+    if len(content) > MAX_DOCUMENT_BYTES:
+        raise InputError(f"{path}: expected a document of at most {MAX_DOCUMENT_BYTES // 10**6} MB, found more")
     return content
 
 

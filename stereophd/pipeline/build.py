@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes, GridTimes, ReportConfig
 from stereophd.config.tracking import RegionConfig
+from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.disparity.events import make_rig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
@@ -23,7 +25,10 @@ from stereophd.core.numerics.random_streams import FILTER_SAMPLES
 from stereophd.core.numerics.samples import draw_sample_sets
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
-from stereophd.pipeline.tracking.loop import ReportTimes
+from stereophd.pipeline.tracking.loop import Estimator, ReportTimes
+
+if TYPE_CHECKING:
+    from stereophd.core.bodies.filter import BodyFilter
 
 
 def build_motion(config: Config, path: Path | str) -> Motion:
@@ -42,10 +47,7 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     if isinstance(settings, SingleSettings):
         raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
     if config.object.shape != "point":
-        raise InputError(
-            f"{path}: object.shape: expected point (only track with given detectors and a stated acceleration takes "
-            f"boxes), found {config.object.shape}"
-        )
+        raise InputError(f"{path}: object.shape: expected point (only track takes boxes), found {config.object.shape}")
     motion = build_motion(config, path)
     seed = FILTER_SAMPLES.seed(config.seed)
     moments = config.moments
@@ -55,11 +57,36 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     return make_filter(settings, rig, motion, sets, threads)
 
 
+def build_bodies(config: Config, cameras: tuple[Camera, ...], path: Path | str) -> BodyFilter:
+    """Return the filter of bodies that a configuration describes.
+
+    Raises InputError unless the filter is `pmb`, objects move and no camera has a rolling shutter.
+    """
+    # imported here: what it needs of SciPy is costly to import
+    from stereophd.core.bodies.filter import BodyFilter
+
+    where, shape = "where object.shape is ellipsoid", config.object
+    assert isinstance(shape, EllipsoidSettings)
+    if not isinstance(config.filter, PmbSettings):
+        kind = "none" if config.filter is None else config.filter.kind
+        raise InputError(f"{path}: filter.kind: expected pmb {where}, found {kind}")
+    motion = build_motion(config, path)
+    if not motion.moves:
+        raise InputError(f"{path}: motion.model: expected one whose objects move {where}, found {config.motion.model}")
+    for camera in cameras:
+        if camera.readout_s != 0.0:
+            raise InputError(f"{path}: cameras.{camera.name}.readout_s: expected 0 {where}, found {camera.readout_s:g}")
+    rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
+    return BodyFilter(rig, motion, shape, config.filter)
+
+
 def build_labelled_filter(
     config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int
-) -> DisparityFilter:
+) -> Estimator[Any]:
     """Return a filter with labelled tracks for any kind of filter in the configuration."""
     settings = config.filter
+    if isinstance(config.object, EllipsoidSettings):
+        return build_bodies(config, cameras, path)
     if isinstance(settings, PhdSettings):
         labelled = PmbSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
         config = config.model_copy(update={"filter": labelled})

@@ -23,11 +23,13 @@ def _lines(run: Mapping[str, Any]) -> list[str]:
         f"  clock        {clock['shift_s']:+.4f} +- {number(clock['shift_std_s'])} s at {clock['at_s']:.3f} s, "
         f"rate {clock['rate']:.7g} +- {number(clock['rate_std'])}",
     ]
-    if "residual" in run:
-        left, tracks = run["residual"], ", ".join(map(str, run["tracks"][:8]))
+    for name, of in (("residual", unit), ("residual_px", "px")):
+        if name in run:
+            left = run[name]
+            lines.append(f"  left over    {number(left['median'])} {of} (median), {number(left['p90'])} {of} (90 %)")
+    if run["tracks"]:
         more = " and others" if len(run["tracks"]) > 8 else ""
-        lines.append(f"  left over    {number(left['median'])} {unit} (median), {number(left['p90'])} {unit} (90 %)")
-        lines.append(f"  tracks       {tracks}{more}")
+        lines.append(f"  tracks       {', '.join(map(str, run['tracks'][:8]))}{more}")
     if "scale_is_unknown" in run:
         lines.append(f"  {run['scale_is_unknown']}")
     return lines

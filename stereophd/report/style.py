@@ -6,6 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import Truth
@@ -14,7 +17,6 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
 INK, GREY, BLUE, ORANGE = "#1f2328", "#8c959f", "#0969da", "#d1600a"
 # Colours that stay apart for colour-blind readers (Okabe and Ito), without the black of the truth.
@@ -50,6 +52,13 @@ STYLE: dict[Any, Any] = {
 }
 
 
+def new_figure(width: float, height: float) -> Figure:
+    """Return an empty figure of a size in inches, which no window shows."""
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
 def plots_named(paths: Mapping[str, Path]) -> list[str]:
     """Return the plots that files such as ``ospa.svg`` show, each once."""
     return list(dict.fromkeys(name.rsplit(".", 1)[0] for name in paths))
@@ -63,6 +72,11 @@ def save_figures(figures: Mapping[str, Figure], paths: Mapping[str, Path], **opt
         metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
         how = {"pad_inches": 0.15, **options}
         figures[plot].savefig(path, format=kind, metadata=metadata, bbox_inches="tight", **how)
+
+
+def colour_of(number: int) -> str:
+    """Return the colour of a track."""
+    return TRACK_COLOURS[number % len(TRACK_COLOURS)]
 
 
 def marker_of(number: int) -> str:

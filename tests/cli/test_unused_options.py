@@ -11,6 +11,7 @@ import typer
 
 from stereophd.cli.app import app
 from stereophd.commands.options import OPTIONS
+from stereophd.io.interchange.options import Stated
 from stereophd.options import declarations
 from stereophd.pipeline.workers import places
 
@@ -51,6 +52,8 @@ ACTING = {
     "track": {"--cameras", "--smooth", "--associations", "--strict", "--listen"},
 }
 for _name, _kind in OPTIONS.items():
+    if issubclass(_kind, Stated):  # each acts in the formats that read it
+        continue
     _declared = {declared.flag_of(name) for name, declared in declarations(_kind).items() if not declared.use}
     ACTING[_name] = ACTING.get(_name, set()) | (_declared - ALWAYS)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 
 from stereophd import Camera, Clock, Detector, InputError, Lens, Pose, read_cameras, write_cameras
 from stereophd.commands.align import align
+from stereophd.core.alignment.to_points import ControlPoints, align_to_points
 from stereophd.core.alignment.to_track import align_to_track
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.core.metrics.truth.interpolation import Truth
@@ -18,7 +20,7 @@ from stereophd.core.metrics.truth.registration import Freedom
 from stereophd.io.outputs.provenance import to_metadata
 from stereophd.io.tables.schemas import TRACKS
 from stereophd.io.tables.writing import TableWriter
-from stereophd.pipeline.alignment.control import local_places
+from stereophd.pipeline.alignment.control import local_places, read_control
 
 TURN, SCALE, MOVE = rotation_from_vector([0.3, -1.2, 2.0]), 12.3, np.array([100.0, -50.0, 20.0])
 SHIFT, RATE = 47.3, 1.0005
@@ -219,3 +221,62 @@ def test_geographic_places_are_metres_about_their_origin() -> None:
     # metres of a thousandth of a degree at 47 degrees, from the radii of curvature of WGS 84
     expected = [[0.0, 0.0, 0.0], [0.0, 0.0, 111.18], [76.06, 0.0, 0.0], [0.0, -10.0, 0.0]]
     np.testing.assert_allclose(local_places(origin + moves, origin), expected, atol=0.02)
+
+
+def write_points(path: Path, cameras: list[Camera], seed: int = 0, mistaken: bool = False) -> Path:
+    """Write ten points on a plane as cameras see them, with their places in the world; the last has a height only."""
+    rng = np.random.default_rng(seed)
+    places = np.column_stack([rng.uniform(-8, 8, 10), np.zeros(10), rng.uniform(-8, 8, 10)])
+    world, rows = in_world(places) + rng.normal(0.0, 0.01, places.shape), ["point,camera,u_px,v_px,x,y,z,std,sigma_px"]
+    for camera in cameras:
+        pixels = camera.project(places) + rng.normal(0.0, 0.5, (10, 2))
+        for number, (pixel, place) in enumerate(zip(pixels, world, strict=True)):
+            shown = pixels[3] if mistaken and number == 2 and camera is cameras[0] else pixel
+            known = ["", "", f"{place[2]}"] if number == 9 else [f"{value}" for value in place]
+            rows.append(",".join([f"p{number}", camera.name, *map(str, shown), *known, "0.01", "0.5"]))
+    path.write_text("\n".join(rows))
+    return path
+
+
+def test_points_of_known_place_give_the_world_and_its_deviations(run: Path, tmp_path: Path) -> None:
+    cameras = read_cameras(run / "cameras.yaml")
+    squares = []
+    for seed in range(12):
+        points = read_control(write_points(tmp_path / "court.csv", cameras, seed), cameras)
+        assert isinstance(points, ControlPoints)
+        found = align_to_points(cameras, points, True)
+        error = np.append(
+            rotation_to_vector(TURN @ found.registration.rotation.T), np.log(SCALE) - np.log(found.registration.scale)
+        )
+        squares.append(error @ np.linalg.solve(found.covariance[np.ix_([0, 1, 2, 6], [0, 1, 2, 6])], error))
+    # the sum is chi-squared of 48 degrees of freedom
+    assert 26.0 < np.sum(squares) < 78.0
+    (report,) = align([run], tmp_path / "court.csv", tmp_path / "out")["runs"]
+    assert report["residual_px"]["median"] < 2.0
+    assert report["tracks"] == []
+    after = read_cameras(tmp_path / "out" / "cameras.yaml")[0].pose.center
+    assert np.linalg.norm(after - in_world(cameras[0].pose.center)) < 0.02 * np.linalg.norm(after - MOVE)
+
+
+def test_a_mistaken_point_is_named(run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    align([run], write_points(tmp_path / "court.csv", read_cameras(run / "cameras.yaml"), mistaken=True))
+    assert "point p2 in camera a" in caplog.text
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda text: text.replace(",a,", ",c,"), "row 0: column camera: expected one of the cameras a, b, found c"),
+        (lambda text: text.replace("u_px", "u"), "missing columns? time_s|expected .*time_s"),
+        (lambda text: "\n".join(text.splitlines()[:3]), "expected 3 or more points"),
+        (lambda text: text.replace(",1", ",9"), "another shape|open"),
+        (lambda text: text.replace("0.5\n", "0\n"), "column sigma_px: expected a number"),
+    ],
+    ids=["camera", "column", "too few", "axes", "sigma"],
+)
+def test_unusable_points_are_refused(run: Path, tmp_path: Path, change: Callable[[str], str], message: str) -> None:
+    path = write_points(tmp_path / "court.csv", read_cameras(run / "cameras.yaml"))
+    path.write_text(change(path.read_text()))
+    with pytest.raises(InputError, match=message):
+        align([run], path, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

@@ -16,9 +16,13 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
+from stereophd.core.geometry.camera import BOX_NOISE
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.errors import InputError
 from stereophd.io.streams.rows import ArrowRows, document_of
+from stereophd.pipeline.initial.bodies import measure_bodies, refine_bodies
+from stereophd.pipeline.stream import open_stream
+from stereophd.pipeline.tracking.run import build_tracking
 
 CONFIG = "configs/crowd.yaml"
 SMALL = ["simulate.duration_s=6", "simulate.walkers.count=4"]
@@ -80,8 +84,6 @@ def test_points_do_not_read_boxes(log: Path, tmp_path: Path) -> None:
         (["filter.kind=phd"], "filter.kind: expected pmb .*, found phd"),
         (["motion={model: static}"], "motion.model: expected one whose objects move .*, found static"),
         (["report.smooth={}"], "report.smooth: expected none"),
-        (["detector=estimate"], "detector: expected given .*, found estimate"),
-        (["motion.acceleration_std=estimate"], "object.shape: expected point"),
         (["cameras.northeast.readout_s=0.01"], "cameras.northeast.readout_s: expected 0"),
         (["object={shape: point}"], "filter.birth: expected exactly one of disparity and depth_range, found none"),
         (["object.up=null"], "object: expected width and up, or neither of them"),
@@ -92,6 +94,40 @@ def test_points_do_not_read_boxes(log: Path, tmp_path: Path) -> None:
 def test_what_bodies_do_not_go_with_is_refused(log: Path, tmp_path: Path, changes: list[str], message: str) -> None:
     with pytest.raises(InputError, match=message):
         track(load_config(CONFIG, changes), log, tmp_path / "out")
+
+
+def test_size_and_ground_are_those_of_the_boxes(log: Path) -> None:
+    loaded = load_config(CONFIG)
+    cameras = loaded.build_cameras()
+    events = list(open_stream(loaded.config, cameras, log))
+    bodies = measure_bodies(cameras, [events])
+    assert bodies is not None
+    assert bodies.up is not None
+    assert bodies.ground is not None
+    # of four people of 1.7 +- 0.1 m, from boxes seen from above
+    np.testing.assert_allclose(bodies.height[0], 1.7, atol=0.15)
+    np.testing.assert_allclose(bodies.width[0], 0.5, atol=0.1)
+    np.testing.assert_array_equal(bodies.up, [0.0, 0.0, 1.0])
+    np.testing.assert_allclose(bodies.ground[2], 0.0, atol=0.1)
+    refined = refine_bodies(bodies, loaded, cameras, [events])
+    np.testing.assert_allclose(refined.height[0], 1.7, atol=0.1)
+    assert refined.ground is not None
+    np.testing.assert_allclose(refined.ground[2], 0.0, atol=0.05)
+    # without boxes, and where boxes have no partner, nothing is known
+    assert measure_bodies(cameras, [[replace(event, sizes=None) for event in events]]) is None
+    assert measure_bodies(cameras, [[event for event in events if event.camera == 0]]) is None
+
+
+def test_detectors_of_boxes_are_estimated(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stereophd.pipeline.detectors.passes.MOST_PASSES", 1)
+    run = build_tracking(load_config(CONFIG, ["detector=estimate"]))
+    found = run.with_estimated_detectors(open_stream(run.loaded.config, run.cameras, log))
+    assert found.detectors is not None
+    assert {camera.detector.box_noise for camera in found.cameras} == {found.cameras[0].detector.box_noise}
+    np.testing.assert_allclose(found.cameras[0].detector.box_noise, BOX_NOISE, rtol=0.3)
+    for entry in found.detectors["cameras"].values():
+        assert 0.9 < entry["p_detect"] < 1.0
+        assert 0.2 < entry["clutter_per_frame"] < 1.2
 
 
 def test_bad_boxes_are_bad_rows(log: Path, tmp_path: Path) -> None:

@@ -216,6 +216,20 @@ def test_resume_refuses_what_is_not_its_own(scene: Path, tmp_path: Path) -> None
     with pytest.raises(KeyboardInterrupt):
         calibrate(other, log, out, resume=True, force=True, progress=stop)
     assert kept_file(out).read_bytes() != kept
+    # what an interrupted run has kept may be all that is wanted
+    report = calibrate(other, log, out, resume=True, time_s=0.0, plots=False)
+    assert report["status"] == "undetermined"
+    assert "only 1 of 1 starts found these cameras" in report["reason"]
+    assert "calibration.time" in {one["name"] for one in report["checks"]}
+
+
+def test_without_time_nothing_is_called_determined(scene: Path, tmp_path: Path) -> None:
+    report = calibrate(loaded(scene), scene / "detections.parquet", tmp_path / "out", time_s=0.0, plots=False)
+    assert report["status"] == "undetermined"
+    assert "the time was over" in report["reason"]
+    sampled = loaded(scene, (*QUICK, "calibration.posterior=smc"))
+    with pytest.raises(InputError, match="`time_s`: expected method annealed"):
+        calibrate(sampled, scene / "detections.parquet", tmp_path / "out", time_s=1.0, force=True)
 
 
 def cut(scene: Path, out: Path, keep: Callable[[dict[str, np.ndarray]], np.ndarray]) -> Path:

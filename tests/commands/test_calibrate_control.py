@@ -96,11 +96,30 @@ def test_scale_frame_and_clock_are_those_of_the_control(cameras: list[Camera], l
     assert np.median(np.linalg.norm(places - truth, axis=2).min(axis=0)) < 0.1
 
 
+def test_points_fix_scale_and_frame(cameras: list[Camera], log: Path, tmp_path: Path) -> None:
+    rng, rows = np.random.default_rng(3), []
+    places = np.column_stack([rng.uniform(-6, 6, 8), rng.uniform(2, 4, 8), rng.uniform(12, 24, 8)])
+    for camera in cameras:
+        for place, pixel in zip(places, camera.project(places) + rng.normal(0, 0.3, (8, 2)), strict=True):
+            rows.append((camera.name, *pixel, *(TURN @ place + MOVE), 0.3))
+    names = ("camera", "u_px", "v_px", "x", "y", "z", "sigma_px")
+    pq.write_table(
+        pa.table(dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))), tmp_path / "court.parquet"
+    )
+    given = config(cameras, control={"points": str(tmp_path / "court.parquet")})
+    report = calibrate(make_config(given), log, tmp_path / "out", plots=False)
+    assert report["control"]["residual_px"]["median"] < 1.0
+    for camera, again in zip(cameras, read_cameras(tmp_path / "out" / "cameras.yaml"), strict=True):
+        turn = again.pose.rotation @ (camera.pose.rotation @ TURN.T).T
+        assert np.linalg.norm(rotation_to_vector(turn)) < 5e-3
+        assert np.linalg.norm(again.pose.center - (TURN @ camera.pose.center + MOVE)) < 0.1
+
+
 @pytest.mark.parametrize(
     ("control", "changes", "message"),
     [
         ("none.parquet", {}, "none.parquet: there is no such file"),
-        ("log.parquet", {}, "missing columns x, y, z"),
+        ("log.parquet", {}, "missing columns? x, y, z"),
         ("gps.parquet", {"posterior": "smc"}, "expected method annealed and posterior laplace"),
     ],
 )
@@ -120,5 +139,5 @@ def test_a_control_that_fits_nothing_is_not_used_and_said(cameras: list[Camera],
     )
     report = calibrate(make_config(config(cameras, control=str(path))), log, tmp_path / "out", plots=False)
     assert report["status"] == "partly determined"
-    assert "the control track was not used" in report["reason"]
+    assert "the control was not used" in report["reason"]
     assert "control" not in report

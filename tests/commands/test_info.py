@@ -43,7 +43,7 @@ def write_log(path: Path) -> Path:
 
 @pytest.mark.parametrize("piece", [7, 16384])
 def test_a_log(tmp_path: Path, piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stereophd.pipeline.inspection.log.ROW_GROUP_ROWS", piece)
+    monkeypatch.setattr("stereophd.io.tables.reading.ROW_GROUP_ROWS", piece)
     found = info(write_log(tmp_path / "log.parquet"))
     assert found["kind"] == "detections"
     assert (found["first_s"], found["last_s"]) == (0.0, pytest.approx(13.85))

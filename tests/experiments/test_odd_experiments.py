@@ -25,6 +25,12 @@ SMALL = {
     "figure12": ["simulate.duration_s=3", "experiment.windows={}"],
 }
 
+FEW_PARTICLES = (
+    "{annealed: {}, plain: {calibration.method: sequential, calibration.sequential.particles: 8}, sequential: "
+    "{calibration.method: sequential, calibration.sequential: {moves: rerun, particles: 8, first_particles: 8, "
+    "moves_per_step: 1}}}"
+)
+
 
 @pytest.mark.parametrize(
     ("name", "override", "message"),
@@ -55,7 +61,7 @@ def test_an_experiment_is_refused(
 @pytest.mark.parametrize(
     "overrides",
     [
-        ("figure13", "simulate.objects.count=0", "simulate.duration_s=9", "calibration.sequential.particles=8"),
+        ("figure13", "simulate.objects.count=0", "simulate.duration_s=9", f"experiment.methods={FEW_PARTICLES}"),
         ("static_scene", "simulate.objects.count=0", "experiment.scenario.bound_scenes=1"),
     ],
 )

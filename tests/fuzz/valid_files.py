@@ -46,7 +46,7 @@ class Use:
 
     folder: str
     words: str
-    often: int = 6  # Share of the cases; fewer of what takes longer
+    often: int = 24  # Share of the cases; fewer of what takes longer
     stdin: str = ""
 
 
@@ -55,25 +55,27 @@ USES = {
     "info of tracks": Use("run", "info tracked/tracks.parquet"),
     "info of a folder": Use("run", "info tracked"),
     "info of cameras": Use("run", "info cameras.yaml"),
-    "check": Use("run", "check config.yaml log.parquet --cameras cameras.yaml", 1),
-    "config check": Use("run", "config check config.yaml --cameras cameras.yaml", 12),
+    "check": Use("run", "check config.yaml log.parquet --cameras cameras.yaml", 4),
+    "config check": Use("run", "config check config.yaml --cameras cameras.yaml", 48),
     "config check for calibrate": Use("run", "config check config.yaml --for calibrate"),
     "config show": Use("run", "config show config.yaml --cameras cameras.yaml"),
     "simulate": Use("run", "simulate config.yaml --out OUT"),
-    "track": Use("run", "track config.yaml log.parquet --out OUT", 3),
-    "track smoothed": Use("run", "track config.yaml log.parquet --smooth --associations --out OUT", 1),
-    "track in pieces": Use("run", "track config.yaml log.parquet --pieces 0.4 --overlap 0.1 --out OUT", 1),
-    "track bodies": Use("bodies", "track config.yaml log.parquet --out OUT", 2),
-    "simulate bodies": Use("bodies", "simulate config.yaml --out OUT", 2),
-    "check bodies": Use("bodies", "check config.yaml log.parquet", 1),
+    "track": Use("run", "track config.yaml log.parquet --out OUT", 6),
+    "track smoothed": Use("run", "track config.yaml log.parquet --smooth --associations --out OUT", 3),
+    "track in pieces": Use("run", "track config.yaml log.parquet --pieces 0.4 --overlap 0.1 --out OUT", 3),
+    "track bodies": Use("bodies", "track config.yaml log.parquet --out OUT", 8),
+    "simulate bodies": Use("bodies", "simulate config.yaml --out OUT", 12),
+    "check bodies": Use("bodies", "check config.yaml log.parquet", 12),
     "track several": Use("run", "track config.yaml log.parquet other.parquet --out OUT", 1),
-    "track a stream": Use("run", "track config.yaml - --out OUT", 2, stdin="frames.jsonl"),
+    "track a stream": Use("run", "track config.yaml - --out OUT", 3, stdin="frames.jsonl"),
     "init": Use("run", "init OUT --log log.parquet --cameras cameras.yaml", 1),
     "evaluate": Use(
         "run", "evaluate tracked/tracks.parquet truth.parquet --cutoff 1 --cameras cameras.yaml --log log.parquet "
         "--seen-by 1 --seen-within 1 --out OUT --no-plots",
     ),
-    "align to a track": Use("control", "align cameras.yaml --to control.parquet --tracks tracks.parquet --out OUT"),
+    "calibrate": Use("run", "calibrate config.yaml log.parquet --out OUT", 6),
+    "experiment": Use("experiment", "experiment config.yaml --out OUT", 4),
+    "align to a track": Use("control", "align cameras.yaml --to control.parquet --tracks tracks.parquet --out OUT", 6),
     "align to a camera": Use("run", "align cameras.yaml --to left --out OUT"),
     "evaluate cameras": Use("run", "evaluate-cameras cameras.yaml guess.yaml --out OUT"),
     "report": Use("run", "report tracked scores --log log.parquet --truth truth.parquet --out OUT.html"),
@@ -85,28 +87,29 @@ USES = {
     "export opencv": Use("run", "export opencv cameras.yaml --out OUT.yml"),
     "export colmap": Use("run", "export colmap cameras.yaml --out OUT"),
     "export anipose": Use("run", "export anipose cameras.yaml --out OUT.toml"),
-    "import csv": Use("run", "import csv points.csv --cameras cameras.yaml --fps 20 --out OUT", 12),
+    "import csv": Use("run", "import csv points.csv --cameras cameras.yaml --fps 20 --out OUT", 48),
     "import anipose": Use("anipose", "import anipose rig.toml --out OUT"),
-    "import braid": Use("braid", "import braid fly.braidz --out OUT", 12),
-    "import caliscope": Use("caliscope", "import caliscope session --out OUT", 12),
-    "import coco": Use("coco", "import coco labels.json --fps 2 --out OUT", 12),
+    "import braid": Use("braid", "import braid fly.braidz --out OUT", 48),
+    "import caliscope": Use("caliscope", "import caliscope session --out OUT", 48),
+    "import coco": Use("coco", "import coco labels.json --fps 2 --out OUT", 48),
     "import colmap": Use("colmap", "import colmap model --out OUT"),
     "import deeplabcut": Use("deeplabcut", "import deeplabcut top.csv --fps 2 --min-score 0.5 --out OUT"),
     "import deeplabcut hdf5": Use("deeplabcut", "import deeplabcut topDLC_net.h5 --fps 2 --out OUT"),
     "import dlt": Use("dlt", "import dlt rig.csv --image-size 640x480 --length-unit m --out OUT"),
     "import dltdv": Use(
-        "dltdv", "import dltdv flight-xypts.csv dlt.csv --fps 100 --image-size 640x480 --length-unit m --out OUT", 12
+        "dltdv", "import dltdv flight-xypts.csv dlt.csv --fps 100 --image-size 640x480 --length-unit m --out OUT", 48
     ),
     "import kalibr": Use("kalibr", "import kalibr rig.yaml --out OUT"),
-    "import mot": Use("mot", "import mot north south --out OUT", 12),
+    "import mot": Use("mot", "import mot north south --out OUT", 48),
     "import opencv yaml": Use("opencv", "import opencv rig.yml --out OUT"),
     "import opencv xml": Use("opencv", "import opencv rig.xml --out OUT"),
     "import opencv json": Use("opencv", "import opencv left.json right.json --out OUT"),
     "import opencv npz": Use("opencv", "import opencv rig.npz --out OUT"),
-    "import openptv through glass": Use("tank", "import openptv parameters/ptv.par --fps 50 --out OUT"),
-    "import myptv": Use("myptv", "import myptv blobs_left --fps 50 --truth trajectories --out OUT", 12),
-    "import openptv": Use("openptv", "import openptv parameters/ptv.par --fps 50 --out OUT", 12),
+    "import openptv through glass": Use("tank", "import openptv parameters/ptv.par --fps 50 --out OUT", 4),
+    "import myptv": Use("myptv", "import myptv blobs_left --fps 50 --truth trajectories --out OUT", 48),
+    "import openptv": Use("openptv", "import openptv parameters/ptv.par --fps 50 --out OUT", 48),
     "import sleap": Use("sleap", "import sleap top.analysis.h5 --fps 2 --out OUT"),
+    "import yolo": Use("yolo", "import yolo north --fps 2 --image-size 64x48 --out OUT", 12),
     "foreign cameras of a configuration": Use("opencv", "info rig.yml"),
 }  # fmt: skip
 
@@ -157,6 +160,15 @@ def write_control(folder: Path) -> None:
     shutil.rmtree(folder / "tracked")
 
 
+def write_experiment(folder: Path) -> None:
+    """Write an experiment of the paper, with two runs of two methods."""
+    document = yaml.safe_load((CONFIGS / "paper" / "figure4.yaml").read_text(encoding="utf-8"))
+    study = document["experiment"]
+    study["runs"], study["scenario"]["reference_samples"] = 2, 2000
+    study["methods"] = dict(list(study["methods"].items())[:2])
+    (folder / "config.yaml").write_text(yaml.safe_dump(document), encoding="utf-8")
+
+
 def write_bodies(folder: Path) -> None:
     """Write a configuration of people and its log of boxes."""
     document = yaml.safe_load((CONFIGS / "crowd.yaml").read_text(encoding="utf-8"))
@@ -172,6 +184,13 @@ def write_coco(folder: Path) -> None:
     boxes = [{"id": k, "image_id": k, "bbox": [k, 2, 3, 4], "score": 0.5, "track_id": 1} for k in range(4)]
     points = [{"id": 9, "image_id": 3, "keypoints": [3, 4, 2, 0, 0, 0, 7, 8, 1]}]
     (folder / "labels.json").write_text(json.dumps({"images": images, "annotations": [*boxes, *points]}))
+
+
+def write_yolo(folder: Path) -> None:
+    (folder / "north" / "labels").mkdir(parents=True)
+    for frame in range(3):
+        text = f"0 0.5 0.{frame + 1} 0.25 0.5 0.9 1\n"
+        (folder / "north" / "labels" / f"street_{frame}.txt").write_text(text)
 
 
 def write_deeplabcut(folder: Path) -> None:
@@ -271,6 +290,7 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "deeplabcut": write_deeplabcut,
     "dlt": _exported("dlt", "rig.csv", (0.0,)),
     "dltdv": write_dltdv,
+    "experiment": write_experiment,
     "kalibr": write_kalibr,
     "mot": write_mot,
     "myptv": write_myptv,
@@ -279,6 +299,7 @@ WRITERS: dict[str, Callable[[Path], None]] = {
     "run": write_run,
     "sleap": write_sleap,
     "tank": write_glass,
+    "yolo": write_yolo,
 }
 
 

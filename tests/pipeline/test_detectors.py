@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -222,9 +223,9 @@ def test_values_from_sums() -> None:
     np.testing.assert_allclose(found.detector.sigma, [4.0, 6.0], rtol=1e-4)
     # standard error of R_new / R: sqrt(2 * 50 * (0.64 + 0.16)) / 60, over the mean share (0.64 + 0.16) / 1.2
     relative = np.sqrt(2 * 50 * 0.8) / 60 / (0.8 / 1.2) / 2
-    np.testing.assert_allclose(found.sigma_error, np.array([4.0, 6.0]) * relative, rtol=1e-4)
+    np.testing.assert_allclose(found.noise_error, np.array([4.0, 6.0]) * relative, rtol=1e-4)
     assert found.residual_ratio == pytest.approx(2.0)
-    assert found.detector.p_detect == pytest.approx(75.5 / 101.0)
+    assert found.detector.p_detect == pytest.approx(79.5 / 105.0)
     assert found.detector.clutter_per_frame == pytest.approx(50.5 / 50.0)
     # a prior of 5 px for both axes takes its share of the logarithm
     sure = estimate_detector(sums, present, NoisePrior(np.array([5.0, 5.0]), 0.0))
@@ -237,7 +238,9 @@ def test_values_from_sums() -> None:
     nothing = estimate_detector(DetectorSums(), present, NoisePrior(np.array([1.0, 2.0]), 1.0))
     assert nothing.detector.sigma.tolist() == [1.0, 2.0]
     assert (nothing.detector.p_detect, nothing.detector.clutter_per_frame) == (0.9, 1.0)
-    assert (nothing.residual_ratio, nothing.confirmed, nothing.p_detect_error) == (None, False, None)
+    assert (nothing.residual_ratio, nothing.confirmed, nothing.clutter_error) == (None, False, None)
+    undecided = replace(sums, undecided=100)
+    assert estimate_detector(undecided, present, vague).clutter_error == pytest.approx(2.0, rel=0.01)
 
 
 @pytest.mark.parametrize(("ratio", "confirmed"), [(0.12, False), (1.0, True), (24.0, False)])

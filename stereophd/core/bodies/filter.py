@@ -56,8 +56,6 @@ STAYING_SHARE, FALSE_DETECTED = 0.05, 0.8
 FALSE_RELEASE = 0.1
 # Rounds over the associations of the cameras of one instant.
 ROUNDS = 1
-# Detections that tracks claim with more than these odds against clutter give birth to nothing: it would be pruned.
-CLEARLY_CLAIMED = 1e3
 
 
 @dataclass(frozen=True)
@@ -111,13 +109,16 @@ class BodyFilter:
         """Predict, update and report for one event."""
         camera = self.rig.cameras[event.camera].at(event.time_s)
         elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
+        state, info = self._update(self.predict(state, event), event, camera, elapsed)
+        return self._extract(state, info)
+
+    def predict(self, state: BodyState, event: Event) -> BodyState:
+        """Return the state before the boxes of an event; one that opens an instant ends the one before."""
         if event.time_s - state.instant_s >= self.shape.instant_s or state.counts[event.camera] >= 0:
             hypotheses = merged(state.hypotheses, self.settings.hypothesis_distance)
             none = (-1,) * len(self.rig.cameras)
             state = replace(state, hypotheses=hypotheses, reported=state.shown, instant_s=event.time_s, counts=none)
-        state = self._predicted(state, event.time_s)
-        state, info = self._update(state, event, camera, elapsed)
-        return self._extract(state, info)
+        return self._predicted(state, event.time_s)
 
     def forecast(self, state: BodyState, info: Info, time_s: float) -> tuple[Info, Estimates]:
         """Predict the bodies of a state to a later time at which no camera reported."""
@@ -185,7 +186,8 @@ class BodyFilter:
         pairs = self._pairs(hypotheses, projected, slopes, hidden, boxes, camera)
         with np.errstate(over="ignore"):
             masses = weights[pairs.rows] * detection[pairs.rows] * np.exp(np.minimum(pairs.log_odds, 500.0)) / clutter
-        claimed = np.bincount(pairs.columns, masses, len(boxes)) > CLEARLY_CLAIMED
+        # a new track whose box others claim with odds m exists with a probability of the order of 1 / m: it is pruned
+        claimed = np.bincount(pairs.columns, masses, len(boxes)) * self.settings.recycle_below > 1.0
         newborns, born = self._newborns(boxes, ~claimed, camera, births * detector.p_detect / clutter)
         stays = STAYING_SHARE * self._is_in_other_views(newborns, event) * ~claimed
 

@@ -120,29 +120,10 @@ def make_event(
 ) -> Event:
     """Undistort the detections of a frame, carrying their noise through the Jacobian.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera that made them.
-    index : int
-        Its index in the rig.
-    time_s : float
-        Time of the frame, s.
-    pixels : array (m, 2)
-        Distorted pixels, as in the log.
-    sigma : array (m, 2), optional
-        Standard deviations of the detections, px; by default the detector's.
-    frame : int
-        Number of the frame.
-    sizes : array (m, 2), optional
-        Width and height of their boxes, px.
-    rows : array (m,) of int, optional
-        Row of each detection in the log; default its number in the frame.
-
-    Returns
-    -------
-    Event
-        Without the detections at which the lens model cannot be inverted; it counts them.
+    Pixels (m, 2) are as in the log, with standard deviations `sigma` (m, 2), px, by default the detector's, and with
+    widths and heights `sizes` (m, 2) of boxes; `index` is that of the camera in the rig, and `rows` (m,) those of the
+    log, by default numbers in the frame. The event has no detections at which the lens model cannot be inverted; it
+    counts them.
     """
     std = np.empty(pixels.shape)
     std[:] = camera.detector.sigma if sigma is None else sigma
@@ -155,7 +136,7 @@ def make_event(
         time_s, index, points[order], covariances[order], areas[order], None if delays is None else delays[order],
         frame, len(pixels) - len(order), sigma is not None, pixels[order], None if moved is None else moved[order],
         None if sizes is None else sizes[order],
-        order if rows is None else rows[order],
+        order if rows is None else rows[order]
     )  # fmt: skip
 
 

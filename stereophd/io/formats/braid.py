@@ -22,10 +22,10 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.io.documents import open_packed_table, read_bytes, read_member
+from stereophd.io.documents import expecting, open_packed_table, read_bytes, read_member
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.cameras import put_together
-from stereophd.io.interchange.documents.text_tables import numbers, read_batches
+from stereophd.io.interchange.documents.text_tables import number_batches, read_batches
 from stereophd.io.interchange.fitted import StatedLens, parts_of_projection
 from stereophd.io.interchange.projection import Decomposed, decompose, is_left_handed
 
@@ -59,12 +59,9 @@ def _read_calibration(
 ) -> None:
     import xml.etree.ElementTree as ElementTree
 
-    try:
+    with expecting("a calibration of flydra or Braid (XML)", where):
         root = ElementTree.fromstring(content)
-        elements = list(root.iter("single_camera_calibration"))
-        entries = [_entry(element) for element in elements]
-    except (ElementTree.ParseError, ValueError, AttributeError) as error:
-        raise InputError(f"{where}: expected a calibration of flydra or Braid (XML), found: {error}") from error
+        entries = [_entry(element) for element in root.iter("single_camera_calibration")]
     if not entries:
         raise InputError(f"{where}: expected single_camera_calibration, found none")
     if root.find("water") is not None:
@@ -134,13 +131,10 @@ def _uncommented(content: bytes) -> bytes:
 def _detections(
     path: Path, names: dict[int, str], skewed: dict[str, Decomposed], recording: ForeignRecording
 ) -> Iterator[Piece]:
-    import pyarrow as pa
-
-    kinds = dict.fromkeys(("camn", "frame", "timestamp", "cam_received_timestamp", "x", "y"), pa.float64())
+    columns = ("camn", "frame", "timestamp", "cam_received_timestamp", "x", "y")
     with open_packed_table(path, f"{DETECTIONS}.gz") as table:
         is_triggered: dict[int, bool] = {}
-        for batch in read_batches(table, ",", kinds, f"{path}: {DETECTIONS}"):
-            row = {name: numbers(batch, name) for name in kinds}
+        for row in number_batches(table, ",", columns, f"{path}: {DETECTIONS}"):
             for camn in np.unique(row["camn"]).astype(int).tolist():
                 mine = {name: values[row["camn"] == camn] for name, values in row.items()}
                 trigger = is_triggered.setdefault(camn, bool(np.isfinite(mine["timestamp"]).all()))
@@ -156,13 +150,8 @@ def _detections(
 
 def recognises_cameras(path: Path) -> bool:
     """Whether a file is an XML calibration of flydra or Braid."""
-    if path.is_dir():
-        return False
-    try:
-        with open(path, "rb") as stream:
-            head = stream.read(4096)
-    except OSError:
-        return False
+    with open(path, "rb") as stream:
+        head = stream.read(4096)
     return b"<multi_camera_reconstructor" in head or b"<single_camera_calibration" in head
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
-from stereophd.io.interchange.documents.text_tables import first_lines, numbers, read_batches, split_line
+from stereophd.io.interchange.documents.text_tables import header_of, number_batches
 from stereophd.io.interchange.documents.toml_cameras import read_toml, toml_camera
 from stereophd.io.interchange.truth import POINTS_OF_A_GROUP, long_truth, read_columns
 
@@ -71,7 +71,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 
 def _files_of(folder: Path, recording: ForeignRecording) -> list[Path]:
     """Return the cameras, points and times of a session, or of a folder of it."""
-    cameras = [path for name in CAMERA_FILES if recognises_cameras(path := folder / name)][:1]
+    cameras = [path for name in CAMERA_FILES if (path := folder / name).is_file() and recognises_cameras(path)][:1]
     places = [folder, *(place for pattern in POINT_FOLDERS for place in sorted(folder.glob(pattern)))]
     tables = [path for place in places for path in sorted(place.glob(POINT_FILES)) if _is_points(path)]
     if not tables:
@@ -126,19 +126,13 @@ def _camera_tables(document: dict[str, Any]) -> dict[str, dict[str, Any]]:
 
 def recognises_cameras(path: Path) -> bool:
     """Whether a file is TOML with tables ``[cameras.N]``, or ``[cam_N]`` with a port."""
-    if path.is_dir() or path.suffix.lower() != ".toml":
-        return False
-    try:
-        tables = _camera_tables(read_toml(path))
-    except InputError:
-        return False
+    tables = _camera_tables(read_toml(path)) if path.suffix.lower() == ".toml" else {}
     return any("matrix" in values for values in tables.values())
 
 
 def _column(path: Path, names: Sequence[str], expected: str | None) -> str | None:
     """Return which of some columns a table has."""
-    lines = first_lines(path, 1)
-    header = split_line(lines[0]) if lines else []
+    _, header = header_of(path)
     found = next((name for name in names if name in header), None)
     if found is None and expected is not None:
         raise InputError(f"{path}: expected a column {expected}, found {', '.join(header) or 'an empty file'}")
@@ -164,8 +158,6 @@ def _counted(path: Path, options: ImportOptions) -> Iterator[Piece]:
 
 
 def _rows(path: Path, options: ImportOptions, has_points: bool, sync: Sequence[str]) -> Iterator[Piece]:
-    import pyarrow as pa
-
     wanted: dict[str, Sequence[str]] = {"camera": CAMERA, "frame": sync, "time": TIME}
     if has_points:
         wanted |= {"u": U, "v": V, "point": POINT}
@@ -173,8 +165,8 @@ def _rows(path: Path, options: ImportOptions, has_points: bool, sync: Sequence[s
     objects = _column(path, OBJECT, None)
     if has_points and objects is not None:
         column["object"] = objects
-    for batch in read_batches(path, ",", dict.fromkeys(column.values(), pa.float64()), str(path)):
-        values = {key: numbers(batch, name) for key, name in column.items()}
+    for batch in number_batches(path, ",", column.values(), str(path)):
+        values = {key: batch[name] for key, name in column.items()}
         for camera in np.unique(values["camera"]):
             mine = {key: value[values["camera"] == camera] for key, value in values.items()}
             extra: dict[str, Array] = {}

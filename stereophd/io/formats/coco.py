@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.pixels import native_pixels
 
@@ -36,16 +36,9 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 
 def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
     for path in sources:
-        try:
+        with expecting("COCO's images and annotations", path):
             document = json.loads(path.read_text(encoding="utf-8-sig"))
-            images, annotations = document["images"], document["annotations"]
-            yield from _split(path, images, annotations, options, recording)
-        except OSError as error:
-            raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-        except InputError:
-            raise
-        except (ValueError, KeyError, TypeError) as error:
-            raise InputError(f"{path}: expected COCO's images and annotations, found: {error!r}") from error
+            yield from _split(path, document["images"], document["annotations"], options, recording)
 
 
 def _split(

@@ -20,6 +20,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig
+from stereophd.io.documents import expecting
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, put_together, take_apart, unit
 
@@ -66,11 +67,9 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
         if not path.is_file():
             raise InputError(f"{path}: expected cameras and images of a COLMAP model, found no such file")
     recording = ForeignRecording(files=files)
-    try:
+    with expecting("a COLMAP model", folder):
         intrinsics = dict(_binary_cameras(files[0]) if is_binary else _text_cameras(files[0]))
         images = list(_binary_images(files[1]) if is_binary else _text_images(files[1]))
-    except (ValueError, KeyError, IndexError, struct.error) as error:
-        raise InputError(f"{folder}: expected a COLMAP model, found: {error!r}") from error
     recording.length_unit = unit(options, recording, str(folder))
     for image in sorted(images, key=lambda item: item.name):
         name = options.name(str(PurePosixPath(image.name).with_suffix("")))

@@ -32,7 +32,7 @@ from stereophd.io.interchange.base import (
     ImportOptions,
     Piece,
 )
-from stereophd.io.interchange.documents.text_tables import first_lines, read_batches, separator_of, split_line
+from stereophd.io.interchange.documents.text_tables import header_of, read_batches
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.truth import long_truth
 
@@ -97,10 +97,10 @@ def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: Impor
 
 def _header(path: Path) -> tuple[str, list[str]]:
     """Return the separator of a table and the names of its columns."""
-    lines = first_lines(path, 1)
-    if not lines or not lines[0].strip():
+    separator, header = header_of(path)
+    if not any(header):
         raise InputError(f"{path}: expected a table with a header, found an empty first line")
-    return separator_of(lines[0]), split_line(lines[0])
+    return separator, header
 
 
 def _find_columns(path: Path, header: Sequence[str], options: ImportOptions) -> dict[str, str]:

@@ -21,9 +21,9 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.io.documents import check_hdf5
+from stereophd.io.documents import check_hdf5, expecting
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_package
-from stereophd.io.interchange.documents.text_tables import first_lines, numbers, read_batches
+from stereophd.io.interchange.documents.text_tables import first_lines, number_batches
 from stereophd.io.interchange.pixels import native_pixels, point_rows
 
 ADDED = re.compile(r"_?DLC_.*$|_?DLC$")
@@ -80,11 +80,9 @@ def _named(parts: Sequence[str], coordinates: Sequence[str], individuals: Sequen
 
 
 def _csv_rows(path: Path, count: int, skip: int) -> Iterator[tuple[Array, Array]]:
-    import pyarrow as pa
-
     names = ["frame", *(f"c{k}" for k in range(count))]
-    for batch in read_batches(path, ",", dict.fromkeys(names, pa.float64()), str(path), names, skip):
-        yield numbers(batch, "frame"), np.stack([numbers(batch, name) for name in names[1:]], axis=1)
+    for batch in number_batches(path, ",", names, str(path), names, skip):
+        yield batch["frame"], np.stack([batch[name] for name in names[1:]], axis=1)
 
 
 def _hdf(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:
@@ -93,14 +91,11 @@ def _hdf(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:
         import h5py
     except ImportError as error:
         raise need_package("h5py", f"{path}: a file of DeepLabCut in HDF5") from error
-    try:
-        with h5py.File(path, "r") as file:
-            check_hdf5(file, path)
-            group = file["df_with_missing"] if "df_with_missing" in file else file[next(iter(file))]
-            axes = _unpickled(group.attrs["non_index_axes"])
-            rows = group["table"][:]
-    except (OSError, KeyError, ValueError, StopIteration, pickle.UnpicklingError) as error:
-        raise InputError(f"{path}: expected the table of DeepLabCut (df_with_missing), found: {error}") from error
+    with expecting("the table of DeepLabCut (df_with_missing)", path), h5py.File(path, "r") as file:
+        check_hdf5(file, path)
+        group = file["df_with_missing" if "df_with_missing" in file else next(iter(file), "df_with_missing")]
+        axes = _unpickled(group.attrs["non_index_axes"])
+        rows = group["table"][:]
     keys = [tuple(map(str, key)) for key in axes[0][1]]
     individuals = [key[1] for key in keys] if len(keys[0]) == 4 else None
     columns = _named([key[-2] for key in keys], [key[-1] for key in keys], individuals)
@@ -114,7 +109,7 @@ class _PlainUnpickler(pickle.Unpickler):
     """Reads lists, tuples, numbers and text only: a file cannot make it run anything."""
 
     def find_class(self, module: str, name: str) -> Any:
-        raise pickle.UnpicklingError(f"expected plain names of columns, found {module}.{name}")
+        raise ValueError(f"expected plain names of columns, found {module}.{name}")
 
 
 def _unpickled(attribute: Any) -> Any:

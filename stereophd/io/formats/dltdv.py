@@ -24,14 +24,14 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.io.documents import check_claim
+from stereophd.io.documents import check_claim, expecting
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, TruePoints
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, unit
 from stereophd.io.interchange.documents.text_tables import (
     first_lines,
-    read_batches,
+    header_of,
+    number_batches,
     read_matrix,
-    separator_of,
     split_line,
 )
 from stereophd.io.interchange.fitted import StatedLens, parts_of_projection
@@ -248,22 +248,17 @@ def _batches(path: Path, cameras: int) -> Iterator[tuple[Array, Array]]:
         values = _read_sparse(path)
         yield np.arange(len(values), dtype=np.float64), values.reshape(len(values), len(names), cameras, 2)
         return
-    import pyarrow as pa
-
     columns = {
         (m["point"], int(m["camera"]), m["axis"].lower()): word for word in words if (m := _COLUMN.fullmatch(word))
     }
     start = 0
-    for batch in read_batches(
-        path, separator_of(first_lines(path, 1)[0]), dict.fromkeys(columns.values(), pa.float64()), str(path)
-    ):
-        points = np.full((len(batch), len(names), cameras, 2), np.nan)
+    for batch in number_batches(path, header_of(path)[0], columns.values(), str(path)):
+        count = len(next(iter(batch.values())))
+        points = np.full((count, len(names), cameras, 2), np.nan)
         for (name, camera, axis), word in columns.items():
-            points[:, names.index(name), camera - 1, "xy".index(axis)] = batch.column(word).to_numpy(
-                zero_copy_only=False
-            )
-        yield np.arange(start, start + len(batch), dtype=np.float64), points
-        start += len(batch)
+            points[:, names.index(name), camera - 1, "xy".index(axis)] = batch[word]
+        yield np.arange(start, start + count, dtype=np.float64), points
+        start += count
 
 
 def _truth(path: Path, flips_z: bool) -> TruePoints:
@@ -282,13 +277,9 @@ def _read_sparse(path: Path) -> Array:
     rows, columns = map(int, first_lines(path, 2)[1].split()[:2])
     check_claim(8 * rows * columns, path.stat().st_size, str(path))
     values = np.full((rows, columns), np.nan)
-    try:
+    with expecting("rows of row, column and value within the stated size", path):
         entries = np.loadtxt(path, skiprows=2, ndmin=2)
         values[entries[:, 0].astype(int) - 1, entries[:, 1].astype(int) - 1] = entries[:, 2]
-    except (ValueError, IndexError) as error:
-        raise InputError(
-            f"{path}: expected rows of row, column and value within the stated size, found: {error}"
-        ) from error
     return values
 
 

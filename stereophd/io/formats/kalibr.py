@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig
-from stereophd.io.documents import load_yaml, read_bytes
+from stereophd.io.documents import expecting, load_yaml, read_bytes
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, take_apart
 
@@ -36,17 +37,11 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     recording.assumed.append("the world is the first camera of the chain")
     transform = np.eye(4)
     for index, (key, values) in enumerate(document.items()):
-        where = f"{path}: {key}"
-        try:
+        with expecting("a camera of a camchain", where := f"{path}: {key}"):
             if index:
-                step = np.array(values["T_cn_cnm1"], dtype=np.float64)
-                transform = step @ transform
+                transform = np.array(values["T_cn_cnm1"], dtype=np.float64) @ transform
             name = options.name(str(key))
             recording.cameras[name] = _camera(name, values, transform, options, where)
-        except InputError:
-            raise
-        except (KeyError, ValueError, TypeError) as error:
-            raise InputError(f"{where}: expected a camera of a camchain, found: {error!r}") from error
     return recording
 
 
@@ -65,13 +60,7 @@ def _document(path: Path) -> dict[str, dict[str, Any]] | None:
     return cameras or None
 
 
-def _camera(
-    name: str,
-    values: Mapping[str, Any],
-    transform: np.ndarray[Any, np.dtype[np.float64]],
-    options: ImportOptions,
-    where: str,
-) -> CameraConfig:
+def _camera(name: str, values: Mapping[str, Any], transform: Array, options: ImportOptions, where: str) -> CameraConfig:
     model, lens = str(values["camera_model"]), str(values.get("distortion_model", "none"))
     if model != "pinhole" or lens not in LENSES:
         raise InputError(f"{where}: expected a pinhole camera with {', '.join(LENSES)}, found {model} with {lens}")

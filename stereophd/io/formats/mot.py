@@ -20,8 +20,9 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.interchange.base import ExportOptions, ForeignRecording, Format, ImportOptions, Piece
-from stereophd.io.interchange.documents.text_tables import first_lines, numbers, read_batches, separator_of, split_line
+from stereophd.io.interchange.documents.text_tables import header_of, number_batches
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.tracks import on_grid, trajectories
 
@@ -65,29 +66,22 @@ def _read_sequence_info(path: Path, camera: str, recording: ForeignRecording) ->
     if info is None:
         return
     parser = configparser.ConfigParser()
-    try:
+    with expecting("[Sequence] with frameRate and seqLength", info):
         parser.read(info, encoding="utf-8-sig")
         sequence = parser["Sequence"]
         recording.rates[camera] = float(sequence["frameRate"])
         if "seqLength" in sequence:
             recording.frames[camera] = (FIRST_FRAME, int(sequence["seqLength"]))
-    except (configparser.Error, KeyError, ValueError) as error:
-        raise InputError(f"{info}: expected [Sequence] with frameRate and seqLength, found: {error}") from error
     recording.files.append(info)
 
 
 def _pieces(files: dict[str, Path], options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
-    import pyarrow as pa
-
     for camera, path in files.items():
-        lines = first_lines(path, 1)
-        words = split_line(lines[0]) if lines else []
+        separator, words = header_of(path)
         if len(words) < len(COLUMNS) - 1:
             raise InputError(f"{path}: expected rows of {', '.join(COLUMNS)}, found {len(words)} columns")
         names = [*COLUMNS, *(f"more_{k}" for k in range(len(words) - len(COLUMNS)))][: len(words)]
-        wanted = dict.fromkeys(names[: len(COLUMNS)], pa.float64())
-        for batch in read_batches(path, separator_of(lines[0]), wanted, str(path), names):
-            row = {name: numbers(batch, name) for name in wanted}
+        for row in number_batches(path, separator, names[: len(COLUMNS)], str(path), names):
             keep = np.ones(len(row["frame"]), dtype=bool)
             if options.least_score is not None and "score" in row:
                 keep = ~(row["score"] < options.least_score)

@@ -18,7 +18,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, TruePoints
-from stereophd.io.interchange.documents.text_tables import first_lines, numbers, read_batches, separator_of, split_line
+from stereophd.io.interchange.documents.text_tables import header_of, number_batches
 from stereophd.io.interchange.pixels import native_pixels
 
 COLUMNS = ("row", "column", "height", "width", "area", "frame")
@@ -30,7 +30,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     """Read blobs, a file for each camera."""
     recording = ForeignRecording(files=list(sources))
     for path in sources:
-        if path.is_dir() or len(split_line((first_lines(path, 1) or [""])[0])) != len(COLUMNS):
+        if path.is_dir() or len(header_of(path)[1]) != len(COLUMNS):
             raise InputError(f"{path}: expected a file of blobs ({', '.join(COLUMNS)}), found none")
     recording.pieces = _pieces(sources, options, recording)
     if options.truth is not None:
@@ -47,16 +47,13 @@ def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignR
 
 
 def _batches(path: Path, names: Sequence[str]) -> Iterator[list[Array]]:
-    import pyarrow as pa
-
-    separator = separator_of(first_lines(path, 1)[0])
-    for batch in read_batches(path, separator, dict.fromkeys(names, pa.float64()), str(path), list(names)):
-        yield [numbers(batch, name) for name in names]
+    for batch in number_batches(path, header_of(path)[0], names, str(path), list(names)):
+        yield list(batch.values())
 
 
 def _read_truth(path: Path) -> TruePoints:
     """Return particles or trajectories; in the latter whole numbers of trajectories stand first."""
-    words = split_line((first_lines(path, 1) or [""])[0])
+    _, words = header_of(path)
     if len(words) < LEAST_COLUMNS:
         raise InputError(f"{path}: expected particles or trajectories of MyPTV, found {len(words)} columns")
     rows = np.concatenate([np.stack(batch, axis=1) for batch in _batches(path, [str(k) for k in range(len(words))])])

@@ -192,11 +192,8 @@ def _size(values: Mapping[str, Any]) -> tuple[int, int] | None:
 
 def recognises_cameras(path: Path) -> bool:
     """Whether a file is of OpenCV's storage, or has a camera matrix and a pose by their usual names."""
-    try:
-        with open(path, "rb") as stream:
-            head = stream.read(65536)
-    except OSError:
-        return False
+    with open(path, "rb") as stream:
+        head = stream.read(65536)
     is_storage = any(word in head for word in (b"%YAML:1.0", b"<opencv_storage", b"opencv-matrix"))
     if not is_storage and path.suffix.lower() not in (".npz", ".json", ".yaml", ".yml"):
         return False

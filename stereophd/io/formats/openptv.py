@@ -24,6 +24,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, TruePoints
 from stereophd.io.interchange.cameras import Parts, put_together
 from stereophd.io.interchange.fitted import fitted_parts
@@ -136,7 +137,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 
 
 def _read_control(path: Path, recording: ForeignRecording) -> _Control:
-    try:
+    with expecting("the parameters of OpenPTV (ptv.par)", path):
         words = path.read_text(encoding="utf-8-sig").split()
         count = int(words[0])
         names = words[1 : 1 + 2 * count]
@@ -146,8 +147,6 @@ def _read_control(path: Path, recording: ForeignRecording) -> _Control:
         pixel = (float(rest[2]), float(rest[3]))
         interlaced = int(rest[4])
         air, glass, liquid, thickness = (float(word) for word in rest[5:9])
-    except (OSError, ValueError, IndexError) as error:
-        raise InputError(f"{path}: expected the parameters of OpenPTV (ptv.par), found: {error}") from error
     if interlaced:
         raise InputError(f"{path}: expected whole frames, found interlaced fields ({interlaced}): not supported")
     images, frames, volume = [re.sub(r"\d+$", "%d", name) for name in names[0::2]], None, None
@@ -180,7 +179,7 @@ def _folder(path: Path, control: _Control) -> Path:
 
 
 def _read_orientation(ori: Path, addpar: Path, recording: ForeignRecording) -> _Orientation:
-    try:
+    with expecting("an orientation of OpenPTV (.ori, .addpar)", ori):
         values = np.array(ori.read_text(encoding="utf-8-sig").split(), dtype=np.float64)
         added = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0])
         recording.files.append(ori)
@@ -191,8 +190,6 @@ def _read_orientation(ori: Path, addpar: Path, recording: ForeignRecording) -> _
             raise ValueError(f"{len(values)} and {len(added)} numbers")
         if not (np.isfinite(values).all() and np.isfinite(added).all()):
             raise ValueError("numbers that are not finite")
-    except (OSError, ValueError) as error:
-        raise InputError(f"{ori}: expected an orientation of OpenPTV (.ori, .addpar), found: {error}") from error
     glass = values[18:21] if len(values) >= 21 else np.zeros(3)
     return _Orientation(values[:3], values[6:15].reshape(3, 3), values[15:17], float(values[17]), glass, added)
 
@@ -321,15 +318,13 @@ def _pieces(targets: dict[str, list[tuple[int, Path]]]) -> Iterator[Piece]:
 
 
 def _read_targets(path: Path) -> Array:
-    try:
+    with expecting("a number and rows of targets", path):
         lines = path.read_text(encoding="utf-8-sig").splitlines()
         count = int(lines[0])
         rows = [line.split() for line in lines[1 : 1 + count]]
         pixels = np.array([[row[1], row[2]] for row in rows], dtype=np.float64).reshape(-1, 2)
         if len(pixels) != count:
             raise ValueError(f"{len(pixels)} rows of {count}")
-    except (OSError, ValueError, IndexError) as error:
-        raise InputError(f"{path}: expected a number and rows of targets, found: {error}") from error
     return pixels
 
 

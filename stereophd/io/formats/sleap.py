@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.errors import InputError
-from stereophd.io.documents import check_hdf5
+from stereophd.io.documents import check_hdf5, expecting
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_package
 from stereophd.io.interchange.pixels import native_pixels, point_rows
 
@@ -47,16 +47,9 @@ def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignR
     for path in sources:
         stem = path.name.removesuffix(path.suffix).removesuffix(".analysis")
         camera = options.name(stem)
-        try:
-            with h5py.File(path, "r") as file:
-                check_hdf5(file, path)
-                yield from _file_pieces(file, camera, options, recording)
-        except (OSError, KeyError, ValueError) as error:
-            if isinstance(error, InputError):
-                raise
-            raise InputError(
-                f"{path}: expected an analysis file of SLEAP (tracks, node_names), found: {error}"
-            ) from error
+        with expecting("an analysis file of SLEAP (tracks, node_names)", path), h5py.File(path, "r") as file:
+            check_hdf5(file, path)
+            yield from _file_pieces(file, camera, options, recording)
 
 
 def _file_pieces(file: Any, camera: str, options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:

@@ -1,12 +1,11 @@
-"""A foreign format: the result of its reader, the input of its writer, and the options of both."""
+"""A foreign format: the result of its reader, and the input of its writer."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,81 +13,12 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig
-
-Value = TypeVar("Value")
+from stereophd.io.interchange.options import ExportOptions as ExportOptions
+from stereophd.io.interchange.options import ImportOptions as ImportOptions
+from stereophd.io.interchange.options import PerCamera as PerCamera
 
 #: Optional columns of a log that a format may fill.
 EXTRA_COLUMNS = ("sigma_u_px", "sigma_v_px", "width_px", "height_px", "score", "object_id")
-
-
-@dataclass(frozen=True)
-class PerCamera(Generic[Value]):
-    """A value for each camera: those named, and one for all others (None: nothing is stated)."""
-
-    named: Mapping[str, Value] = field(default_factory=dict)
-    other: Value | None = None
-
-    def get(self, camera: str) -> Value | None:
-        """Return the value of a camera."""
-        return self.named.get(camera, self.other)
-
-    def plain(self) -> Any:
-        """Return JSON-able values."""
-        return {**self.named, **({} if self.other is None else {"*": self.other})}
-
-    def __bool__(self) -> bool:
-        return bool(self.named) or self.other is not None
-
-
-@dataclass(frozen=True)
-class ImportOptions:
-    """Statements of the user about a foreign source; each format uses those that it needs."""
-
-    columns: Mapping[str, str] = field(default_factory=dict)  # Native column -> column of the source
-    # Frames per second of each camera; times are then frame number over rate.
-    rates: PerCamera[float] = field(default_factory=PerCamera)
-    offsets: PerCamera[float] = field(default_factory=PerCamera)  # Seconds to add to the times of each camera
-    # First and last frame recorded by each camera.
-    frames: PerCamera[tuple[int, int]] = field(default_factory=PerCamera)
-    # Width and height of each camera's image, px.
-    image_sizes: PerCamera[tuple[int, int]] = field(default_factory=PerCamera)
-    rename: Mapping[str, str] = field(default_factory=dict)  # Camera of the source -> native name
-    length_unit: str | None = None  # Unit of length of the source's cameras; None: the unit of the format, or metres
-    time_unit: str = "s"  # Unit of the source's times
-    # What pixel (0, 0) of the source is: ``center`` or ``corner`` of the top-left pixel, or ``one`` where the centre
-    # of the top-left pixel is (1, 1); None: as the format has it.
-    pixel_origin: str | None = None
-    # Whether rows count from the ``top`` of the image or from the ``bottom``; None: as the format has it.
-    rows_from: str | None = None
-    fill: bool = True  # Whether frames missing between those of a camera become empty frames
-    # The point of a bounding box that is the detection: its ``center``, or the middle of its ``bottom``.
-    box_point: str = "center"
-    least_score: float | None = None  # Detections of a smaller score are left out
-    # Whether the source's pixels are already undistorted: the cameras then lose their lens model.
-    undistorted: bool = False
-    truth: Path | None = None  # A file (or folder) of the program's points in space, which become a truth
-    # ``sigma_px``, ``p_detect`` and ``clutter_per_frame`` of all cameras; None: to be estimated from the log.
-    detector: Mapping[str, Any] | None = None
-
-    def __post_init__(self) -> None:
-        # by `vars`, because options that note what a format reads must not note this
-        least_score = vars(self)["least_score"]
-        if least_score is not None and not math.isfinite(least_score):
-            raise InputError(f"`least_score`: expected a finite number, found {least_score}")
-
-    def name(self, camera: str) -> str:
-        """Return the native name of a camera of the source."""
-        return self.rename.get(camera, camera)
-
-    def plain(self) -> dict[str, Any]:
-        """Return the options that differ from the defaults, JSON-able."""
-        result: dict[str, Any] = {}
-        for name, default in vars(ImportOptions()).items():
-            value = getattr(self, name)
-            if value != default:
-                plain = value.plain() if isinstance(value, PerCamera) else value
-                result[name] = plain.name if isinstance(plain, Path) else plain
-        return result
 
 
 @dataclass(frozen=True)
@@ -136,22 +66,6 @@ class ForeignRecording:
     rates: dict[str, float] = field(default_factory=dict)
     frames: dict[str, tuple[int, int]] = field(default_factory=dict)
     first_frame: int = 0  # Number of a frame at time 0, for times by rate
-
-
-@dataclass(frozen=True)
-class ExportOptions:
-    """Options of an exported file."""
-
-    tracks: Sequence[int] | None = None  # Identities to write; None: all
-    # Times are resampled to this rate, by linear interpolation within a track; None: as in the source.
-    rate_hz: float | None = None
-    tentative: bool = False  # Write tentative estimates too, not only confirmed ones
-
-    def plain(self) -> dict[str, Any]:
-        """Return the options that differ from the defaults, JSON-able."""
-        tracks = None if self.tracks is None else list(self.tracks)
-        stated = {"tracks": tracks, "rate_hz": self.rate_hz, "tentative": self.tentative or None}
-        return {name: value for name, value in stated.items() if value is not None}
 
 
 Reader = Callable[[Sequence[Path], ImportOptions], ForeignRecording]

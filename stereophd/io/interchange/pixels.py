@@ -29,17 +29,25 @@ def native_pixels(
     shift = ORIGINS[options.pixel_origin or origin]
     if (options.rows_from or rows_from) == "top":
         return pixels - shift
+    size = image_size(camera, options, recording, "rows count from the bottom")
+    result = pixels - shift
+    result[:, 1] = size[1] - 1 - result[:, 1]
+    return result
+
+
+def image_size(camera: str, options: ImportOptions, recording: ForeignRecording, why: str) -> tuple[int, int]:
+    """Return the size of the images of a camera (its native name), from the options or from its cameras.
+
+    Raises InputError, which says `why` it is asked, when neither states it.
+    """
     size = options.image_sizes.get(camera)
     if size is None and camera in recording.cameras:
         size = recording.cameras[camera].image_size_px
     if size is None:
         raise InputError(
-            f"camera {camera}: expected the size of the images, for rows count from the bottom; found none; state it "
-            "by `image_sizes`"
+            f"camera {camera}: expected the size of the images, for {why}; found none; state it by `image_sizes`"
         )
-    result = pixels - shift
-    result[:, 1] = size[1] - 1 - result[:, 1]
-    return result
+    return size
 
 
 def point_rows(camera: str, frames: Array, points: Array, scores: Array | None, least: float | None) -> Piece:

@@ -3,40 +3,16 @@
 from __future__ import annotations
 
 import contextlib
-import csv
-import struct
-import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from gzip import BadGzipFile
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 
 from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.file_kinds import PARQUET, kind_of_file
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions, Piece
 from stereophd.io.interchange.registry import find, recognise_cameras
-
-# Exceptions that readers raise where a file has another structure than its format. RuntimeError includes nesting that
-# is too deep; errors of the operating system are not among them.
-MALFORMED = (
-    ArithmeticError,
-    AttributeError,
-    BadGzipFile,
-    BadZipFile,
-    EOFError,
-    LookupError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-    csv.Error,
-    zlib.error,
-    struct.error,
-)
-# A longer reason is cut in the message.
-MAX_SHOWN = 200
 
 
 def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
@@ -54,7 +30,7 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
                 f"{source}: expected a file of format {form}, found a Parquet file; a log needs no import (`stereophd "
                 "info` shows what a file holds)"
             )
-    with _malformed_is_input_error(form, sources):
+    with _reading(form, sources):
         recording = read(sources, options)
     if recording.pieces is not None:
         recording.pieces = _pieces(recording.pieces, form, sources)
@@ -63,10 +39,10 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
 
 def _pieces(pieces: Iterable[Piece], form: str, sources: Sequence[Path]) -> Iterator[Piece]:
     """Yield pieces; only errors of their reader are translated, not those of the consumer."""
-    with _malformed_is_input_error(form, sources):
+    with _reading(form, sources):
         iterator = iter(pieces)
     while True:
-        with _malformed_is_input_error(form, sources):
+        with _reading(form, sources):
             piece = next(iterator, None)
         if piece is None:
             return
@@ -74,22 +50,10 @@ def _pieces(pieces: Iterable[Piece], form: str, sources: Sequence[Path]) -> Iter
 
 
 @contextlib.contextmanager
-def _malformed_is_input_error(form: str, sources: Sequence[Path]) -> Iterator[None]:
-    try:
-        with np.errstate(all="ignore"):  # numbers are checked when they have arrived, whatever a reader makes of them
-            yield
-    except InputError:
-        raise
-    except RecursionError as error:
-        raise InputError(f"{_listed(sources)}: cannot be read as {form}: it is nested too deeply") from error
-    except MALFORMED as error:
-        reason = " ".join(str(error).split())[:MAX_SHOWN]
-        reason = f"missing key {reason}" if isinstance(error, KeyError) else reason or type(error).__name__
-        raise InputError(f"{_listed(sources)}: cannot be read as {form}: {reason}") from error
-
-
-def _listed(sources: Sequence[Path]) -> str:
-    return ", ".join(map(str, sources))
+def _reading(form: str, sources: Sequence[Path]) -> Iterator[None]:
+    # numbers are checked when they have arrived, whatever a reader makes of them
+    with np.errstate(all="ignore"), expecting(f"files of the format {form}", ", ".join(map(str, sources))):
+        yield
 
 
 def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tuple[str, ForeignRecording] | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 from stereophd.errors import InputError, nearest
@@ -36,14 +37,11 @@ def _suggestion(name: str, known: list[str]) -> str:
 
 def recognise_cameras(path: Path) -> str | None:
     """Return the name of the format of a foreign camera file, by its content, or None if there is none."""
-    return next((name for name in names() if _recognises(find(name), path)), None)
+    return next((name for name in names() if recognises(find(name), path)), None)
 
 
-def _recognises(form: Format, path: Path) -> bool:
+def recognises(form: Format, path: Path) -> bool:
     """Whether a file is of a format; one that its reader cannot parse is not."""
-    if form.recognises_cameras is None:
-        return False
-    try:
-        return form.recognises_cameras(path)
-    except (ArithmeticError, AttributeError, LookupError, RecursionError, TypeError, ValueError):
-        return False
+    with contextlib.suppress(Exception):
+        return form.recognises_cameras is not None and form.recognises_cameras(path)
+    return False

@@ -11,13 +11,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import TruePoints
-from stereophd.io.interchange.documents.text_tables import (
-    first_lines,
-    numbers,
-    read_batches,
-    separator_of,
-    split_line,
-)
+from stereophd.io.interchange.documents.text_tables import header_of, number_batches
 
 #: Numbers of the points of one object; the second object's are beyond.
 POINTS_OF_A_GROUP = 1000
@@ -27,14 +21,11 @@ _COORDINATE = re.compile(r"(?P<point>.+?)_(?P<axis>[xyz])", re.IGNORECASE)
 
 def read_columns(path: Path, columns: Sequence[str]) -> Array:
     """Return columns of a table with a header as numbers (n, columns); InputError for one that it lacks."""
-    import pyarrow as pa
-
-    header = (first_lines(path, 1) or [""])[0]
-    if missing := [name for name in columns if name not in split_line(header)]:
-        raise InputError(f"{path}: expected a column {missing[0]}, found {header[:200] or 'an empty file'}")
-    kinds = dict.fromkeys(columns, pa.float64())
-    batches = read_batches(path, separator_of(header), kinds, str(path), split_line(header), skip=1)
-    rows = [np.stack([numbers(batch, name) for name in columns], axis=1) for batch in batches]
+    separator, header = header_of(path)
+    if missing := [name for name in columns if name not in header]:
+        raise InputError(f"{path}: expected a column {missing[0]}, found {', '.join(header)[:200] or 'an empty file'}")
+    batches = number_batches(path, separator, columns, str(path), header, skip=1)
+    rows = [np.stack([batch[name] for name in columns], axis=1) for batch in batches]
     return np.concatenate([np.empty((0, len(columns))), *rows])
 
 
@@ -44,7 +35,7 @@ def wide_truth(path: Path, frame_column: str | None = None) -> TruePoints:
     The frame is the number in `frame_column`, else the number of the row. Raises InputError for a table without such
     columns.
     """
-    header = split_line((first_lines(path, 1) or [""])[0])
+    _, header = header_of(path)
     axes: dict[str, dict[str, str]] = {}
     for name in header:
         if match := _COORDINATE.fullmatch(name):
@@ -73,7 +64,7 @@ def long_truth(path: Path, names: Mapping[str, Sequence[str]]) -> TruePoints:
     hold it. A table without objects has one; those of a group count on from `POINTS_OF_A_GROUP` times its number.
     Raises InputError for a table that lacks another.
     """
-    header = split_line((first_lines(path, 1) or [""])[0])
+    _, header = header_of(path)
     by_lower = {name.lower(): name for name in reversed(header)}
     columns = {
         key: next(by_lower[name] for name in usual if name in by_lower)

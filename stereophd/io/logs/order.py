@@ -8,13 +8,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pyarrow as pa
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.settings import LARGEST_TIME_S
 from stereophd.io.file_kinds import LOG
 from stereophd.io.logs.rows import values_of
-from stereophd.io.tables.reading import cast_column, check_texts, damaged_is_input_error, open_parquet
+from stereophd.io.tables.reading import cast_column, check_texts, read_pieces
 from stereophd.io.tables.schemas import FLOAT, STRING
 
 # Two narrow columns: larger pieces than a reader of all columns takes.
@@ -38,10 +37,9 @@ def order_of(path: Path) -> LogOrder:
     out. Rows without a finite time or a camera are ignored here. Raises InputError when the file is damaged, or a value
     does not fit the type of its column.
     """
-    if _is_ordered(path):
-        return _ordered(False)
-    if _is_ordered_within_cameras(path):
-        return _ordered(True)
+    for by_camera in (False, True):
+        if _is_ordered(path, by_camera):
+            return LogOrder(by_camera, np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
     times, cameras = _whole(path)
     together = _misplaced(np.arange(len(times)), times)
     apart = [_misplaced(rows, times[rows]) for code in np.unique(cameras) for rows in [np.flatnonzero(cameras == code)]]
@@ -53,19 +51,14 @@ def order_of(path: Path) -> LogOrder:
     return LogOrder(True, rows[order], before[order], after[order])
 
 
-def _ordered(by_camera: bool) -> LogOrder:
-    return LogOrder(by_camera, np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
-
-
 def _whole(path: Path) -> tuple[Array, Integers]:
     """Return the times (n,) of all rows, and the number of the camera of each, by its name."""
-    times, cameras, numbers, start = [], [], dict[str, int](), 0
-    for batch in _pieces(path, ["time_s", "camera"]):
-        times.append(_times(batch, path, start))
-        names = cast_column(batch.column("camera"), "camera", STRING, path, start).dictionary_encode()
-        known = np.array([numbers.setdefault(name, len(numbers)) for name in names.dictionary.to_pylist()] + [-1])
-        cameras.append(known[values_of(names.indices, np.int32, -1)])
-        start += len(batch)
+    numbers: dict[str, int] = {}
+    times, cameras = [], []
+    for piece, codes, names in _pieces(path, True):
+        known = np.array([numbers.setdefault(name, len(numbers)) for name in names] + [-1])
+        times.append(piece)
+        cameras.append(known[codes])
     return np.concatenate(times), np.concatenate(cameras)
 
 
@@ -96,31 +89,11 @@ def _misplaced(rows: Integers, times: Array) -> tuple[Integers, Array, Array]:
     return rows[finite[~kept]], ordered[place], ordered[place + 1]
 
 
-def _is_ordered(path: Path) -> bool:
-    latest, start = -np.inf, 0
-    for batch in _pieces(path, ["time_s"]):
-        times = _times(batch, path, start)
-        start += len(batch)
-        times = times[np.isfinite(times)]
-        if not len(times):
-            continue
-        if times[0] < latest or (np.diff(times) < 0).any():
-            return False
-        latest = float(times[-1])
-    return True
-
-
-def _is_ordered_within_cameras(path: Path) -> bool:
+def _is_ordered(path: Path, by_camera: bool) -> bool:
+    """Whether times do not fall from row to row: of each camera, or of all, for which their names are not read."""
     latest: dict[str, float] = {}
-    start = 0
-    for batch in _pieces(path, ["time_s", "camera"]):
-        times = _times(batch, path, start)
-        names = cast_column(batch.column("camera"), "camera", STRING, path, start)
-        check_texts(names, "camera", path, start)
-        start += len(batch)
-        cameras = names.dictionary_encode()
-        codes = values_of(cameras.indices, np.int32, -1)
-        for code, name in enumerate(cameras.dictionary.to_pylist()):
+    for times, codes, names in _pieces(path, by_camera):
+        for code, name in enumerate(names):
             mine = times[(codes == code) & np.isfinite(times)]
             if not len(mine):
                 continue
@@ -130,10 +103,16 @@ def _is_ordered_within_cameras(path: Path) -> bool:
     return True
 
 
-def _times(batch: pa.RecordBatch, path: Path, start: int) -> Array:
-    return values_of(cast_column(batch.column("time_s"), "time_s", FLOAT, path, start), np.float64, np.nan)
-
-
-def _pieces(path: Path, columns: list[str]) -> Iterator[pa.RecordBatch]:
-    with open_parquet(path, LOG) as parquet, damaged_is_input_error(path):
-        yield from parquet.iter_batches(batch_size=PIECE_ROWS, columns=columns, use_threads=False)
+def _pieces(path: Path, has_cameras: bool) -> Iterator[tuple[Array, Integers, list[str]]]:
+    """Yield times (n,), codes (n,) of the cameras (-1: null) and their names; without cameras all rows have one."""
+    start = 0
+    for batch in read_pieces(path, ["time_s", "camera"] if has_cameras else ["time_s"], LOG, PIECE_ROWS):
+        times = values_of(cast_column(batch.column("time_s"), "time_s", FLOAT, path, start), np.float64, np.nan)
+        codes, names = np.zeros(len(times), dtype=np.int64), [""]
+        if has_cameras:
+            column = cast_column(batch.column("camera"), "camera", STRING, path, start)
+            check_texts(column, "camera", path, start)
+            encoded = column.dictionary_encode()
+            codes, names = values_of(encoded.indices, np.int32, -1), encoded.dictionary.to_pylist()
+        start += len(batch)
+        yield times, codes, names

@@ -22,7 +22,7 @@ from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.io.outputs.disk import sync
 
-MARK = b"stereophd unfinished run 3\n"
+MARK = b"stereophd unfinished run 4\n"
 
 # Kinds of NumPy types that hold plain data: truth values, integers, floats.
 _PLAIN_KINDS = "biuf"

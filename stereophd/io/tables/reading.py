@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from numpy.typing import NDArray
 
 from stereophd.errors import InputError
 from stereophd.io.documents import check_parquet
 from stereophd.io.file_kinds import HEAD_BYTES, PARQUET, kind_of_content, remedy
 from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.io.outputs.disk import for_arrow
+from stereophd.io.tables.writing import ROW_GROUP_ROWS
 
 # What pyarrow raises for a damaged Parquet file; the last where the name of a column is no text.
 DAMAGED = (pa.ArrowException, OSError, UnicodeDecodeError)
@@ -180,6 +184,34 @@ def check_columns(
     return present
 
 
+def read_pieces(
+    path: Path | str, columns: Sequence[str] | None = None, what: str = "table", rows: int | None = None
+) -> Iterator[pa.RecordBatch]:
+    """Yield columns of a Parquet table in pieces of so many rows; errors as `open_parquet`, and of damaged data."""
+    with open_parquet(path, what) as parquet, damaged_is_input_error(path):
+        yield from parquet.iter_batches(batch_size=rows or ROW_GROUP_ROWS, columns=columns, use_threads=False)
+
+
+def finite_column(table: pa.Table, name: str, path: Path | str) -> NDArray[np.float64]:
+    """Return a column of a whole table as numbers; InputError, with its row, where one is none."""
+    values: NDArray[np.float64] = np.array(table[name], dtype=np.float64)
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise InputError(f"{path}: row {bad[0]}: column {name}: expected a finite number, found {values[bad[0]]}")
+    return values
+
+
+def arrays_of(table: pa.Table | pa.RecordBatch) -> dict[str, NDArray[Any]]:
+    """Return the columns of a table as arrays; those of lists of n numbers are (rows, n)."""
+    arrays = {}
+    for name, column in zip(table.schema.names, table.columns, strict=True):
+        column = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
+        lists = pa.types.is_fixed_size_list(column.type)
+        values = (column.flatten() if lists else column).to_numpy(zero_copy_only=False)
+        arrays[name] = values.reshape(len(column), column.type.list_size) if lists else values
+    return arrays
+
+
 def read_table(
     path: Path | str,
     required: Mapping[str, pa.DataType | str],
@@ -191,17 +223,25 @@ def read_table(
     Narrower numbers are widened, any kind of text becomes a string, and other columns are not read. Returns the
     required columns in their order, then the optional ones that are there; the file's key-value metadata are its
     ``schema.metadata``. Raises InputError when the table is not there, not Parquet, or damaged, or a column is missing,
-    of another type, or (required) with nulls.
+    of another type, or (required) with nulls; or a required ``time_s`` is not finite.
     """
     optional = optional or {}
     with open_parquet(path, what) as parquet:
-        schema = parquet.schema_arrow
-        present = check_columns(schema, required, optional, path)
-        names = [*required, *present]
+        names = [*required, *check_columns(parquet.schema_arrow, required, optional, path)]
         with damaged_is_input_error(path):
             table = parquet.read(columns=names).select(names)
+    return checked_table(table.replace_schema_metadata(parquet.schema_arrow.metadata), required, optional, path)
+
+
+def checked_table(
+    table: pa.Table,
+    required: Mapping[str, pa.DataType | str],
+    optional: Mapping[str, pa.DataType | str],
+    path: Path | str,
+) -> pa.Table:
+    """Return a table of the required columns and of some optional ones in their types; see `read_table`."""
     fields = []
-    for name in names:
+    for name in table.column_names:
         kind = _data_type(required[name] if name in required else optional[name])
         fields.append(pa.field(name, kind))
         nulls = table.column(name).null_count
@@ -210,10 +250,12 @@ def read_table(
             raise InputError(f"{path}: row {row}: column {name}: expected a value, found null")
     try:
         columns = [cast_column(table.column(field.name), field.name, field.type, path) for field in fields]
-        table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=schema.metadata))
+        table = pa.Table.from_arrays(columns, schema=pa.schema(fields, metadata=table.schema.metadata))
         for field in fields:
             if pa.types.is_string(field.type):
                 check_texts(table.column(field.name), field.name, path)
+        if "time_s" in required:
+            finite_column(table, "time_s", path)
         return table
     except pa.ArrowException as error:
         raise InputError(f"{path}: {_first_line(error)}") from error

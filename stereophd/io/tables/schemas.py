@@ -14,25 +14,26 @@ def _schema(columns: Mapping[str, pa.DataType], nullable: Sequence[str] = ()) ->
     return pa.schema([pa.field(name, kind, nullable=name in nullable) for name, kind in columns.items()])
 
 
-_KEY = {"time_s": FLOAT, "camera": STRING, "frame": INTEGER}
-_POSITION = {"x": FLOAT, "y": FLOAT, "z": FLOAT}
-_VELOCITY = {"vx": FLOAT, "vy": FLOAT, "vz": FLOAT}
+def kinds_of(schema: pa.Schema, *names: str) -> dict[str, pa.DataType]:
+    """Return the types of columns of a schema by their names; without names, of all."""
+    return {name: schema.field(name).type for name in names or schema.names}
+
+
+KEY = {"time_s": FLOAT, "camera": STRING, "frame": INTEGER}
+POSITION = {"x": FLOAT, "y": FLOAT, "z": FLOAT}
+VELOCITY = {"vx": FLOAT, "vy": FLOAT, "vz": FLOAT}
 
 #: One row a detection; a frame without detections is one row with null u_px, v_px.
-DETECTIONS = _schema({**_KEY, "u_px": FLOAT, "v_px": FLOAT}, nullable=("u_px", "v_px"))
-#: Optional column of a detection log: the true object (-1 clutter); null in a row without detection.
-OBJECT_ID = pa.field("object_id", INTEGER, nullable=True)
-#: Optional columns of a detection log: the box, whose middle u_px, v_px is; null in a row without detection.
-BOX = tuple(pa.field(name, FLOAT, nullable=True) for name in ("width_px", "height_px"))
+DETECTIONS = _schema({**KEY, "u_px": FLOAT, "v_px": FLOAT}, nullable=("u_px", "v_px"))
 #: One row a true object and time.
-TRUTH = _schema({"time_s": FLOAT, "object_id": INTEGER, **_POSITION, **_VELOCITY})
+TRUTH = _schema({"time_s": FLOAT, "object_id": INTEGER, **POSITION, **VELOCITY})
 #: One row a reported object and event; the covariance is 6x6, row-major, in the world frame; status is one of the two.
 TRACKS = _schema(
     {
-        **_KEY,
+        **KEY,
         "track_id": INTEGER,
-        **_POSITION,
-        **_VELOCITY,
+        **POSITION,
+        **VELOCITY,
         "covariance": COVARIANCE,
         "existence": FLOAT,
         "status": STRING,
@@ -47,11 +48,11 @@ CAMERAS_PART = pa.field("covariance_cameras", COVARIANCE, nullable=False)
 #: Optional columns of tracks of bodies: extent along and across the vertical, and their standard deviations.
 EXTENTS = tuple(pa.field(name, FLOAT, nullable=False) for name in ("height", "width", "height_std", "width_std"))
 #: One row a detection and reported track that it may belong to.
-ASSOCIATIONS = _schema({**_KEY, "u_px": FLOAT, "v_px": FLOAT, "track_id": INTEGER, "probability": FLOAT})
+ASSOCIATIONS = _schema({**KEY, "u_px": FLOAT, "v_px": FLOAT, "track_id": INTEGER, "probability": FLOAT})
 #: One row an event.
 SCANS = _schema(
     {
-        **_KEY,
+        **KEY,
         "n_detections": INTEGER,
         "cardinality_mean": FLOAT,
         "cardinality_estimate": INTEGER,

@@ -1,7 +1,9 @@
-"""Control tracks: where one of the objects truly was, on a clock of its own."""
+"""Control: where one of the objects truly was, on a clock of its own, or points of known place in the images."""
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,20 +11,31 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from stereophd.core.alignment.to_points import ControlPoints, reprojection_errors
 from stereophd.core.alignment.to_track import Alignment
 from stereophd.core.arrays import Array
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.interpolation import Truth
-from stereophd.errors import InputError
+from stereophd.errors import InputError, unknown_camera
+from stereophd.io.interchange.documents.text_tables import first_lines, read_batches, separator_of, split_line
 from stereophd.io.outputs.provenance import length_unit
-from stereophd.io.tables.reading import open_parquet, read_table
+from stereophd.io.tables.reading import check_columns, checked_table, open_parquet, read_table
 from stereophd.io.tables.schemas import FLOAT
 from stereophd.pipeline.evaluation.registering import registration_report
 
 PLACE, GEOGRAPHIC = ("x", "y", "z"), ("latitude_deg", "longitude_deg", "altitude_m")
+PIXEL = ("u_px", "v_px")
+POINTS = {"camera": pa.string(), **dict.fromkeys(PIXEL, FLOAT)}
+POINTS_OPTIONAL = {**dict.fromkeys((*PLACE, "std", "sigma_px"), FLOAT), "point": pa.string()}
+# A pixel that misses its point by this many deviations, and medians of all, was probably given another's name.
+MISTAKEN = 6.0
 # Fewer rows hold no motion.
 LEAST_ROWS = 6
 # Equatorial radius, m, and squared eccentricity of the ellipsoid of WGS 84.
 RADIUS_M, ECCENTRICITY = 6_378_137.0, 6.69437999014e-3
+
+
+LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)
@@ -35,17 +48,28 @@ class Control:
     origin: dict[str, float] | None  # Of geographic places: where x (east), y (down) and z (north) are 0
 
 
-def read_control(path: Path) -> Control:
-    """Read ``time_s, x, y, z`` or ``time_s, latitude_deg, longitude_deg, altitude_m``, and ``std`` if it is there.
+def read_control(path: Path, cameras: Sequence[Camera]) -> Control | ControlPoints:
+    """Read a control track, or the points of known place that some cameras see: a Parquet or CSV table.
 
-    Geographic places (WGS 84) become metres east, down and north of their middle. Raises InputError when the table is
-    not usable: columns, values that are not finite, times that do not increase, several objects, fewer than six rows.
+    A track has ``time_s, x, y, z`` or ``time_s, latitude_deg, longitude_deg, altitude_m``, and ``std`` if it is there;
+    geographic places (WGS 84) become metres east, down and north of their middle. Points have ``camera, u_px, v_px, x,
+    y, z``, and ``point`` (its name), ``std`` and ``sigma_px`` if they are there; a coordinate may be empty. Raises
+    InputError when the table is not usable: columns, values that are not finite, times that do not increase, several
+    objects, fewer than six rows, names that no camera has, cameras that move.
     """
-    with open_parquet(path, "control track") as parquet:
-        names = parquet.schema_arrow.names
+    is_text = path.suffix.lower() == ".csv"
+    if is_text:
+        names = split_line((first_lines(path, 1) or [""])[0])
+    else:
+        with open_parquet(path, "control track") as parquet:
+            names = parquet.schema_arrow.names
+    if "u_px" in names:
+        if lost := [name for name in PLACE if name not in names]:
+            raise InputError(f"{path}: missing columns {', '.join(lost)} of points, or {', '.join(PLACE)} of a track")
+        return _points(path, _table(path, is_text, names, POINTS, POINTS_OPTIONAL), cameras)
     columns = GEOGRAPHIC if set(GEOGRAPHIC) <= set(names) else PLACE
     optional = {"std": FLOAT, "object_id": pa.int64()}
-    table = read_table(path, dict.fromkeys(("time_s", *columns), FLOAT), optional, "control track")
+    table = _table(path, is_text, names, dict.fromkeys(("time_s", *columns), FLOAT), optional)
     values = {name: np.array(table[name], dtype=np.float64) for name in table.column_names}
     for name in ("time_s", *columns, *(["std"] if "std" in values else [])):
         bad = np.flatnonzero(~np.isfinite(values[name]) | (values[name] <= 0.0 if name == "std" else False))
@@ -67,6 +91,51 @@ def read_control(path: Path) -> Control:
         place, unit = local_places(place, middle), "m"
         origin = dict(zip(columns, middle.tolist(), strict=True))
     return Control(Truth(times, np.zeros(len(times), dtype=np.int64), place), values.get("std"), unit, origin)
+
+
+def _table(
+    path: Path, is_text: bool, names: list[str], required: Mapping[str, Any], optional: Mapping[str, Any]
+) -> pa.Table:
+    """Read columns of a Parquet or CSV table, checked and in their types."""
+    if not is_text:
+        return read_table(path, required, optional, "control track")
+    kinds = {name: kind for name, kind in {**required, **optional}.items() if name in names}
+    check_columns(pa.schema([(name, kinds.get(name, pa.null())) for name in names]), required, optional, path)
+    separator = separator_of(first_lines(path, 1)[0])
+    batches = list(read_batches(path, separator, kinds, str(path)))
+    return checked_table(pa.Table.from_batches(batches, pa.schema(kinds)), required, optional, path)
+
+
+def _points(path: Path, table: pa.Table, cameras: Sequence[Camera]) -> ControlPoints:
+    """Return the points of a table, one of each name, or of each place where they have none."""
+    by_name = {camera.name: number for number, camera in enumerate(cameras)}
+    seen_by, count = table["camera"].to_pylist(), table.num_rows
+    for row, name in enumerate(seen_by):
+        if name not in by_name:
+            raise InputError(f"{path}: row {row}: column camera: {unknown_camera(name, list(by_name))}")
+        if not cameras[by_name[name]].pose.is_static:
+            raise InputError(f"{path}: row {row}: expected a camera that stands still, found {name}, which moves")
+    values = {name: np.full(count, np.nan) for name in (*PIXEL, *PLACE, "std")} | {"sigma_px": np.ones(count)}
+    for name in values.keys() & set(table.column_names):
+        values[name] = np.array(table[name].fill_null(np.nan), dtype=np.float64)
+    for name in (*PIXEL, "sigma_px", "std"):
+        is_bad = ~np.isfinite(values[name]) if name != "std" else np.zeros(count, dtype=np.bool_)
+        bad = np.flatnonzero(is_bad | (values[name] <= 0.0 if name in ("sigma_px", "std") else False))
+        if len(bad):
+            raise InputError(f"{path}: row {bad[0]}: column {name}: expected a number, found {values[name][bad[0]]}")
+    places = np.column_stack([values[name] for name in PLACE])
+    if "point" not in table.column_names and np.isnan(places).any():
+        raise InputError(f"{path}: expected a column point, the name of each point, where a coordinate is not known")
+    keys = table["point"].to_pylist() if "point" in table.column_names else [f"{place.tolist()}" for place in places]
+    names, first, point = np.unique(np.array(keys, dtype=str), return_index=True, return_inverse=True)
+    unlike = np.flatnonzero(~((places == places[first][point]) | np.isnan(places + places[first][point])).all(axis=1))
+    if len(unlike):
+        row = unlike[0]
+        raise InputError(f"{path}: row {row}: expected point {keys[row]} at one place, found another than before")
+    camera = np.array([by_name[name] for name in seen_by], dtype=np.int64)
+    pixels = np.column_stack([values[name] for name in PIXEL])
+    stated = values["std"][first], tuple(names.tolist()), length_unit(table.schema.metadata)
+    return ControlPoints(camera, pixels, values["sigma_px"], point, places[first], *stated)
 
 
 def local_places(geographic: Array, origin: Array) -> Array:
@@ -104,3 +173,17 @@ def alignment_report(found: Alignment, unit: str) -> dict[str, Any]:
         median, p90 = np.quantile(found.distances, [0.5, 0.9]).tolist()
         out["residual"] = {"median": median, "p90": p90, "n": len(found.distances)}
     return out
+
+
+def points_report(points: ControlPoints, cameras: Sequence[Camera], where: str) -> dict[str, Any]:
+    """Return how far, px, cameras in the world see known places from their pixels; warn of what seems mistaken."""
+    errors = reprojection_errors(points, cameras)
+    known = np.isfinite(errors)
+    median, p90 = np.quantile(errors[known], [0.5, 0.9]).tolist()
+    for row in np.flatnonzero(known & (errors > MISTAKEN * np.maximum(points.sigma_px, median))):
+        name, camera = points.names[points.point[row]], cameras[points.camera[row]].name
+        LOGGER.warning(
+            "%s: point %s in camera %s is %.1f px from its place, others %.1f px: is it another point?",
+            where, name, camera, errors[row], median,
+        )  # fmt: skip
+    return {"residual_px": {"median": median, "p90": p90, "n": int(known.sum())}}

@@ -44,7 +44,8 @@ LAPLACE_DRAWS = 1000
 def annealed_outcome(run: CalibrationRun) -> Outcome:
     """Method annealed, with the posterior that the section names."""
     problem, section = run.problem, run.section
-    task = annealed_task(run.loaded, section, problem)
+    run.limit.begin("one-camera tracks are made")
+    task = replace(annealed_task(run.loaded, section, problem), limit=run.limit)
     starts = _all_starts(run, task)
     best = best_of(starts)
     details: dict[str, Any] = {
@@ -97,13 +98,14 @@ def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
     values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.seed), count)
     seeds = CALIBRATION_PAIRING.seed(run.seed).spawn(count)
     starts: list[Start] = run.unfinished.read("starts", list[Start], {Motion: task.filter.motion}) or []
-    if enough(starts, agreeing):
+    if enough(starts, agreeing) or (starts and run.limit.is_over):
         return starts
     for start in _run_starts(task, values, seeds, len(starts), run.jobs):
         starts.append(start)
-        run.unfinished.keep("starts", starts)
+        if not run.limit.is_over:  # one that the time has cut short is done again
+            run.unfinished.keep("starts", starts)
         run.report_progress(len(starts), count)
-        if enough(starts, agreeing):
+        if enough(starts, agreeing) or run.limit.is_over:
             break
     return starts
 

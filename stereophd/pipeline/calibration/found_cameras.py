@@ -24,6 +24,7 @@ from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.control import World
 from stereophd.core.calibration.discovery.rig import RigHypothesis, View, discover
 from stereophd.core.calibration.pairing.track_pairs import image_tracks, one_camera_tracks, raw_tracks
+from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.disparity.trips import disparity_scale
@@ -51,9 +52,9 @@ class FoundCameras:
     """What was found where poses or clocks are unknown: the rig, or the reason why there is none."""
 
     names: tuple[str, ...]  # of the cameras that were unknown
-    rig: RigHypothesis | None
+    rig: RigHypothesis | None  # not adjusted where it is doubted
     others: tuple[RigHypothesis, ...]  # with the next optimum of the pair that is least sure
-    reason: str
+    reason: str  # why nothing was found that is believed; empty if something was
     has_scale: bool
     intervals: dict[str, float]  # of each camera, s
 
@@ -80,20 +81,19 @@ class FoundCameras:
         return out
 
     def outcome_of_none(self, problem: CalibrationProblem) -> Outcome | None:
-        """Return the outcome where no cameras were found; None where some were."""
-        if self.rig is not None:
+        """Return the outcome where no cameras were found that are believed; None where some were."""
+        if not self.reason:
             return None
         size = problem.parameters.size
         nan = np.full((size, size), np.nan)
         return Outcome(problem.parameters, nan[0], nan, np.empty((0, size)), np.empty(0), (), self.reason)
 
     def judged(self, problem: CalibrationProblem, outcome: Outcome) -> Outcome:
-        """Return an outcome with the doubts of the search, and what is known too badly to be called determined."""
+        """Return an outcome with the report of the search, and what is known too badly to be called determined."""
         details = {**outcome.details, "found_from_nothing": self.report()}
-        if outcome.reason or self.rig is None:
+        if outcome.reason:
             return replace(outcome, details=details)
-        doubts = [*self.rig.doubts, *self._left_open(problem, outcome)]
-        return replace(outcome, doubt=outcome.doubt or "; ".join(doubts), details=details)
+        return replace(outcome, doubt=outcome.doubt or "; ".join(self._left_open(problem, outcome)), details=details)
 
     def _left_open(self, problem: CalibrationProblem, outcome: Outcome) -> list[str]:
         """Values whose absolute deviations are too large."""
@@ -127,7 +127,9 @@ def _values_of(rig: RigHypothesis) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[LoadedConfig, FoundCameras | None]:
+def with_found_cameras(
+    loaded: LoadedConfig, log_path: Path | str, limit: TimeLimit = ENDLESS
+) -> tuple[LoadedConfig, FoundCameras | None]:
     """Find cameras whose pose or clock is unknown; return the configuration with them and with priors about them.
 
     The configuration itself, and None, where none is unknown. Where none are found, their poses are placeholders.
@@ -154,17 +156,16 @@ def with_found_cameras(loaded: LoadedConfig, log_path: Path | str) -> tuple[Load
     views = [_view(loaded, section, camera) for camera in cameras]
     reference = [camera.name for camera in cameras].index(section.reference)
     rng = np.random.default_rng(CAMERA_DISCOVERY.seed(loaded.config.seed))
-    discovery = discover(views, raw_tracks(recording, tracks), reference, rng)
+    discovery = discover(views, raw_tracks(recording, tracks), reference, rng, limit)
     intervals = {
         camera.name: float(np.median(np.diff(np.unique(recording.times[recording.cameras == number]))))
         for number, camera in enumerate(cameras)
         if np.count_nonzero(recording.cameras == number) > 1
     }
     rig = _in_frame(loaded, section, discovery.rigs[0]) if discovery.rigs else None
-    found = FoundCameras(
-        names, rig, discovery.rigs[1:], discovery.reason, not isinstance(section.scale, NoScale), intervals
-    )
-    if rig is None:
+    reason = discovery.reason if rig is None else "; ".join(rig.doubts)
+    found = FoundCameras(names, rig, discovery.rigs[1:], reason, not isinstance(section.scale, NoScale), intervals)
+    if rig is None or reason:
         return _placed(loaded, cameras, section), found
     placed = _placed(loaded, rig.cameras, section, _priors(loaded, section, views, rig, intervals))
     if found.has_scale:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,12 +14,14 @@ from numpy.typing import NDArray
 from stereophd.config.calibration import BaselineScale, CalibrationConfig
 from stereophd.config.loading import LoadedConfig
 from stereophd.config.model import Config
+from stereophd.core.alignment.to_points import ControlPoints
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves
-from stereophd.core.calibration.annealing.control import ControlTrack, World
+from stereophd.core.calibration.annealing.control import World, WorldControl
 from stereophd.core.calibration.annealing.method import HistoryRow, Remark
 from stereophd.core.calibration.annealing.task import Fit, Task
+from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages, stages_named
@@ -50,7 +53,7 @@ class CalibrationProblem:
     recording: Recording  # The log
     scale: ScaleMeasurement | None  # A known baseline
     counts: dict[str, int]  # Counts of the log, as in ``report.json``
-    control: ControlTrack | None = None
+    control: WorldControl | None = None
 
     def frames(self, most: int | None = None) -> NDArray[np.int64]:
         """Return the frames of the recording, at most about `most`."""
@@ -70,6 +73,7 @@ class CalibrationRun:
     unfinished: UnfinishedRun
     jobs: int = 1  # Processes, or threads of particles
     progress: Progress | None = None  # Called with (done, total)
+    limit: TimeLimit = ENDLESS
 
     @property
     def section(self) -> CalibrationConfig:
@@ -142,7 +146,9 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProbl
     _check_overlap(parameters, recording, log_path)
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
     _check_method(loaded, parameters)
-    return CalibrationProblem(parameters, reference, recording, scale, counts, build_control(loaded))
+    return CalibrationProblem(
+        parameters, reference, recording, scale, counts, build_control(loaded, parameters.cameras)
+    )
 
 
 def control_path(loaded: LoadedConfig) -> Path | None:
@@ -150,21 +156,23 @@ def control_path(loaded: LoadedConfig) -> Path | None:
     section = loaded.config.calibration
     if section is None or section.control is None:
         return None
-    path = loaded.path.parent / section.control.track
-    return path if path.exists() else Path(section.control.track)
+    path = loaded.path.parent / section.control.file
+    return path if path.exists() else Path(section.control.file)
 
 
-def build_control(loaded: LoadedConfig) -> ControlTrack | None:
-    """Return the control track; InputError where it is not usable, or in another unit of length."""
+def build_control(loaded: LoadedConfig, cameras: Sequence[Camera]) -> WorldControl | None:
+    """Return the control; InputError where it is not usable, or in another unit of length."""
     path, unit = control_path(loaded), loaded.config.units.length
     if path is None:
         return None
-    control = read_control(path)
+    control = read_control(path, cameras)
     if unit not in (NO_LENGTH, control.length_unit or unit):
         raise InputError(f"{path}: expected lengths in {unit} as in {loaded.path}, found {control.length_unit}")
+    length_unit = control.length_unit or (unit if unit != NO_LENGTH else "m")
+    if isinstance(control, ControlPoints):
+        return WorldControl(control, None, unit == NO_LENGTH, length_unit)
     std = None if control.std is None else float(np.median(control.std))
-    known = unit if unit != NO_LENGTH else "m"
-    return ControlTrack(control.track, std, unit == NO_LENGTH, control.length_unit or known)
+    return WorldControl(control.track, std, unit == NO_LENGTH, length_unit)
 
 
 def _check_method(loaded: LoadedConfig, parameters: ParameterSet) -> None:

@@ -1,13 +1,13 @@
 """Checks of the filter's settings against the objects that the log shows: depths, speeds, acceleration, region.
 
-Depths come from rays that meet, with what chance gives at shifted times taken off. Speeds come from one-camera tracks
-at these depths: across the line of sight, over whole tracks, so that the noise of single detections does not count.
+Depths come from rays that meet, less what chance gives at other times and places. Speeds come from one-camera tracks at
+these depths: across the line of sight, over whole tracks, less what the noise of the detections gives.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,12 +18,12 @@ from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.measure import Geometry
 from stereophd.pipeline.checks.geometry.rays import TOLERANCES, distances
-from stereophd.pipeline.checks.log.sample import CameraSample
+from stereophd.pipeline.checks.log.sample import LEAST_LENGTH, CameraSample
 
 # Score of a pair whose depths count.
 LEAST_SCORE = 6.0
-# Share of the depths that the births must cover.
-LEAST_COVERED = 0.6
+# Share of the depths that the region must cover, and the births: objects move away from where they appear.
+LEAST_COVERED, LEAST_BORN = 0.6, 0.25
 # Factors between stated and measured spread of the speed, and of the acceleration, that are reported.
 SLOWER, FASTER, ACCELERATION_FACTOR, TOO_MUCH = 6.0, 30.0, 20.0, 60.0
 # Share of the detections that one-camera tracks must hold before settings are called too large.
@@ -52,15 +52,29 @@ def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> Measu
     if not len(samples):
         return MeasuredScene(None, samples, None, None)
     depths = np.quantile(samples, [0.05, 0.5, 0.95])
-    speeds, accelerations = _track_motion(geometry.samples, float(depths[1]))
+    return MeasuredScene(depths, samples, *measure_motion(geometry.samples, float(depths[1])))
+
+
+def measure_motion(
+    samples: list[CameraSample], depth: float, shortest: int = LEAST_LENGTH
+) -> tuple[Array | None, float | None]:
+    """Return `speed` and `acceleration` of a `MeasuredScene` whose objects are at a depth.
+
+    Where a log has hardly any tracks of `LEAST_LENGTH` frames, speeds are those of the `shortest` that count.
+    """
+    squares, accelerations = _track_motion(samples, depth, LEAST_LENGTH)
+    if len(squares) < LEAST_TRACKS:
+        squares, _ = _track_motion(samples, depth, shortest)
     speed = None
-    if len(speeds) >= LEAST_TRACKS:
-        speed = np.array([np.sqrt((speeds**2).mean() / 2.0), np.quantile(speeds, 0.95)])
+    if len(squares) >= LEAST_TRACKS:
+        # slower than the noise shows: as fast as it allows
+        mean = max(float(squares.mean()), 2.0 * float(squares.std()) / np.sqrt(len(squares)))
+        speed = np.sqrt([mean / 2.0, max(mean, np.quantile(squares, 0.95))])
     acceleration = None
     if len(accelerations) >= LEAST_TRACKS:
         variance = float(np.median(accelerations))
         acceleration = float(np.sqrt(max(variance, 0.0)))
-    return MeasuredScene(depths, samples, speed, acceleration)
+    return speed, acceleration
 
 
 def _depth_samples(geometry: Geometry, least_score: float) -> Array:
@@ -68,7 +82,10 @@ def _depth_samples(geometry: Geometry, least_score: float) -> Array:
     found, chance = [], []
     views = geometry.views
     for pair, given in zip(geometry.pairs, geometry.given, strict=True):
-        distance, depth = distances(pair, views[pair.a], views[pair.b])
+        first, second = views[pair.a], views[pair.b]
+        apart = replace(pair.elsewhere(first.camera), pixels_b=pair.pixels_b[1:])
+        measured = distances(replace(pair, pixels_b=pair.pixels_b[:1]), first, second), distances(apart, first, second)
+        distance, depth = (np.concatenate(each) for each in zip(*measured, strict=True))
         meets = given.score >= least_score
         near = (distance <= (given.tolerance if meets else TOLERANCES[0])) & np.isfinite(depth) & (depth > 0.0)
         counts = near.sum(axis=(1, 2))
@@ -91,19 +108,18 @@ def _depth_samples(geometry: Geometry, least_score: float) -> Array:
     return np.asarray(depths[order][np.minimum(places, len(depths) - 1)])
 
 
-def _track_motion(samples: list[CameraSample], depth: float) -> tuple[Array, Array]:
-    """Return speeds (t,), length/s, and squared accelerations (a,), (length/s^2)^2 of one component, of all tracks."""
+def _track_motion(samples: list[CameraSample], depth: float, least: int) -> tuple[Array, Array]:
+    """Return squared speeds (t,), (length/s)^2, and accelerations (a,), (length/s^2)^2 of one component, of tracks."""
     speeds, accelerations = [], []
     for sample in samples:
         scale = depth / sample.camera.fx
         noise = float(sample.camera.detector.sigma.mean())
-        for track in sample.tracks:
+        for track in sample.chains(least):
             times, pixels = sample.times[sample.frame_of[track]], sample.pixels[track]
-            span = float(times[-1] - times[0])
-            if span <= 0.0:
+            spread = float(((times - times.mean()) ** 2).sum())
+            if spread <= 0.0:
                 continue
-            line = _slope(times, pixels)
-            speeds.append(scale * float(np.hypot(*line)))
+            speeds.append(scale**2 * (float((_slope(times, pixels) ** 2).sum()) - 2.0 * noise**2 / spread))
             if len(track) >= ACCELERATION_LENGTH:
                 accelerations.append(scale**2 * _squared_acceleration(times, pixels, noise))
     return np.array(speeds), np.array(accelerations)
@@ -151,10 +167,21 @@ def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSam
     settings, unit = config.filter, config.units.length
     if settings is None or isinstance(settings, SingleSettings) or scene.depths is None:
         return
+    if config.object.shape == "point":
+        # boxes tell the depth of bodies
+        yield from _depths(config, scene, samples, unit)
+        yield from _region(config, scene, unit)
+    held = np.mean([_held(sample) for sample in samples]) >= LEAST_HELD
+    yield from _speeds(config, scene, bool(whole and held))
+
+
+def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:
+    """Yield whether births cover the depths at which rays meet."""
+    assert scene.depths is not None
     low, high = expected_depths(config, samples)
     covered = float(((scene.depth_samples >= 0.8 * low) & (scene.depth_samples <= 1.25 * high)).mean())
     where = f"between {scene.depths[0]:.3g} and {scene.depths[2]:.3g} {unit}"
-    if covered < LEAST_COVERED:
+    if covered < LEAST_BORN:
         yield Finding(
             "settings.depth_range", "warning",
             f"rays meet at depths {where}, but filter.birth covers {low:.3g} to {high:.3g} {unit}: it seems to be in "
@@ -165,9 +192,6 @@ def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSam
         )  # fmt: skip
     else:
         yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}", round(covered, 3), 1.0)
-    yield from _region(config, scene, unit)
-    held = np.mean([_held(sample) for sample in samples]) >= LEAST_HELD
-    yield from _speeds(config, scene, bool(whole and held))
 
 
 def _held(sample: CameraSample) -> float:

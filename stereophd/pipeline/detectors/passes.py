@@ -13,17 +13,18 @@ from numpy.typing import NDArray
 
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.multi.base import DisparityFilter, FilterState
+from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.pipeline.detectors.statistics import (
     DetectorEstimate,
     DetectorSums,
     NoisePrior,
+    Sighting,
     estimate_detector,
     observe,
 )
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.loop import FORGET_EVERY, run_estimator
+from stereophd.pipeline.tracking.loop import FORGET_EVERY, Estimator, RunState, run_estimator
 
 # Frames of a log that are looked at, stretches of it that a filter runs over, events and detections of them all: more
 # add little, and the time stays bounded for logs of any length.
@@ -35,6 +36,8 @@ LEAST_FRAMES = 10
 MOST_PASSES = 5
 CONVERGED = 0.02
 CONVERGED_ERRORS = 0.5
+# Detections of a tentative object that chance gives.
+CHANCE_PAIR = 2
 # After the last of them, changes below this share are no finding.
 NEARLY_CONVERGED = 0.15
 
@@ -78,43 +81,61 @@ class _Settled:
 class _Watched:
     """A filter in the loop that also collects the evidence of every event on the detectors."""
 
-    def __init__(self, multi_filter: DisparityFilter) -> None:
-        self.rig = multi_filter.rig
-        self.sums = [DetectorSums() for _ in multi_filter.rig.cameras]
+    def __init__(self, estimator: Estimator[Any]) -> None:
+        self.rig = estimator.rig
+        self.sums = [DetectorSums() for _ in estimator.rig.cameras]
         self.own_noise = False
-        self._filter = multi_filter
+        self._estimator = estimator
         self._settled = _Settled()
+        self._n_events = 0
 
-    def init(self) -> FilterState:
+    def init(self) -> Any:
         """Return the state before the first event of a stretch, whose labels begin anew."""
         self._settled = _Settled()
         self._forget(set())
-        return self._filter.init()
+        return self._estimator.init()
 
-    def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
+    def step(self, state: Any, event: Event) -> tuple[Any, Info, Estimates]:
         """Return the state after an event, which is observed between its prediction and its update."""
         sums, settled = self.sums, self._settled
         self.own_noise |= event.own_noise
-        prediction = self._filter.predict(state, event)
-        sighting = observe(
-            sums[event.camera], prediction, event, self.rig.cameras[event.camera].at(event.time_s),
-            self.rig.space(event.camera, event.time_s), prediction.births, settled.labels(), not event.own_noise,
-        )  # fmt: skip
-        state, info = self._filter.update(state, prediction, event)
-        state, estimates = self._filter.extract(state)
+        state, info, estimates, sighting = self._look(state, event)
         probabilities = zip(sighting.detected.tolist(), sighting.missed.tolist(), strict=True)
         for label, (detected, missed) in zip(sighting.labels.tolist(), probabilities, strict=True):
             settled.count(label, event.camera, detected, missed, sums)
         for label in info.detected.tolist():
             settled.seen_by.setdefault(label, set()).add(event.camera)
         settled.confirmed.update(estimates.labels.tolist())
-        if (state.n_events - 1) % FORGET_EVERY == 0:
+        if self._n_events % FORGET_EVERY == 0:
             self._forget(set(state.labels.tolist()))
+        self._n_events += 1
         return state, info, estimates
 
-    def forecast(self, state: FilterState, info: Info, time_s: float) -> tuple[Info, Estimates]:
+    def _look(self, state: Any, event: Event) -> tuple[Any, Info, Estimates, Sighting]:
+        """Return the state after an event, and what the event shows of the settled tracks."""
+        sums, settled, camera = self.sums[event.camera], self._settled.labels(), self.rig.cameras[event.camera]
+        if isinstance(self._estimator, DisparityFilter):
+            prediction = self._estimator.predict(state, event)
+            sighting = observe(
+                sums, prediction, event, camera.at(event.time_s), self.rig.space(event.camera, event.time_s),
+                prediction.births, settled, not event.own_noise,
+            )  # fmt: skip
+            state, info = self._estimator.update(state, prediction, event)
+            state, estimates = self._estimator.extract(state)
+            return state, info, estimates, sighting
+        # imported here: what it needs of SciPy is costly to import
+        from stereophd.core.bodies.filter import BodyFilter
+        from stereophd.pipeline.detectors.bodies import observe_bodies
+
+        assert isinstance(self._estimator, BodyFilter)
+        before = self._estimator.predict(state, event)
+        state, info, estimates = self._estimator.step(state, event)
+        sighting = observe_bodies(sums, before, info, event, camera.at(event.time_s), self._estimator.shape, settled)
+        return state, info, estimates, sighting
+
+    def forecast(self, state: Any, info: Info, time_s: float) -> tuple[Info, Estimates]:
         """Return the objects at a time between two events."""
-        return self._filter.forecast(state, info, time_s)
+        return self._estimator.forecast(state, info, time_s)
 
     def _forget(self, alive: set[int]) -> None:
         """Forget all labels but these."""
@@ -137,23 +158,28 @@ def stretches(stream: EventStream) -> list[EventStream]:
     return [EventStream(stream.cameras, frames[start : start + length]) for start in starts.tolist()]
 
 
-def _pass(multi_filter: DisparityFilter, parts: Iterable[EventStream]) -> tuple[list[DetectorSums], bool]:
+def _pass(estimator: Estimator[Any], parts: Iterable[EventStream]) -> tuple[list[DetectorSums], bool]:
     """Run over stretches of a log once; return the sums of every camera, and whether the log states its own noise."""
-    watched = _Watched(multi_filter)
-    sums = {camera.name: own for camera, own in zip(multi_filter.rig.cameras, watched.sums, strict=True)}
-    for record in (record for part in parts for record in run_estimator(watched, part)):
-        sums[record.camera].frames += 1
-        sums[record.camera].detections += record.n_detections
-        for counts in record.attributed.values():
+    watched = _Watched(estimator)
+    sums = {camera.name: own for camera, own in zip(estimator.rig.cameras, watched.sums, strict=True)}
+    for part in parts:
+        run = RunState(watched.init())
+        for record in run_estimator(watched, part, run=run):
+            sums[record.camera].frames += 1
+            sums[record.camera].detections += record.n_detections
+            for counts in record.attributed.values():
+                for name, count in counts.items():
+                    sums[name].attributed += count
+        for counts in run.attribution.pending.values():
             for name, count in counts.items():
-                sums[name].attributed += count
+                sums[name].undecided += count if sum(counts.values()) > CHANCE_PAIR else 0
     return watched.sums, watched.own_noise
 
 
 def estimate_detectors(
     cameras: tuple[Camera, ...],
     priors: Mapping[str, NoisePrior],
-    build_filter: Callable[[tuple[Camera, ...]], DisparityFilter],
+    build_filter: Callable[[tuple[Camera, ...]], Estimator[Any]],
     parts: Sequence[EventStream],
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
     """Estimate noise, probability of detection and clutter of cameras from a log.
@@ -190,9 +216,11 @@ def estimate_detectors(
         for camera, mine in zip(cameras, sums, strict=True):
             detector = camera.detector
             if camera.name in priors:
-                estimate = estimates[camera.name] = estimate_detector(mine, detector, priors[camera.name])
-                converged = converged and _agree(detector, estimate, CONVERGED)
-                nearly = nearly and _agree(detector, estimate, NEARLY_CONVERGED)
+                prior = priors[camera.name]
+                mine = mine.with_noise_of(sums) if prior.boxes else mine
+                estimate = estimates[camera.name] = estimate_detector(mine, detector, prior)
+                converged = converged and _agree(detector, estimate, prior, CONVERGED)
+                nearly = nearly and _agree(detector, estimate, prior, NEARLY_CONVERGED)
                 detector = estimate.detector
             updated.append(replace(camera, detector=detector))
         cameras = tuple(updated)
@@ -201,8 +229,10 @@ def estimate_detectors(
     for camera in started:
         if camera.name in priors and not (estimates[camera.name].confirmed or own_noise):
             last = estimates[camera.name].detector
-            back = Detector(priors[camera.name].sigma_px, last.p_detect, last.clutter_per_frame)
-            estimates[camera.name] = replace(estimates[camera.name], detector=back)
+            prior = priors[camera.name]
+            back = prior.put(last, prior.noise)
+            estimates[camera.name] = replace(estimates[camera.name], detector=back, noise=prior.noise)
+    estimates = {name: estimate.lasting(priors[name]) for name, estimate in estimates.items()}
     cameras = tuple(
         replace(camera, detector=estimates[camera.name].detector) if camera.name in estimates else camera
         for camera in cameras
@@ -211,15 +241,15 @@ def estimate_detectors(
     return cameras, {"passes": passes, "converged": nearly, "noise_in_log": own_noise, "cameras": report}
 
 
-def _agree(present: Detector, estimate: DetectorEstimate, share: float) -> bool:
+def _agree(present: Detector, estimate: DetectorEstimate, prior: NoisePrior, share: float) -> bool:
     """Whether a pass has changed nothing that matters."""
     new = estimate.detector
 
     def close(old: float, value: float, scale: float, error: float | None) -> bool:
         return error is None or abs(old - value) <= max(share * scale, CONVERGED_ERRORS * error)
 
-    errors = estimate.sigma_error.tolist()
-    sigmas = zip(present.sigma.tolist(), new.sigma.tolist(), new.sigma.tolist(), errors, strict=True)
+    noise = estimate.noise.tolist()
+    sigmas = zip(prior.of(present).tolist(), noise, noise, estimate.noise_error.tolist(), strict=True)
     clutter = new.clutter_per_frame
     return (
         all(close(*sigma) for sigma in sigmas)
@@ -231,22 +261,22 @@ def _agree(present: Detector, estimate: DetectorEstimate, share: float) -> bool:
 def _text(name: str, estimate: DetectorEstimate) -> str:
     detector = estimate.detector
     return (
-        f"{name} sigma {detector.sigma[0]:.3g}, {detector.sigma[1]:.3g} px, p_detect {detector.p_detect:.3f}, "
-        f"clutter {detector.clutter_per_frame:.3g} a frame"
+        f"{name} noise {', '.join(f'{value:.3g}' for value in estimate.noise.tolist())}, "
+        f"p_detect {detector.p_detect:.3f}, clutter {detector.clutter_per_frame:.3g} a frame"
     )
 
 
 def _report(estimate: DetectorEstimate, prior: NoisePrior) -> dict[str, Any]:
-    detector = estimate.detector
+    detector, noise = estimate.detector, "box_noise" if prior.boxes else "sigma_px"
     return {
-        "sigma_px": detector.sigma.tolist(),
+        noise: estimate.noise.tolist(),
         "p_detect": detector.p_detect,
         "clutter_per_frame": detector.clutter_per_frame,
-        "sigma_px_standard_error": estimate.sigma_error.tolist(),
+        f"{noise}_standard_error": estimate.noise_error.tolist(),
         "p_detect_standard_error": estimate.p_detect_error,
         "clutter_per_frame_standard_error": estimate.clutter_error,
         "residual_correlation": None if estimate.correlation is None else estimate.correlation.tolist(),
-        "noise_of_rays_px": prior.sigma_px.tolist(),
+        **({} if prior.boxes else {"noise_of_rays_px": prior.noise.tolist()}),
         "residual_ratio": estimate.residual_ratio,
         "confirmed": estimate.confirmed,
         "residuals": estimate.residuals,

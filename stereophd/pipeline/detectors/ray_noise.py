@@ -36,13 +36,12 @@ from stereophd.pipeline.checks.geometry.rays import (
     signed_of_rays,
 )
 from stereophd.pipeline.checks.log.sample import CameraSample
-from stereophd.pipeline.detectors.statistics import NoisePrior
+from stereophd.pipeline.detectors.statistics import USUAL_P_DETECT, NoisePrior
 
 # The prior: the noise of one detector, px, the spread of its logarithm, and that between the cameras of one log.
 USUAL_NOISE_PX, NOISE_SPREAD, BETWEEN_CAMERAS = 1.7, 1.07, 0.4
-# Detection and false detections of a frame to begin with: no detector is free of them, and births need some to compete
-# with.
-USUAL_P_DETECT, LEAST_CLUTTER = 0.9, 0.02
+# False detections of a frame to begin with: no detector is free of them, and births need some to compete with.
+LEAST_CLUTTER = 0.02
 # Frames of each camera that are looked at.
 SAMPLE_FRAMES = 1500
 # Noises that are tried, px, and borders between classes of distances, px.
@@ -65,9 +64,6 @@ MOST_EVIDENCE = 20.0
 CLEARER = 1.5
 # Distances of chance, number and share, below which their density counts as even.
 EVEN_COUNT, EVEN_SHARE = 50, 0.001
-# By how much detections are moved for distances of chance, as a share of the image, and the angle between successive
-# directions. At other times alone the rays of objects that hardly move still meet.
-OFFSETS, GOLDEN_ANGLE = (0.08, 0.25), 2.39996
 # Share of the detections among neighbours that has a partner within the noise, at least. Without that bound large noise
 # would pass for neighbours.
 LEAST_PARTNERS = 0.25
@@ -213,8 +209,7 @@ def _read(samples: list[CameraSample], a: int, b: int, most: int, places: Places
     first, second = Reading(samples[a].camera), Reading(samples[b].camera)
     known = rays_of(pair, first, second)
     missed = distances(pair, first, second, known)[0][0]
-    elsewhere = replace(pair, pixels_a=_offset(pair.pixels_a, first.camera))
-    by_chance = distances(elsewhere, first, second, (None, known[1]))[0][1:]
+    by_chance = distances(pair.elsewhere(first.camera), first, second, (None, known[1]))[0][1:]
     signed = signed_of_rays(first.camera, second.camera, known[0][:, None], known[1][0])
     signed[~np.isfinite(missed)] = np.nan
     steps = np.unique(np.linspace(1, max(signed.shape[1] - 1, 1), MOST_STEPS).astype(int)).tolist()
@@ -287,16 +282,6 @@ def _background(apart: Array) -> Array:
     near = np.cumsum(apart) <= max(EVEN_COUNT, EVEN_SHARE * apart.sum())
     smooth = np.where(near, apart[near].sum() * widths / max(float(widths[near].sum()), 1e-300), apart)
     return np.asarray((smooth + widths / widths.sum()) / (smooth.sum() + 1.0))
-
-
-def _offset(pixels: Array, camera: Camera) -> Array:
-    """Return pixels (n, 2) moved to other places of the image, each in its own direction."""
-    angle = GOLDEN_ANGLE * np.arange(len(pixels))
-    size = np.array([camera.width, camera.height]) - 1.0
-    away = np.linspace(*OFFSETS, 7)[np.arange(len(pixels)) % 7]
-    moved = pixels + (away * np.array([np.cos(angle), np.sin(angle)])).T * size.max()
-    # reflected at the borders
-    return np.asarray(size - np.abs(size - np.abs(moved)))
 
 
 def _half_normal(spreads: Array) -> Array:

@@ -17,10 +17,11 @@ sqrt(2 sum(w^2)) / sum(w) for R_new / R, divided by the mean of R / S. Few resid
 with what the rays say (`stereophd.pipeline.detectors.ray_noise`), so that it cannot run away from pass to pass.
 
 Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of
-the frame, and M that it exists and made none. Frames count up to the last detection of the track only: what
-comes after is the object's end, not misses.
+the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last
+detection of the track only: what comes after is the object's end, not misses.
 
-Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame.
+Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame. Those
+that a tentative object claims together with others at the end are undecided: they are part of the standard error.
 
 Whether it is noise at all. At the true values the residuals e / sqrt(S) of a track in one camera are white. If those
 of successive frames agree, errors last: of the pose, the clock or the lens, or of labels that were smoothed. No
@@ -29,14 +30,15 @@ white noise describes them; estimated as if they were, tracks become overconfide
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import IN_VIEW
-from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.camera import BOX_NOISE, Camera, Detector
 from stereophd.core.multi.association.exact_association import association_marginals
 from stereophd.core.multi.association.likelihoods import pair_likelihoods
 from stereophd.core.multi.base import Prediction
@@ -45,10 +47,13 @@ from stereophd.core.multi.base import Prediction
 DECIDED_SHARE = 0.9
 # A detection that is more probably a track's than not counts as its next residual.
 LIKELY = 0.5
-# Correlations from fewer residuals, and probabilities from fewer frames with a track in view, are not trusted.
+# Correlations from fewer residuals are not trusted.
 FEWEST_RESIDUALS = 50.0
-FEWEST_IN_VIEW = 50.0
-# Spread of the logarithm of the noise between the two axes of a camera.
+# The prior of a probability of detection: its mean, and the frames that it counts for.
+USUAL_P_DETECT, PRIOR_FRAMES = 0.9, 5.0
+# Smallest noise of a box, as a part of its height, and the largest correlation of its errors.
+LEAST_PART, MOST_LASTING = 1e-3, 0.9
+# Spread of the logarithm of the noise between the axes of a camera, or the values of a box.
 BETWEEN_AXES = 0.25
 # Residuals over stated noise between which tracks confirm it (to within so many standard errors), the fewest of them
 # that can, and the spread of what is known from the rays from which it needs no more of them.
@@ -61,12 +66,12 @@ CONTRADICTED, CONTRADICTED_ERRORS = 1.5, 3.0
 class DetectorSums:
     """Running sums of one camera, over events."""
 
-    # `residuals`, `weights`, `squares`, `shares`: arrays (2,): Sums of w e^2 / S, of w, of w^2 and of w R / S along u
-    # and v.
-    residuals: Array = field(default_factory=lambda: np.zeros(2))
-    weights: Array = field(default_factory=lambda: np.zeros(2))
-    squares: Array = field(default_factory=lambda: np.zeros(2))
-    shares: Array = field(default_factory=lambda: np.zeros(2))
+    # `residuals`, `weights`, `squares`, `shares`: arrays (k,): Sums of w e^2 / S, of w, of w^2 and of w R / S along u
+    # and v, or of the four values of a box.
+    residuals: Array = field(default_factory=lambda: np.zeros(1))
+    weights: Array = field(default_factory=lambda: np.zeros(1))
+    squares: Array = field(default_factory=lambda: np.zeros(1))
+    shares: Array = field(default_factory=lambda: np.zeros(1))
     pairs: float = 0.0  # Expected number of detections behind them
     # `detected`, `missed`: Sums of D and M.
     detected: float = 0.0
@@ -75,20 +80,66 @@ class DetectorSums:
     frames: int = 0
     detections: int = 0
     attributed: int = 0
-    # `products`, `norms`: arrays (2,): Sums over successive frames of a track of r r', and of (r^2 + r'^2) / 2, for
+    undecided: int = 0  # Detections that only objects claim which were still tentative at the end, not alone
+    # `products`, `norms`: arrays (k,): Sums over successive frames of a track of r r', and of (r^2 + r'^2) / 2, for
     # residuals r = e / sqrt(S).
-    products: Array = field(default_factory=lambda: np.zeros(2))
-    norms: Array = field(default_factory=lambda: np.zeros(2))
+    products: Array = field(default_factory=lambda: np.zeros(1))
+    norms: Array = field(default_factory=lambda: np.zeros(1))
     successions: int = 0  # Number of terms in these
-    previous: dict[int, Array] = field(default_factory=dict)  # Label -> residual r (2,) of its last detection
+    previous: dict[int, Array] = field(default_factory=dict)  # Label -> residual r (k,) of its last detection
+
+    def add(self, residuals: Array, total: Array, noise: Array, share: Array, labels: Integers) -> None:
+        """Add the residuals (p, k) of pairs of tracks and detections.
+
+        `total` and `noise` (p, k) are their variances and the part that is the detector's, `share` (p,) the
+        probability of each pair.
+        """
+        weights = share[:, None] * noise / total
+        self.residuals = self.residuals + (weights * residuals**2 / total).sum(axis=0)
+        self.weights = self.weights + weights.sum(axis=0)
+        self.squares = self.squares + (weights**2).sum(axis=0)
+        self.shares = self.shares + (weights * noise / total).sum(axis=0)
+        self.pairs += float(share.sum())
+        for pair in np.flatnonzero(share > LIKELY):
+            residual = residuals[pair] / np.sqrt(total[pair])
+            before = self.previous.get(int(labels[pair]))
+            self.previous[int(labels[pair])] = residual
+            if before is not None:
+                self.products = self.products + residual * before
+                self.norms = self.norms + (residual**2 + before**2) / 2.0
+                self.successions += 1
+
+    def with_noise_of(self, others: Sequence[DetectorSums]) -> DetectorSums:
+        """Return the sums with those of all the others in place of what tells the noise."""
+        names = "residuals", "weights", "squares", "shares", "pairs", "products", "norms", "successions"
+        return replace(self, **{name: sum(getattr(each, name) for each in others) for name in names})
 
 
 @dataclass(frozen=True)
 class NoisePrior:
-    """Prior of the noise of a detector, before there are tracks: log-normal."""
+    """Prior of the noise of a detector, before there are tracks: log-normal.
 
-    sigma_px: Array  # (2,): median along u and v
+    The noise of boxes is in proportion to their height: the cameras of a log share one, unlike that of points.
+    """
+
+    noise: Array  # median: (2,) along u and v, px, or (4,) of the values of a box, as `Detector.box_noise`
     spread: float  # standard deviation of the logarithm
+
+    @property
+    def boxes(self) -> bool:
+        """Whether it is that of boxes."""
+        return len(self.noise) == len(BOX_NOISE)
+
+    def of(self, detector: Detector) -> Array:
+        """Return the noise of a detector that this is the prior of."""
+        return np.asarray(detector.box_noise if self.boxes else detector.sigma)
+
+    def put(self, detector: Detector, noise: Array) -> Detector:
+        """Return a detector with another noise of this kind."""
+        if not self.boxes:
+            return Detector(noise, detector.p_detect, detector.clutter_per_frame, detector.box_noise)
+        values = tuple(np.clip(noise, LEAST_PART, 1.0).tolist())
+        return Detector(detector.sigma, detector.p_detect, detector.clutter_per_frame, values)
 
 
 @dataclass(frozen=True)
@@ -96,10 +147,11 @@ class DetectorEstimate:
     """A detector estimated from a run, and how well; what could not be estimated has no standard error."""
 
     detector: Detector
-    sigma_error: Array  # (2,): Standard errors of sigma, px
-    p_detect_error: float | None
+    noise: Array  # as in `NoisePrior`
+    noise_error: Array  # Its standard errors
+    p_detect_error: float
     clutter_error: float | None
-    # (2,) or None: Correlation of the residuals of successive frames along u and v: 0 of white noise.
+    # Correlation of the residuals of successive frames, for each component of the noise: 0 of white noise.
     correlation: Array | None
     # `residuals`, `in_view`: Expected numbers of detections behind sigma, and of frames with a track in view behind
     # p_detect.
@@ -109,6 +161,21 @@ class DetectorEstimate:
     # Root mean square of the residuals over what the noise stated in this run leads to expect; None without any.
     residual_ratio: float | None
     confirmed: bool  # Whether the tracks of this run agree with the noise that it stated, and with the rays
+
+    def lasting(self, prior: NoisePrior) -> DetectorEstimate:
+        """Return the estimate for a filter that takes errors for white where those of boxes last, as gaits do.
+
+        The mean of many frames with errors of correlation r errs by as much as with white ones of (1 + r) / (1 - r)
+        times the variance.
+        """
+        if not prior.boxes or self.correlation is None:
+            return self
+        lasting = np.clip(self.correlation, 0.0, MOST_LASTING)
+        factor = np.sqrt((1.0 + lasting) / (1.0 - lasting))
+        noise = self.noise * factor
+        return replace(
+            self, noise=noise, noise_error=self.noise_error * factor, detector=prior.put(self.detector, noise)
+        )
 
 
 @dataclass(frozen=True)
@@ -209,20 +276,7 @@ def _add_residuals(
     spread = to_image @ spread @ np.swapaxes(to_image, 1, 2)
     noise = np.asarray(camera.detector.sigma) ** 2
     total = np.stack([spread[:, 0, 0], spread[:, 1, 1]], axis=1) + noise
-    weights = share[:, None] * noise / total
-    sums.residuals += (weights * residuals**2 / total).sum(axis=0)
-    sums.weights += weights.sum(axis=0)
-    sums.squares += (weights**2).sum(axis=0)
-    sums.shares += (weights * noise / total).sum(axis=0)
-    sums.pairs += float(share.sum())
-    for pair in np.flatnonzero(share > LIKELY):
-        residual = residuals[pair] / np.sqrt(total[pair])
-        before = sums.previous.get(int(labels[pair]))
-        sums.previous[int(labels[pair])] = residual
-        if before is not None:
-            sums.products += residual * before
-            sums.norms += (residual**2 + before**2) / 2.0
-            sums.successions += 1
+    sums.add(residuals, total, np.broadcast_to(noise, total.shape), share, labels)
 
 
 def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) -> DetectorEstimate:
@@ -232,36 +286,34 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
     standard errors. Without residuals it is the prior's, and where they contradict it: wrong tracks would otherwise
     make the noise larger, which makes more of them wrong.
     """
-    sigma, ratio = np.asarray(prior.sigma_px), None
-    error = sigma * np.hypot(prior.spread, BETWEEN_AXES)
+    noise, ratio = np.asarray(prior.noise), None
+    error = noise * np.hypot(prior.spread, BETWEEN_AXES)
     confirmed = prior.spread < KNOWN_SPREAD
     if sums.pairs > 0.0 and (sums.residuals > 0.0).all() and (sums.weights > 0.0).all():
-        measured = np.asarray(present.sigma) * np.sqrt(sums.residuals / sums.weights)
+        measured = prior.of(present) * np.sqrt(sums.residuals / sums.weights)
         relative = np.sqrt(2.0 * sums.squares) / sums.weights / (sums.shares / sums.weights) / 2.0
         spread = np.hypot(prior.spread, BETWEEN_AXES)
         weight = relative**-2 / (relative**-2 + spread**-2)
-        sigma = np.exp((1.0 - weight) * np.log(prior.sigma_px) + weight * np.log(measured))
-        error = sigma * np.sqrt(weight) * relative
+        noise = np.exp((1.0 - weight) * np.log(prior.noise) + weight * np.log(measured))
+        error = noise * np.sqrt(weight) * relative
         ratio = float(np.sqrt((sums.residuals / sums.weights).mean()))
-        apart = abs(float(np.log(measured / prior.sigma_px).mean()))
+        apart = abs(float(np.log(measured / prior.noise).mean()))
         most = max(np.log(CONTRADICTED), CONTRADICTED_ERRORS * float(np.hypot(relative.min(), prior.spread)))
         agrees = apart < most
         if not agrees:
-            sigma, error = np.asarray(prior.sigma_px), np.asarray(prior.sigma_px) * spread
+            noise, error = np.asarray(prior.noise), np.asarray(prior.noise) * spread
         slack = CONFIRMED_ERRORS * float(relative.max())
         low, high = np.log(CONFIRMED[0]) - slack, np.log(CONFIRMED[1]) + slack
         confirmed = bool(agrees and low <= np.log(ratio) <= high) and (confirmed or sums.pairs >= FEWEST_TO_CONFIRM)
-    p_detect, clutter, p_error, clutter_error = present.p_detect, present.clutter_per_frame, None, None
     in_view = sums.detected + sums.missed
-    if in_view >= FEWEST_IN_VIEW:
-        # half a detection and half a miss are added: a probability of 0 or 1 could never change again
-        p_detect = (sums.detected + 0.5) / (in_view + 1.0)
-        p_error = float(np.sqrt(p_detect * (1.0 - p_detect) / in_view))
+    p_detect = (sums.detected + USUAL_P_DETECT * PRIOR_FRAMES) / (in_view + PRIOR_FRAMES)
+    p_error = float(np.sqrt(p_detect * (1.0 - p_detect) / (in_view + PRIOR_FRAMES)))
+    clutter, clutter_error = present.clutter_per_frame, None
     if sums.frames > 0:
         clutter = (max(sums.detections - sums.attributed, 0) + 0.5) / sums.frames
-        clutter_error = float(np.sqrt(clutter / sums.frames))
+        clutter_error = float(np.hypot(np.sqrt(clutter / sums.frames), sums.undecided / sums.frames))
     correlation = sums.products / sums.norms if sums.successions >= FEWEST_RESIDUALS else None
     return DetectorEstimate(
-        Detector(sigma, p_detect, clutter), error, p_error, clutter_error, correlation,
-        sums.pairs, in_view, sums.frames, ratio, confirmed,
+        prior.put(Detector(present.sigma, p_detect, clutter, present.box_noise), noise), noise, error, p_error,
+        clutter_error, correlation, sums.pairs, in_view, sums.frames, ratio, confirmed,
     )  # fmt: skip

@@ -16,22 +16,26 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.events import EventKeys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import Events, Truth
-from stereophd.core.metrics.truth.visibility import Sightings
+from stereophd.core.metrics.truth.scored import Sightings
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
 from stereophd.io.outputs.provenance import from_metadata, length_unit
-from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet, read_table
-from stereophd.io.tables.schemas import CAMERAS_PART, CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING, TENTATIVE
+from stereophd.io.tables.reading import check_columns, finite_column, open_parquet, read_pieces, read_table
+from stereophd.io.tables.schemas import (
+    CAMERAS_PART,
+    CONFIRMED,
+    COVARIANCE,
+    FLOAT,
+    INTEGER,
+    KEY,
+    POSITION,
+    STRING,
+    TENTATIVE,
+    VELOCITY,
+)
 
 # The table of events that `track` writes into the folder of its tracks.
 SCANS_NAME = "scans.parquet"
-
-KEY = {"time_s": FLOAT, "camera": STRING, "frame": INTEGER}
-POSITION = {"x": FLOAT, "y": FLOAT, "z": FLOAT}
-VELOCITY = {"vx": FLOAT, "vy": FLOAT, "vz": FLOAT}
-
-# Rows of the covariances (36 numbers each) that are held at once; only their position parts are kept.
-COVARIANCE_ROWS = 16_384
 
 
 @dataclass(frozen=True)
@@ -64,12 +68,8 @@ def read_tracks(path: Path) -> Tracks:
     Raises InputError when a file is not what it should be: columns, types, values that are not finite, times out of
     order, an event in two pieces, or tracks of events that the scans do not have.
     """
-    table = read_table(
-        path,
-        {**KEY, "track_id": INTEGER, **POSITION, **VELOCITY},
-        optional={"status": STRING},
-        what="table of tracks",
-    )
+    required = {**KEY, "track_id": INTEGER, **POSITION, **VELOCITY}
+    table = read_table(path, required, {"status": STRING}, "table of tracks")
     position, velocity = _vectors(table, POSITION, path), _vectors(table, VELOCITY, path)
     cameras: dict[str, int] = {}
     rows = _keys(table, path, cameras)
@@ -106,18 +106,14 @@ def read_truth(path: Path) -> tuple[Truth, str | None]:
     Raises InputError when it is not a table of truth, has no rows, values that are not finite, an object twice at one
     time, or only some of vx, vy, vz.
     """
-    table = read_table(
-        path,
-        {"time_s": FLOAT, "object_id": INTEGER, **POSITION},
-        optional=VELOCITY,
-        what="table of true positions",
-    )
+    required = {"time_s": FLOAT, "object_id": INTEGER, **POSITION}
+    table = read_table(path, required, VELOCITY, "table of true positions")
     if table.num_rows == 0:
         raise InputError(f"{path}: expected a table of true positions, found one without rows")
     given = [name for name in VELOCITY if name in table.column_names]
     if given and len(given) < len(VELOCITY):
         raise InputError(f"{path}: expected all or none of the columns vx, vy, vz, found {', '.join(given)}")
-    time_s, object_id = _finite(table, "time_s", path), _integers(table, "object_id")
+    time_s, object_id = finite_column(table, "time_s", path), _integers(table, "object_id")
     position = _vectors(table, POSITION, path)
     velocity = _vectors(table, VELOCITY, path) if given else None
     order = np.lexsort((time_s, object_id))
@@ -138,17 +134,13 @@ def read_sightings(path: Path, cameras: Sequence[Camera] | None) -> Sightings:
     into true times; without cameras the log is on true time. Raises InputError when it is not a detection log, times
     are not finite, or a camera is not among the cameras.
     """
-    table = read_table(
-        path,
-        {"time_s": FLOAT, "camera": STRING},
-        optional={"u_px": FLOAT, "object_id": INTEGER},
-        what=LOG,
-    )
+    optional = {"u_px": FLOAT, "object_id": INTEGER}
+    table = read_table(path, {"time_s": FLOAT, "camera": STRING}, optional, LOG)
     if "u_px" not in table.column_names:
         raise InputError(f"{path}: missing column u_px; expected a detection log")
     # A null pixel is an empty frame, which is not a sighting.
     table = table.filter(pc.is_valid(table["u_px"]))
-    time_s = _finite(table, "time_s", path)
+    time_s = finite_column(table, "time_s", path)
     camera, names = _names(table)
     if cameras is not None:
         clocks = {one.name: one.clock for one in cameras}
@@ -182,7 +174,7 @@ def cameras_of_record(record: Mapping[str, Any] | None) -> list[Camera] | None:
 
 def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> EventKeys:
     """Return the keys of the rows; `cameras` numbers the names, and grows by new ones."""
-    time_s = _finite(table, "time_s", path)
+    time_s = finite_column(table, "time_s", path)
     backwards = np.flatnonzero(np.diff(time_s) < 0)
     if backwards.size:
         row = int(backwards[0]) + 1
@@ -241,27 +233,19 @@ def _names(table: pa.Table) -> tuple[Integers, list[str]]:
     return np.asarray(encoded.indices, dtype=np.int64), encoded.dictionary.to_pylist()
 
 
-def _finite(table: pa.Table, name: str, path: Path) -> Array:
-    values = np.array(table[name], dtype=np.float64)
-    bad = np.flatnonzero(~np.isfinite(values))
-    if bad.size:
-        raise InputError(f"{path}: row {bad[0]}: column {name}: expected a finite number, found {values[bad[0]]}")
-    return values
-
-
 def _vectors(table: pa.Table, names: Mapping[str, Any], path: Path) -> Array:
-    return np.stack([_finite(table, name, path) for name in names], axis=1)
+    return np.stack([finite_column(table, name, path) for name in names], axis=1)
 
 
 def _position_covariances(path: Path, name: str) -> Array:
     """Read the position part (n, 3, 3) of a column of covariances, piece by piece."""
     pieces = [np.zeros((0, 3, 3))]
-    with open_parquet(path, "table of tracks") as parquet, damaged_is_input_error(path):
+    with open_parquet(path, "table of tracks") as parquet:
         check_columns(parquet.schema_arrow, {name: COVARIANCE}, {}, path)
-        for batch in parquet.iter_batches(batch_size=COVARIANCE_ROWS, columns=[name]):
-            column = batch.column(0)
-            if column.null_count or column.flatten().null_count:
-                raise InputError(f"{path}: column {name}: expected values, found null")
-            full = np.asarray(column.flatten(), dtype=np.float64).reshape(-1, 6, 6)
-            pieces.append(full[:, :3, :3].copy())
+    for batch in read_pieces(path, [name]):
+        column = batch.column(0)
+        if column.null_count or column.flatten().null_count:
+            raise InputError(f"{path}: column {name}: expected values, found null")
+        full = np.asarray(column.flatten(), dtype=np.float64).reshape(-1, 6, 6)
+        pieces.append(full[:, :3, :3].copy())
     return np.concatenate(pieces)

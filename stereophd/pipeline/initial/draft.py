@@ -23,7 +23,7 @@ from stereophd.pipeline.checks.geometry.measure import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run_figures.estimated_detectors import LASTING, check_estimated_detectors
-from stereophd.pipeline.checks.settings import expected_depths, measure_scene
+from stereophd.pipeline.checks.settings import expected_depths, measure_motion, measure_scene
 from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
 from stereophd.pipeline.detectors.statistics import NoisePrior
@@ -46,6 +46,8 @@ REGION_NEARER, REGION_FARTHER = 0.4, 2.5
 # Largest standard deviation of a reported position, and the cutoff of scores, over the middle depth.
 UNCERTAIN, CUTOFF = 0.1, 0.1
 CAUSES_OF_DETECTORS = ("clutter", "sigma")
+# What the figures of a filter say of points only.
+UNUSED_BY_BODIES = {"region.depth", "report.max_position_std", "evaluation.cutoff"}
 
 
 def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
@@ -60,6 +62,9 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     samples = sample_log(reader, cameras, SAMPLE_FRAMES)
     draft, unknown = _with_known_detectors(draft, samples)
     draft = _with_frame_rates(draft, samples)
+    bodies = _with_bodies(draft, cameras, unknown, log_path) if all(sample.boxes for sample in samples) else None
+    if bodies is not None:
+        return replace(bodies, calibration=tuple(_calibration(bodies)))
     cameras, priors = starting_detectors(cameras, unknown, samples)
     samples = [replace(sample, camera=camera) for sample, camera in zip(samples, cameras, strict=True)]
     draft = _with_cameras(draft, cameras, unknown)
@@ -67,6 +72,45 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     if rough is not None:
         draft = _with_filter(draft.with_choices(rough), draft, priors, log_path)
     return replace(draft, calibration=tuple(_calibration(draft)))
+
+
+def _with_bodies(
+    draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str], log_path: Path | str
+) -> Draft | None:
+    """Return the draft for objects whose boxes the log has; None if the user states points, or it shows no size."""
+    # imported here: what it needs of SciPy is costly to import
+    from stereophd.pipeline.detectors.bodies import point_noise, starting_box_detectors
+    from stereophd.pipeline.initial.bodies import measure_bodies, refine_bodies
+
+    stated, values = any(key.split(".")[0] == "object" for key in draft.given), draft.values()
+    points = values["filter"]["kind"] != "pmb" or values.get("object") == {"shape": "point"}
+    if points or not all(camera.pose.is_static for camera in cameras):
+        return None
+    cameras, priors = starting_box_detectors(cameras, unknown)
+    name = str(log_path)
+    parts = stretches(open_stream(loaded_draft(draft, name).config, cameras, log_path))
+    events = [list(part) for part in parts]
+    usual = draft = _with_cameras(draft, cameras, unknown)
+    if not stated:
+        bodies = measure_bodies(cameras, events)
+        if bodies is None:
+            return None
+        draft = draft.with_choices({**bodies.choices(draft.unit), **bodies.rough(draft.unit)})
+        bodies = refine_bodies(bodies, loaded_draft(draft, name), cameras, events)
+        draft = draft.with_choices({**bodies.choices(draft.unit), **bodies.rough(draft.unit)})
+    if priors:
+        draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
+        noisy = point_noise(loaded_draft(draft, name).build_cameras(), events)
+        draft = _with_cameras(draft, noisy, unknown)
+        events = [list(part.with_cameras(noisy)) for part in parts]
+    draft = _with_acceleration(draft, events, name)
+    loaded = loaded_draft(draft, name)
+    figures = measure_with_filter(loaded, loaded.build_cameras(), events)
+    if figures is None:
+        return draft
+    # bodies are where their region says, and their boxes tell their depth
+    final = _final(figures, usual, draft.unit)
+    return draft.with_choices({key: choice for key, choice in final.items() if key not in UNUSED_BY_BODIES})
 
 
 def _calibration(draft: Draft) -> Iterator[str]:
@@ -106,6 +150,8 @@ def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection
             "p_detect": rounded(min(max(values["p_detect"], 0.05), 0.995), 3),
             "clutter_per_frame": rounded(max(values["clutter_per_frame"], 1e-3), 3),
         }
+        if values["box_noise"] is not None:
+            values["box_noise"] = tuple(rounded(part) for part in values["box_noise"])
         described[name] = camera.model_copy(update={"detector": DetectorConfig(**values)})
     return replace(draft, cameras=described)
 
@@ -168,9 +214,10 @@ def _rough(draft: Draft, samples: list[CameraSample]) -> dict[str, Choice] | Non
         "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
         "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),
     }
-    if scene.speed is None:
+    speed, _ = measure_motion(samples, middle, shortest=2)
+    if speed is None:
         tracks = "the log shows no speeds: these depths are crossed in a few seconds"
-    spread, fastest = (0.2 * middle, 2.0 * middle) if scene.speed is None else scene.speed.tolist()
+    spread, fastest = (0.2 * middle, 2.0 * middle) if speed is None else speed.tolist()
     choices["filter.birth.velocity_std"] = Choice(rounded(max(2.0 * spread, 1e-3 * middle)), tracks)
     choices["motion.max_speed"] = Choice(rounded(max(5.0 * fastest, 0.02 * middle)), tracks)
     choices["motion.acceleration_std"] = Choice(rounded(max(0.5 * spread, 1e-4 * middle)), tracks)
@@ -225,10 +272,16 @@ def _source_of_detector(entry: Mapping[str, Any]) -> str:
     """Return the comment of an estimated detector."""
     tracks = f"{entry['residuals']:.0f} detections of tracks that two cameras saw"
     if not entry["confirmed"]:
-        return f"detector: sigma_px from the rays alone, {tracks} did not confirm it; look at it"
+        before = "the rays alone" if "sigma_px" in entry else "what is usual"
+        return f"detector: noise from {before}, {tracks} did not confirm it; look at it"
+    if "box_noise" in entry:
+        return f"detector: from {tracks}; the noise is that of all cameras, sigma_px that of the middles of boxes"
     text = f"detector: from the rays and {tracks}"
     if entry["residual_correlation"] is not None and max(entry["residual_correlation"]) > LASTING:
         text += "; their errors last from frame to frame, as those of pose, clock or lens do"
+    if (error := entry["clutter_per_frame_standard_error"]) is not None:
+        errors = entry["p_detect_standard_error"], error
+        text += "; standard errors: p_detect {:.2g}, clutter_per_frame {:.2g}".format(*errors)
     return text
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,9 +13,8 @@ from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.multi.base import DisparityFilter
 from stereophd.pipeline.build import build_labelled_filter
-from stereophd.pipeline.tracking.loop import run_estimator
+from stereophd.pipeline.tracking.loop import Estimator, run_estimator
 
 # Largest standard deviation of a position, over its depth, that counts.
 CERTAIN = 0.05
@@ -79,7 +79,7 @@ def measure_with_filter(
     )
 
 
-def _tracks(estimator: DisparityFilter, part: Sequence[Event], centers: Array, least: int) -> list[tuple[Array, Array]]:
+def _tracks(estimator: Estimator[Any], part: Sequence[Event], centers: Array, least: int) -> list[tuple[Array, Array]]:
     """Return states (n, 6) and times (n,) of every track of certain estimates."""
     states: dict[int, list[Array]] = {}
     times: dict[int, list[float]] = {}

@@ -16,7 +16,7 @@ from stereophd.site import page
 MARK = "# Written by stereophd init"
 WIDTH = 110
 # Sections in the order of the file.
-SECTIONS = ("motion", "region", "filter", "report", "evaluation")
+SECTIONS = ("object", "motion", "region", "filter", "report", "evaluation")
 
 SMOOTHING = (
     "  # the whole log improves every position, and tracks begin at their first detection; it is then held in memory.",

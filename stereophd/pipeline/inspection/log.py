@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
-from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
-from stereophd.io.tables.writing import ROW_GROUP_ROWS
+from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet, read_pieces
 
 # Intervals of a camera of which the median is taken.
 INTERVALS_KEPT = 1_000_000
@@ -122,7 +119,7 @@ def summarise_log(path: Path) -> dict[str, Any]:
     states: list[_CameraState] = []
     latest, backwards = -np.inf, 0
     start = 0
-    for batch in _batches(path, [*REQUIRED, *present]):
+    for batch in read_pieces(path, [*REQUIRED, *present], LOG):
         for name in batch.column("camera").unique().to_pylist():
             if name is not None and name not in names:
                 names[name] = len(names)
@@ -149,8 +146,3 @@ def summarise_log(path: Path) -> dict[str, Any]:
         "times_backwards": backwards,
         "cameras": cameras,
     }
-
-
-def _batches(path: Path, columns: list[str]) -> Iterator[pa.RecordBatch]:
-    with open_parquet(path, LOG) as parquet, damaged_is_input_error(path):
-        yield from parquet.iter_batches(batch_size=ROW_GROUP_ROWS, columns=columns, use_threads=False)

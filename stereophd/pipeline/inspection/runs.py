@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
@@ -15,30 +15,23 @@ from numpy.typing import NDArray
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.outputs.commit import refuse_unsettled
+from stereophd.io.outputs.json_text import read_report
 from stereophd.io.outputs.provenance import file_sha256
-from stereophd.io.tables.reading import damaged_is_input_error, open_parquet, read_table
-from stereophd.io.tables.schemas import CONFIRMED, COVARIANCE, FLOAT, INTEGER, STRING
+from stereophd.io.tables.reading import arrays_of, open_parquet, read_table
+from stereophd.io.tables.schemas import ASSOCIATIONS, CONFIRMED, FLOAT, INTEGER, SCANS, TRACKS, kinds_of
 from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
+from stereophd.pipeline.inspection.shapes import SHAPES
 from stereophd.pipeline.inspection.tables import kind_of
 
 Columns = Mapping[str, NDArray[Any]]
 
-KEY = {"time_s": FLOAT, "camera": STRING, "frame": INTEGER}
-STATE = dict.fromkeys(("x", "y", "z", "vx", "vy", "vz"), FLOAT)
-TRACKS = {**KEY, "track_id": INTEGER, **STATE, "covariance": COVARIANCE, "existence": FLOAT}
-SCANS = {**KEY, "n_detections": INTEGER, "cardinality_mean": FLOAT, "cardinality_estimate": INTEGER}
-ASSOCIATIONS = {**KEY, "u_px": FLOAT, "v_px": FLOAT, "track_id": INTEGER, "probability": FLOAT}
+SCANS_SHOWN = ("time_s", "camera", "frame", "n_detections", "cardinality_mean", "cardinality_estimate")
 SCORES = dict.fromkeys(("time_s", "ospa", "ospa_localisation", "ospa_cardinality", "gospa"), FLOAT)
 COUNTS = dict.fromkeys(("n_truth", "n_estimates", "n_matched"), INTEGER)
 
 REPORT = "report.json"
-# What a report page takes from the origin of a run, and from the report by command: keys that must be there.
-RECORD = ("config", "inputs", "seed")
-SHOWN = {
-    "evaluate": ("ospa", "gospa", "rmse", "nees", "identity_switches"),
-    "calibrate": ("parameters", "status"),
-}
 
 
 @dataclass(frozen=True)
@@ -58,7 +51,7 @@ class Run:
     report: Mapping[str, Any]  # Its ``report.json``
     cameras: tuple[Camera, ...] = ()  # As the run found them, else as it was given them; may be empty
     # `tracks`, `scans`, `associations`: Columns of its tables. Tracks are the confirmed estimates, with
-    # ``position_std`` and ``speed`` in place of the covariance.
+    # ``position_std`` and ``speed`` in place of the covariance; those of bodies have ``height`` and ``width``.
     tracks: Columns | None = None
     scans: Columns | None = None
     associations: Columns | None = None
@@ -74,6 +67,13 @@ class Run:
         """Version, command, configuration, seed and hashes of the inputs."""
         found: Mapping[str, Any] = self.report["provenance"]
         return found
+
+    @property
+    def up(self) -> NDArray[np.float64]:
+        """The direction (3,) of the height of bodies; any where they are spheres."""
+        shape = self.provenance["config"].get("object") or {}
+        vector = np.array(shape.get("up") or (0.0, 0.0, 1.0), dtype=np.float64)
+        return np.asarray(vector / np.linalg.norm(vector))
 
     @property
     def length_unit(self) -> str:
@@ -148,23 +148,10 @@ def _read_folder(folder: Path, found: _Found) -> None:
 
 
 def _report(path: Path) -> dict[str, Any] | None:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if (document := read_report(path)) is None:
         return None
-    except RecursionError:
-        raise InputError(f"{path}: expected a report of stereophd, found JSON nested too deeply") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    if not isinstance(document, dict) or not isinstance(document.get("provenance"), dict):
-        raise InputError(f"{path}: expected a report of stereophd, found none of its keys")
-    record = document["provenance"]
-    command = record.get("command")
-    missing = [f"provenance.{key}" for key in RECORD if key not in record]
-    missing += [f"provenance.{key}" for key in ("config", "inputs") if not isinstance(record.get(key, {}), dict)]
-    missing += [key for key in SHOWN.get(command if isinstance(command, str) else "", ()) if key not in document]
-    if missing:
-        raise InputError(f"{path}: {missing[0]}: expected this key of a report of {command}, found none")
+    with expecting("a report of stereophd", path):
+        msgspec.convert(document, SHAPES.get(str(document["provenance"].get("command")), dict))
     return document
 
 
@@ -178,8 +165,8 @@ def read_run(folder: Path, command: str, report: Mapping[str, Any]) -> Run:
         report,
         _cameras(folder / "cameras.yaml", report["provenance"]),
         tracks=_tracks(held["tracks"]) if "tracks" in held else None,
-        scans=_columns(held["scans"], SCANS) if "scans" in held else None,
-        associations=_columns(held["associations"], ASSOCIATIONS) if "associations" in held else None,
+        scans=_columns(held["scans"], kinds_of(SCANS, *SCANS_SHOWN)) if "scans" in held else None,
+        associations=_columns(held["associations"], kinds_of(ASSOCIATIONS)) if "associations" in held else None,
         history=_all_columns(held["history"]) if "history" in held else None,
         posterior=_all_columns(held["posterior"]) if "posterior" in held else None,
     )
@@ -194,36 +181,29 @@ def _cameras(path: Path, record: Mapping[str, Any]) -> tuple[Camera, ...]:
 
 
 def _tracks(path: Path) -> Columns:
-    table = read_table(path, TRACKS, {"status": STRING}, what="table of tracks")
+    required = kinds_of(TRACKS)
+    optional = {"status": required.pop("status"), "height": FLOAT, "width": FLOAT}
+    table = read_table(path, required, optional, what="table of tracks")
     if "status" in table.schema.names:
         table = table.filter(pc.equal(table["status"], CONFIRMED)).drop_columns(["status"])
-    covariance = table.column("covariance").combine_chunks().flatten().to_numpy(zero_copy_only=False)
-    columns = {
-        name: table.column(name).to_numpy(zero_copy_only=False) for name in table.schema.names if name != "covariance"
-    }
-    variances = covariance.reshape(-1, 6, 6)[:, [0, 1, 2], [0, 1, 2]]
+    columns = arrays_of(table)
+    variances = columns.pop("covariance").reshape(-1, 6, 6)[:, [0, 1, 2], [0, 1, 2]]
     columns["position_std"] = np.sqrt(variances.sum(axis=1))
     columns["speed"] = np.sqrt(columns["vx"] ** 2 + columns["vy"] ** 2 + columns["vz"] ** 2)
     return columns
 
 
 def _columns(path: Path, required: Mapping[str, Any]) -> Columns:
-    table = read_table(path, required)
-    return {name: table.column(name).to_numpy(zero_copy_only=False) for name in required}
+    return arrays_of(read_table(path, required))
 
 
-def _all_columns(path: Path) -> Columns:
-    import pyarrow as pa
-
+def _all_columns(path: Path) -> dict[str, NDArray[Any]]:
     with open_parquet(path) as parquet:
-        names = parquet.schema_arrow
-    table = read_table(path, {name: FLOAT for name in names.names if pa.types.is_floating(names.field(name).type)})
-    columns = {name: table.column(name).to_numpy(zero_copy_only=False) for name in table.schema.names}
-    if "covariance" in names.names:
-        with open_parquet(path) as parquet, damaged_is_input_error(path):
-            flat = parquet.read(columns=["covariance"]).column(0).combine_chunks().flatten()
-        size = len(columns) - 1
-        columns["covariance"] = flat.to_numpy(zero_copy_only=False).reshape(-1, size, size)
+        kinds = kinds_of(parquet.schema_arrow)
+    columns = arrays_of(read_table(path, kinds))
+    if "covariance" in columns:
+        size = len(columns) - 2
+        columns["covariance"] = columns["covariance"].reshape(-1, size, size)
     return columns
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from stereophd.core.multi.state.estimates import Estimates
 from stereophd.io.tables.schemas import CAMERAS_PART, CONFIRMED, EXTENTS, STD, TENTATIVE
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.run_figures.figures import FigureSums, RunFigures
+from stereophd.pipeline.tracking.run_figures.figures import RunFigures
 
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
 
@@ -31,43 +31,25 @@ class Tables:
     associations: TableWriter | None = None
 
 
-@dataclass
-class Writing:
-    """What a `RecordWriter` has counted so far."""
-
-    figures: FigureSums = field(default_factory=FigureSums)
-    # Since the last row of the table of events: what happened between two reports belongs to the second.
-    new_detections: int = 0
-    new_log_likelihood: float = 0.0
-    cameras_part: CommonPart | None = None  # Of what uncertain cameras add
-
-
 class RecordWriter:
     """Writes what is to be reported as it comes, and counts the figures of the run.
 
-    The cameras are in order, for the figures of each. `report` says which estimates are written, and which columns.
-    `writing` is where the figures begin, and is kept up to date.
+    The cameras are in order, for the figures of each. `report` says which estimates are written, and which columns;
+    `figures` are where the run begins, and are kept up to date.
     """
 
     def __init__(
-        self,
-        tables: Tables,
-        cameras: Sequence[Camera],
-        report: ReportConfig,
-        writing: Writing | None = None,
+        self, tables: Tables, cameras: Sequence[Camera], report: ReportConfig, figures: RunFigures | None = None,
         uncertainty: CameraUncertainty | None = None,
-    ) -> None:
-        self._uncertainty = uncertainty
-        self._tables, self._report = tables, report
-        self._writing = Writing() if writing is None else writing
-        self._figures = RunFigures(cameras, self._writing.figures)
+    ) -> None:  # fmt: skip
+        self._tables, self._report, self._uncertainty = tables, report, uncertainty
+        self._cameras = {camera.name: camera for camera in cameras}
+        self._figures = RunFigures() if figures is None else figures
 
     def add(self, record: Record) -> None:
         """Write a record."""
-        tables, report = self._tables, self._report
-        self._figures.add(record)
-        self._writing.new_detections += record.n_detections
-        self._writing.new_log_likelihood += record.info.log_likelihood
+        tables, report, figures = self._tables, self._report, self._figures
+        figures.add(record, self._cameras)
         if tables.associations is not None:
             for sightings in record.associations:
                 tables.associations.append(sightings.columns())
@@ -80,27 +62,22 @@ class RecordWriter:
         tables.scans.append(
             {
                 **key,
-                "n_detections": np.array([self._writing.new_detections]),
+                "n_detections": np.array([figures.new_detections]),
                 "cardinality_mean": record.info.cardinality_mean,
                 "cardinality_estimate": len(estimates.track_ids),
-                "log_likelihood": self._writing.new_log_likelihood,
+                "log_likelihood": figures.new_log_likelihood,
                 "n_components": record.info.n_components,
             }
         )
-        self._writing.new_detections, self._writing.new_log_likelihood = 0, 0.0
+        figures.new_detections, figures.new_log_likelihood = 0, 0.0
         for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
             if level is not None and len(level.track_ids):
                 tables.tracks.append({**key, **self._columns(level, record.time_s), "status": status})
-        self._figures.add_estimates(estimates, record.time_s)
+        figures.add_estimates(estimates, record.time_s)
 
-    def report(self) -> dict[str, Any]:
+    def summary(self) -> dict[str, Any]:
         """Return the figures of the run for ``report.json``."""
-        part = self._writing.cameras_part
-        common, other = (0.0, 0.0) if part is None else part.stds()
-        return {
-            **self._figures.report(self._tables.scans.rows, self._tables.tracks.rows),
-            **({} if part is None else {"cameras_part": {"common_std": common, "other_std": other}}),
-        }
+        return self._figures.report(self._cameras, self._tables.scans.rows, self._tables.tracks.rows)
 
     def _columns(self, estimates: Estimates, time_s: float) -> dict[str, Any]:
         """Columns of ``tracks.parquet`` of one event; covariances with the part of uncertain cameras, if any."""
@@ -108,8 +85,8 @@ class RecordWriter:
             return _columns(estimates, self._report.std_columns)
         moves = self._uncertainty.moves(np.full(len(estimates.states), time_s), estimates.states, estimates.covariances)
         sums = CommonPart.of(estimates.states[:, :3], moves @ self._uncertainty.root)
-        before = self._writing.cameras_part
-        self._writing.cameras_part = sums if before is None else before.joined(sums)
+        before = self._figures.cameras_part
+        self._figures.cameras_part = sums if before is None else before.joined(sums)
         added = self._uncertainty.added(moves)
         whole = replace(estimates, covariances=estimates.covariances + added)
         return {**_columns(whole, self._report.std_columns), CAMERAS_PART.name: added}

@@ -13,7 +13,7 @@ from stereophd.config.report import GridTimes, ReportConfig
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.disparity.events import Event
-from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.camera import BOX_NOISE, Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
@@ -21,12 +21,13 @@ from stereophd.io.cameras.models import CameraConfig, DetectorConfig
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.tables.schemas import ASSOCIATIONS, CAMERAS_PART, EXTENTS, SCANS, STD, TRACKS
 from stereophd.io.tables.writing import TableWriter
-from stereophd.pipeline.build import build_filter, build_labelled_filter, build_motion, report_times
+from stereophd.pipeline.build import build_bodies, build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream
+from stereophd.pipeline.tracking.bodies import with_boxes
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.outputs import RecordWriter, Tables
 from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
@@ -55,18 +56,12 @@ class TrackingRun:
     boxes: bool = False  # Whether detections are boxes, and tracks have a height and a width
 
     def records(
-        self,
-        stream: EventStream,
-        kept: UnfinishedTracking | None = None,
-        run: RunState[Any] | None = None,
+        self, stream: EventStream, kept: UnfinishedTracking | None = None, run: RunState[Any] | None = None
     ) -> Iterator[Record]:
         """Yield the records of a log, smoothed if the configuration states it; see `reported_records`."""
         single = isinstance(self.estimator, SingleTracker)
         events: Iterable[Event] = stream
         if self.boxes:
-            # imported here: what it needs of SciPy is costly to import
-            from stereophd.pipeline.tracking.bodies import with_boxes
-
             events = with_boxes(stream)
         elif single:
             events = at_most_one(stream)
@@ -87,12 +82,44 @@ class TrackingRun:
         if not estimated:
             return self
         config, path = self.loaded.config, self.loaded.path
-        samples = sample_log(stream.frames, self.cameras, SAMPLE_FRAMES)
-        started, priors = starting_detectors(self.cameras, estimated, samples)
+        if self.boxes:
+            # imported here: what it needs of SciPy is costly to import
+            from stereophd.pipeline.detectors.bodies import starting_box_detectors
+
+            started, priors = starting_box_detectors(self.cameras, estimated)
+        else:
+            samples = sample_log(stream.frames, self.cameras, SAMPLE_FRAMES)
+            started, priors = starting_detectors(self.cameras, estimated, samples)
         cameras, detectors = estimate_detectors(
             started, priors, lambda used: build_labelled_filter(config, used, path, self.threads), stretches(stream)
         )
         return replace(build_tracking(self.loaded, self.threads, cameras), detectors=detectors)
+
+    def write(
+        self, records: Iterable[Record], out: OutputFolder, metadata: Mapping[bytes, bytes],
+        kept: UnfinishedTracking | None = None, uncertainty: CameraUncertainty | None = None,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
+
+        With `kept` that keeps tables and gives the `records`, the tables begin with those of a killed run. The
+        covariances count the `uncertainty` of the cameras. Returns the figures of the run for ``report.json``.
+        """
+        columns = (*(EXTENTS if self.boxes else ()), *(STD if self.report.std_columns else ()))
+        columns += () if uncertainty is None else (CAMERAS_PART,)
+        schema = functools.reduce(lambda schema, column: schema.append(column), columns, TRACKS)
+        with contextlib.ExitStack() as files:
+
+            def table(name: str, schema: pa.Schema) -> TableWriter:
+                make = TableWriter if kept is None or kept.keeps_records else kept.table
+                return files.enter_context(make(out.path(name), schema, metadata))
+
+            third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if self.report.associations else None
+            tables = Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third)
+            figures = None if kept is None else kept.figures
+            writer = RecordWriter(tables, self.cameras, self.report, figures, uncertainty)
+            for record in records:
+                writer.add(record)
+        return writer.summary()
 
 
 def reported_records(
@@ -131,12 +158,12 @@ def build_tracking(loaded: LoadedConfig, threads: int = 1, cameras: tuple[Camera
     config = loaded.config
     _check_reassociation(loaded)
     if isinstance(config.object, EllipsoidSettings):
-        if estimated_cameras(loaded):
-            raise InputError(f"{loaded.path}: detector: expected given where object.shape is ellipsoid, found estimate")
-        # imported here: what it needs of SciPy is costly to import
-        from stereophd.pipeline.tracking.bodies import build_bodies
-
-        body_filter = build_bodies(loaded, config.object, cameras)
+        if config.report.smooth is not None:
+            raise InputError(
+                f"{loaded.path}: report.smooth: expected none where object.shape is ellipsoid: only tracks of points "
+                "are smoothed, found some"
+            )
+        body_filter = build_bodies(config, cameras, loaded.path)
         return TrackingRun(loaded, threads, body_filter, body_filter.motion, cameras, config.report, boxes=True)
     if not isinstance(config.filter, SingleSettings):
         multi_filter = replace(build_filter(config, cameras, loaded.path, threads), claims=True)
@@ -176,6 +203,7 @@ def with_detectors(described: Mapping[str, CameraConfig], cameras: Sequence[Came
             sigma_px=(float(found.sigma[0]), float(found.sigma[1])),
             p_detect=float(found.p_detect),
             clutter_per_frame=float(found.clutter_per_frame),
+            box_noise=None if found.box_noise == BOX_NOISE else found.box_noise,
         )
         out[camera.name] = described[camera.name].model_copy(update={"detector": detector})
     return out
@@ -185,38 +213,3 @@ def estimated_cameras(loaded: LoadedConfig) -> list[str]:
     """Return the names of the cameras whose detectors are to be estimated from the log."""
     everything = loaded.config.detector == "estimate"
     return [name for name, camera in loaded.cameras.items() if camera.detector.estimate or everything]
-
-
-def write_tracks(
-    records: Iterable[Record],
-    out: OutputFolder,
-    metadata: Mapping[bytes, bytes],
-    cameras: Sequence[Camera],
-    report: ReportConfig,
-    kept: UnfinishedTracking | None = None,
-    extents: bool = False,
-    uncertainty: CameraUncertainty | None = None,
-) -> dict[str, Any]:
-    """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
-
-    With `extents` the tracks are those of bodies. With `kept` that keeps tables and gives the `records`, the tables
-    begin with those of a killed run. The covariances count the `uncertainty` of the cameras. Returns the figures of the
-    run for ``report.json``.
-    """
-    columns = (*(EXTENTS if extents else ()), *(STD if report.std_columns else ()))
-    columns += () if uncertainty is None else (CAMERAS_PART,)
-    schema = functools.reduce(lambda schema, column: schema.append(column), columns, TRACKS)
-    with contextlib.ExitStack() as files:
-
-        def table(name: str, schema: pa.Schema) -> TableWriter:
-            make = TableWriter if kept is None or kept.keeps_records else kept.table
-            return files.enter_context(make(out.path(name), schema, metadata))
-
-        third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if report.associations else None
-        writer = RecordWriter(
-            Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third),
-            cameras, report, None if kept is None else kept.writing, uncertainty,
-        )  # fmt: skip
-        for record in records:
-            writer.add(record)
-    return writer.report()

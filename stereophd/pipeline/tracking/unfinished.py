@@ -21,7 +21,7 @@ from stereophd.io.outputs.saved import GrowingFile, decode, decoder, encode
 from stereophd.io.tables.kept_tables import KeptTable
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes, RunState, State, run_estimator
-from stereophd.pipeline.tracking.outputs import Writing
+from stereophd.pipeline.tracking.run_figures.figures import RunFigures
 from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTrackerState
 
@@ -36,7 +36,7 @@ class TrackingState(Generic[State]):
     """Where a run continues."""
 
     run: RunState[State]
-    writing: Writing | None = None  # Of the tables; None where records are kept
+    figures: RunFigures | None = None  # Of the tables; None where records are kept
     lasting: LastingTracks | None = None  # Where short tracks are left out
     # Growing file -> bytes of it that count.
     lengths: dict[str, int] = field(default_factory=dict)
@@ -129,7 +129,7 @@ class UnfinishedTracking:
         self._tables: dict[str, KeptTable] = {}
         self._records: RecordFile | None = None
         #: Figures of the tables, kept up to date by what writes them.
-        self.writing = Writing()
+        self.figures = RunFigures()
         self._lasting: LastingTracks | None = None
         self._saved: TrackingState[Any] | None = None
 
@@ -137,8 +137,8 @@ class UnfinishedTracking:
         """Read the last state that was kept, if any; raises InputError if it is damaged, or of another run."""
         kind: Any = TrackingState
         self._saved = self._unfinished.read(STATE, kind[state_type(self._estimator.init())])
-        if self._saved is not None and self._saved.writing is not None:
-            self.writing = self._saved.writing
+        if self._saved is not None and self._saved.figures is not None:
+            self.figures = self._saved.figures
 
     def table(self, place: Path, schema: pa.Schema, metadata: Mapping[bytes, bytes]) -> KeptTable:
         """Return a table of this run, with the rows that were kept."""
@@ -197,5 +197,5 @@ class UnfinishedTracking:
         else:
             lengths = {name: table.keep() for name, table in self._tables.items()}
         last = None if run.last is None else Record(**bare(run.last))
-        writing = None if self.keeps_records else self.writing
-        return TrackingState(replace(run, last=last), writing, self._lasting, lengths)
+        figures = None if self.keeps_records else self.figures
+        return TrackingState(replace(run, last=last), figures, self._lasting, lengths)

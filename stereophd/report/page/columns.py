@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -37,11 +37,11 @@ class Paths:
         """Times of the rows (n,), s."""
         return self.columns["time_s"]
 
-    def positions_at(self, path: int, times: Array) -> Array:
-        """Return the positions (m, 3) of one path, interpolated; NaN outside of its life."""
+    def at(self, path: int, times: Array, names: Sequence[str]) -> Array:
+        """Return columns (m, k) of one path at times (m,), interpolated; NaN outside of its life."""
         rows = slice(int(self.starts[path]), int(self.starts[path + 1]))
         path_times = self.times[rows]
-        columns = [np.interp(times, path_times, self.columns[axis][rows], np.nan, np.nan) for axis in "xyz"]
+        columns = [np.interp(times, path_times, self.columns[name][rows], np.nan, np.nan) for name in names]
         return np.stack(columns, axis=1)
 
 

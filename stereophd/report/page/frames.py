@@ -7,6 +7,8 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
+from stereophd.core.bodies.boxes import corners
+from stereophd.core.bodies.outline import LOG_AXES, POSITION, STATE_SIZE, outline_boxes
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.inspection.runs import Run
@@ -18,26 +20,32 @@ MARGIN = 0.1
 
 
 def detections_of(run: Run) -> tuple[Array, Integers, Integers, Array]:
-    """Return times (n,), cameras (n,), frames (n,) and pixels (n, 2) of all frames of a run, NaN in an empty frame.
+    """Return times (n,), cameras (n,), frames (n,) and detections (n, 4) of all frames of a run, NaN in an empty frame.
 
-    They come from the log if it is known, else from the associations, which hold only the detections of tracks.
+    A detection is u, v, and the width and the height of its box, px, NaN without one. They come from the log if it is
+    known, else from the associations, which hold only the detections of tracks.
     """
     if run.log is not None:
         reader = LogReader(run.log, run.cameras, "drop", float("inf"))
         rows = [
-            (frame.time_s, frame.camera, frame.frame, u, v)
+            (frame.time_s, frame.camera, frame.frame, *row)
             for frame in reader
-            for u, v in (frame.pixels.tolist() or [(np.nan, np.nan)])
+            for row in (_with_sizes(frame.pixels, frame.sizes).tolist() or [(np.nan,) * 4])
         ]
-        table = np.array(rows, dtype=np.float64).reshape(-1, 5)
+        table = np.array(rows, dtype=np.float64).reshape(-1, 7)
         return table[:, 0], table[:, 1].astype(np.int64), table[:, 2].astype(np.int64), table[:, 3:]
     detections = run.associations
     if detections is None:
         empty = np.empty(0, dtype=np.int64)
-        return np.empty(0), empty, empty, np.empty((0, 2))
+        return np.empty(0), empty, empty, np.empty((0, 4))
     numbers = {camera.name: number for number, camera in enumerate(run.cameras)}
     cameras = np.array([numbers.get(name, -1) for name in detections["camera"].tolist()], dtype=np.int64)
-    return detections["time_s"], cameras, detections["frame"], np.column_stack([detections["u_px"], detections["v_px"]])
+    pixels = np.column_stack([detections["u_px"], detections["v_px"]])
+    return detections["time_s"], cameras, detections["frame"], _with_sizes(pixels, None)
+
+
+def _with_sizes(pixels: Array, sizes: Array | None) -> Array:
+    return np.concatenate([pixels, np.full_like(pixels, np.nan) if sizes is None else sizes], axis=1)
 
 
 def camera_frames(run: Run, paths: Paths, budget: int, start_s: float) -> list[dict[str, Any]]:
@@ -59,19 +67,19 @@ def camera_frames(run: Run, paths: Paths, budget: int, start_s: float) -> list[d
         rows, at = rows[order], at[order]
         keys = zip(frames[rows].tolist(), pixels[rows, 0].tolist(), pixels[rows, 1].tolist(), strict=True)
         owner = np.array([owners.get((camera.name, *key), -1) for key in keys])
-        seen_at, seen_path, seen = _reprojected(camera, paths, events[kept, 0])
+        seen_at, seen_path, seen = _reprojected(camera, paths, events[kept, 0], run.up)
+        names = ("u", "v") if np.isnan(pixels[:, 2]).all() else ("u", "v", "w", "h")
+        outline = ("u", "v") if seen.shape[1] == 2 else ("u", "v", "left", "top", "right", "bottom")
         out.append(
             {
                 "t": packed(events[kept, 0] - start_s),
                 "frame": events[kept, 1].astype(int).tolist(),
                 "at": packed(at),
-                "u": packed(pixels[rows, 0]),
-                "v": packed(pixels[rows, 1]),
+                **{name: packed(pixels[rows, k]) for k, name in enumerate(names)},
                 "track": packed(owner),
                 "seen_at": packed(seen_at),
                 "seen_track": packed(seen_path),
-                "seen_u": packed(seen[:, 0]),
-                "seen_v": packed(seen[:, 1]),
+                **{f"seen_{name}": packed(seen[:, k]) for k, name in enumerate(outline)},
                 "whole": len(kept) == len(events),
             }
         )
@@ -125,9 +133,7 @@ def _states(paths: Paths, path_of_row: Integers, times: Array) -> Array:
     states = np.full((len(times), 6), np.nan)
     for number in np.unique(path_of_row).tolist():
         rows = np.flatnonzero(path_of_row == number)
-        span = slice(int(paths.starts[number]), int(paths.starts[number + 1]))
-        for axis, name in enumerate(("x", "y", "z", "vx", "vy", "vz")):
-            states[rows, axis] = np.interp(times[rows], paths.times[span], paths.columns[name][span], np.nan, np.nan)
+        states[rows] = paths.at(number, times[rows], ("x", "y", "z", "vx", "vy", "vz"))
     return states
 
 
@@ -135,7 +141,8 @@ def paths_of_run(run: Run) -> Paths:
     """Return the tracks of a run as paths."""
     assert run.tracks is not None
     names = ("time_s", "x", "y", "z", "vx", "vy", "vz", "speed", "position_std", "existence")
-    return paths_of(run.tracks["track_id"], {name: run.tracks[name] for name in names})
+    extents = tuple(name for name in ("height", "width") if name in run.tracks)
+    return paths_of(run.tracks["track_id"], {name: run.tracks[name] for name in (*names, *extents)})
 
 
 def _owners(run: Run, paths: Paths) -> dict[tuple[str, int, float, float], int]:
@@ -156,27 +163,41 @@ def _tracks_at_a_time(paths: Paths) -> float:
     return float(lives.sum() / max(float(np.ptp(paths.times)), 1e-9))
 
 
-def _reprojected(camera: Camera, paths: Paths, times: Array) -> tuple[Integers, Integers, Array]:
-    """Return frame (m,), track (m,) and pixel (m, 2) of every track in view of every frame."""
-    ats, tracks, pixels = [], [], []
-    low = -MARGIN * np.array([camera.width, camera.height])
-    high = (1.0 + MARGIN) * np.array([camera.width, camera.height])
+def _reprojected(camera: Camera, paths: Paths, times: Array, up: Array) -> tuple[Integers, Integers, Array]:
+    """Return frame (m,), track (m,) and pixel (m, 2) of every track in view of every frame.
+
+    Of bodies, whose height is along `up`, the left, upper, right and lower sides of their images follow the pixel.
+    """
+    size = np.array([camera.width, camera.height])
+    has_extents = "height" in paths.columns
+    ats, tracks, pixels = (
+        [np.empty(0, dtype=np.int64)],
+        [np.empty(0, dtype=np.int64)],
+        [np.empty((0, 6 if has_extents else 2))],
+    )
     for number in range(len(paths.ids)):
-        positions = paths.positions_at(number, times)
+        positions = paths.at(number, times, ("x", "y", "z"))
         at = np.flatnonzero(np.isfinite(positions).all(axis=1))
-        if camera.pose.is_static:
-            seen = camera.project(positions[at])
-        else:
-            views = [camera.at(float(times[k])).project(positions[k][None])[0] for k in at.tolist()]
-            seen = np.reshape(np.array(views), (-1, 2))
-        with np.errstate(invalid="ignore"):
-            inside = ((seen >= low) & (seen <= high)).all(axis=1)
-        ats.append(at[inside])
-        tracks.append(np.full(int(inside.sum()), number))
-        pixels.append(seen[inside])
-    if not ats:
-        empty = np.empty(0, dtype=np.int64)
-        return empty, empty, np.empty((0, 2))
+        extents = paths.at(number, times[at], ("height", "width")) if has_extents else None
+        rows = np.arange(len(at))
+        # one at a time where the camera moves
+        for part in [rows] if camera.pose.is_static else np.array_split(rows, len(rows)):
+            frozen = camera.at(float(times[at[part[0]]])) if len(part) else camera
+            seen = frozen.project(positions[at[part]])
+            if extents is not None:
+                seen = np.concatenate([seen, _sides(frozen, positions[at[part]], extents[part], up)], axis=1)
+            with np.errstate(invalid="ignore"):
+                inside = ((seen[:, :2] >= -MARGIN * size) & (seen[:, :2] <= (1.0 + MARGIN) * size)).all(axis=1)
+            ats.append(at[part][inside])
+            tracks.append(np.full(int(inside.sum()), number))
+            pixels.append(seen[inside])
     at, track, pixel = np.concatenate(ats), np.concatenate(tracks), np.concatenate(pixels)
     order = np.argsort(at, kind="stable")
     return at[order], track[order], pixel[order]
+
+
+def _sides(camera: Camera, positions: Array, extents: Array, up: Array) -> Array:
+    """Left, upper, right and lower sides (n, 4), px, of the images of bodies of heights and widths (n, 2)."""
+    states = np.zeros((len(positions), STATE_SIZE))
+    states[:, POSITION], states[:, LOG_AXES] = positions, np.log(extents / 2.0)
+    return np.concatenate(corners(outline_boxes(states, camera, up)[0], camera), axis=1)

@@ -232,8 +232,12 @@
       numbers(where).forEach((n, i) => { if (n === nearest) rows.push(i); });
       return columns.map((c) => rows.map((i) => numbers(c)[i]));
     };
-    const [u, v, owner] = pick(frame.at, [frame.u, frame.v, frame.track]);
-    const [su, sv, seen] = pick(frame.seen_at, [frame.seen_u, frame.seen_v, frame.seen_track]);
+    const [u, v, owner, w, h] = pick(frame.at, [frame.u, frame.v, frame.track, frame.w, frame.h].filter((c) => c));
+    const [su, sv, seen, ...sides] = pick(frame.seen_at, [frame.seen_u, frame.seen_v, frame.seen_track, frame.seen_left, frame.seen_top, frame.seen_right, frame.seen_bottom].filter((c) => c));
+    // boxes of detections, and the images of bodies
+    const shape = (type, x0, y0, x1, y1, color, dash) => ({ type, x0, y0, x1, y1, line: { width: 1.5, color, dash }, layer: "above" });
+    const shapes = (w || []).map((_, i) => shape("rect", u[i] - w[i] / 2, v[i] - h[i] / 2, u[i] + w[i] / 2, v[i] + h[i] / 2, owner[i] < 0 ? css("--truth") : colour(owner[i]), "solid")).concat(
+      (sides[0] || []).map((_, i) => shape("circle", sides[0][i], sides[1][i], sides[2][i], sides[3][i], colour(seen[i]), "dot")).filter((s) => Number.isFinite(s.x0)));
     const id = (n) => (n < 0 ? "no track" : `track ${r.tracks.ids[n]}`);
     const owned = u.map((_, i) => owner[i] >= 0), not = owned.map((o) => !o), of = (list, mask) => list.filter((_, i) => mask[i]);
     by("frame-text").textContent = `frame ${frame.frame[nearest]} at ${clock(times[nearest] + r.start)}: ${count(u.length, "detection")}, ${count(seen.length, "track")} in view`;
@@ -245,7 +249,7 @@
     ], layout(camera.name, "u [px]", "v [px]", {
       xaxis: axis("u [px]", { range: [-0.03 * camera.width, 1.03 * camera.width], constrain: "domain" }),
       yaxis: axis("v [px]", { range: [1.03 * camera.height, -0.03 * camera.height], scaleanchor: "x", constrain: "domain" }),
-      shapes: [{ type: "rect", x0: -0.5, y0: -0.5, x1: camera.width - 0.5, y1: camera.height - 0.5, line: { width: 1, color: css("--soft") }, layer: "below" }],
+      shapes: [{ type: "rect", x0: -0.5, y0: -0.5, x1: camera.width - 0.5, y1: camera.height - 0.5, line: { width: 1, color: css("--soft") }, layer: "below" }, ...shapes],
       uirevision: `${r.name} ${camera.name}`,
     }));
     const parts = [];

@@ -1,5 +1,6 @@
 """The figure of an experiment: one panel per quantity, one line per method, with confidence bands and the bound.
 
+Of an experiment of kind move it shows the Gaussians of the methods over that of the reference.
 Needs the extra ``plot``. The same results give the same files.
 """
 
@@ -12,15 +13,23 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from stereophd.core.arrays import Array
 from stereophd.experiments.engine.results import Cell, Results
 from stereophd.experiments.engine.summary import Summary
-from stereophd.report.plots.experiment_moves import draw_moves
-from stereophd.report.style import INK, STYLE, TRACK_COLOURS, dash_of, legend_right, plots_named, save_figures
+from stereophd.report.style import (
+    INK,
+    STYLE,
+    TRACK_COLOURS,
+    colour_of,
+    dash_of,
+    legend_right,
+    new_figure,
+    plots_named,
+    save_figures,
+)
 from stereophd.wording import counted
 
 if TYPE_CHECKING:
@@ -44,6 +53,13 @@ LARGEST_LINEAR_RATIO = 5.0
 
 # Points of one case that stand side by side, as a share of the distance between cases.
 SPREAD = 0.6
+
+# The planes of the paper's Figures 4 and 7.
+PLANES = (("u", "v"), ("v", "d"))
+
+# Ellipses are drawn at this many standard deviations.
+SIGMAS = 2.0
+POINTS = 181
 
 
 @dataclass(frozen=True)
@@ -69,7 +85,7 @@ def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
     """Draw the figure of an experiment, once for each name that ends in ``.png`` or ``.svg`` (-> where to write)."""
     with mpl.rc_context(STYLE):
         moved = results.config.scenario.kind == "move"
-        figure = draw_moves(results) if moved else _draw(results)
+        figure = _draw_moves(results) if moved else _draw(results)
         _add_title(figure, results)
         save_figures(dict.fromkeys(plots_named(paths), figure), paths, pad_inches=0.12, dpi=DPI)
 
@@ -82,8 +98,7 @@ def _draw(results: Results) -> Figure:
     panels = [(quantity, ratio) for quantity in quantities for ratio in _kinds_of_panel(results, quantity, over)]
     shape = (len(panels), len(groups))
     width = 1.8 + 4.4 * shape[1] + (2.2 if shape[1] == 1 else 0.0)
-    figure = Figure(figsize=(width, 0.9 + 2.3 * shape[0]), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(width, 0.9 + 2.3 * shape[0])
     grid = figure.subplots(*shape, sharex="col", sharey="row", squeeze=False)
     for row, (quantity, ratio) in enumerate(panels):
         for column, (group, cells) in enumerate(groups.items()):
@@ -269,3 +284,42 @@ def _draw_points(axes: Axes, lines: Sequence[_Line], names: Sequence[str]) -> No
 
 def _cycle(values: Sequence[str], lines: Sequence[_Line]) -> list[str]:
     return [values[i % len(values)] for i in range(len(lines))]
+
+
+def _draw_moves(results: Results) -> Figure:
+    """Draw the Gaussian of each method (its moments' means over the runs) in two planes, one row per case."""
+    cases = list(dict.fromkeys(cell.case for cell in results.cells))
+    figure = new_figure(10.5, 0.9 + 3.2 * len(cases))
+    grid = figure.subplots(len(cases), len(PLANES), squeeze=False)
+    for row, case in enumerate(cases):
+        cells = [cell for cell in results.cells if cell.case == case]
+        for axes, plane in zip(grid[row], PLANES, strict=True):
+            for number, cell in enumerate(cells):
+                colour = colour_of(number)
+                label = f"{cell.method} ({_value_of(cell, 'divergence', 'mean'):.2g} nat)"
+                axes.plot(*_ellipse(cell, plane, "mean"), color=colour, linewidth=1.4, label=label)
+            axes.plot(*_ellipse(cells[0], plane, "bound"), color=INK, linewidth=1.8, linestyle=":", label="reference")
+            axes.set_xlabel(f"{plane[0]} [px]")
+            axes.set_ylabel(f"{plane[1]} [px]")
+            if len(cases) > 1:
+                axes.set_title(case, fontsize=10)
+        legend_right(grid[row, -1])
+    return figure
+
+
+def _value_of(cell: Cell, quantity: str, statistic: str) -> float:
+    summary = next(summary for summary in cell.summaries if summary.quantity == quantity)
+    return float(getattr(summary, statistic)[0])
+
+
+def _ellipse(cell: Cell, plane: tuple[str, str], statistic: str) -> Array:
+    """Return the points (2, n) of the ellipse at `SIGMAS` in a plane."""
+    first, second = plane
+    mean = np.array([_value_of(cell, f"mean_{axis}", statistic) for axis in plane])
+    pairs = (first + first, first + second, second + second)
+    xx, xy, yy = (_value_of(cell, f"covariance_{pair}", statistic) for pair in pairs)
+    covariance = np.array([[xx, xy], [xy, yy]])
+    values, vectors = np.linalg.eigh(covariance)
+    angle = np.linspace(0.0, 2.0 * np.pi, POINTS)
+    circle = np.stack([np.cos(angle), np.sin(angle)])
+    return np.asarray(mean[:, None] + SIGMAS * (vectors * np.sqrt(np.maximum(values, 0.0))) @ circle)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from stereophd.core.arrays import Array, Integers
@@ -25,6 +24,7 @@ from stereophd.report.style import (
     Pictures,
     bracketed,
     legend_right,
+    new_figure,
     unit_text,
 )
 
@@ -69,8 +69,7 @@ def view_axes(view: SceneView, scene: Array, title: str, unit: str) -> tuple[Fig
     width, height = across[1] - across[0], along[1] - along[0]
     scale = min(8.0 / width, 6.5 / height)
     # Space for labels and for the legend next to the axes.
-    figure = Figure(figsize=(scale * width + 3.6, scale * height + 1.1), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(scale * width + 3.6, scale * height + 1.1)
     axes = figure.add_subplot()
     axes.set_aspect("equal")
     axes.set_xlim(across)

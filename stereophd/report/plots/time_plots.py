@@ -7,13 +7,12 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.report.style import BLUE, GREY, INK, ORANGE, Pictures, bracketed, legend_right, unit_text
+from stereophd.report.style import BLUE, GREY, INK, ORANGE, Pictures, bracketed, legend_right, new_figure, unit_text
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -100,8 +99,7 @@ def draw_cardinality(pictures: Pictures) -> Figure:
 
 
 def _time_axes(rows: int) -> tuple[Figure, Sequence[Axes]]:
-    figure = Figure(figsize=(8.5, 1.6 + 1.7 * rows), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(8.5, 1.6 + 1.7 * rows)
     axes = figure.subplots(rows, sharex=True, squeeze=False)[:, 0]
     axes[-1].set_xlabel("time [s]")
     axes[-1].margins(x=0.01)

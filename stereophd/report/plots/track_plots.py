@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -21,7 +20,17 @@ from stereophd.report.page.columns import Paths
 from stereophd.report.page.frames import camera_residuals, paths_of_run
 from stereophd.report.plots.scene_plots import draw_camera_views, view_axes
 from stereophd.report.plots.views import SceneView, views
-from stereophd.report.style import BLUE, ORANGE, STYLE, TRACK_COLOURS, dash_of, marker_of, plots_named, save_figures
+from stereophd.report.style import (
+    BLUE,
+    ORANGE,
+    STYLE,
+    colour_of,
+    dash_of,
+    marker_of,
+    new_figure,
+    plots_named,
+    save_figures,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -72,7 +81,7 @@ def _draw_view(run: Run, tracks: Paths, name: str) -> Figure:
     for number, track_id in enumerate(tracks.ids.tolist()):
         rows = np.arange(tracks.starts[number], tracks.starts[number + 1])
         rows = np.append(rows[: -1 : max(1, len(rows) // MOST_ROWS)], rows[-1])
-        colour = TRACK_COLOURS[number % len(TRACK_COLOURS)]
+        colour = colour_of(number)
         axes.plot(*drawn[rows].T, color=colour, linestyle=dash_of(number), linewidth=1.3, zorder=3)
         axes.plot(*drawn[rows[0]], color=colour, marker=marker_of(number), markersize=5, linestyle="none", zorder=4)
         if number < MOST_LABELS:
@@ -87,13 +96,12 @@ def _draw_view(run: Run, tracks: Paths, name: str) -> Figure:
 def _draw_timelines(tracks: Paths) -> Figure:
     """Draw when each track was reported, and below it which camera detected how many of all detections of tracks."""
     count = len(tracks.ids)
-    figure = Figure(figsize=(9.0, 1.4 + min(0.22 * count, 8.0)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(9.0, 1.4 + min(0.22 * count, 8.0))
     axes = figure.subplots()
     for number in range(count):
         rows = slice(int(tracks.starts[number]), int(tracks.starts[number + 1]))
         times = tracks.times[rows]
-        colour = TRACK_COLOURS[number % len(TRACK_COLOURS)]
+        colour = colour_of(number)
         axes.plot(
             [times[0], times[-1]], [number, number], color=colour, linestyle=dash_of(number),
             linewidth=float(np.clip(240.0 / max(count, 1), 1.0, 4.0)), marker=marker_of(number), markersize=3,
@@ -110,8 +118,7 @@ def _draw_timelines(tracks: Paths) -> Figure:
 def _draw_residuals(run: Run, tracks: Paths) -> Figure:
     """Draw detection minus reprojected track over time, one panel per camera, with means."""
     by_camera = camera_residuals(run, tracks, MOST_RESIDUALS) or []
-    figure = Figure(figsize=(9.0, 0.9 + 1.7 * max(len(by_camera), 1)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(9.0, 0.9 + 1.7 * max(len(by_camera), 1))
     grid = figure.subplots(max(len(by_camera), 1), 1, sharex=True, squeeze=False)[:, 0]
     for axes, camera, (times, values, _) in zip(grid, run.cameras, by_camera, strict=False):
         _draw_camera_residuals(axes, times, values)

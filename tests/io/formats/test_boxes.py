@@ -1,4 +1,4 @@
-"""Boxes: MOTChallenge and COCO."""
+"""Boxes: MOTChallenge, COCO and YOLO."""
 
 from __future__ import annotations
 
@@ -111,3 +111,32 @@ def test_what_a_sequence_says_of_itself_is_checked(
     info.write_text(info.read_text().replace("Rate=10.0", f"Rate={rate}").replace("Length=4", f"Length={length}"))
     with pytest.raises(InputError, match=message):
         imported("mot", folder)
+
+
+def test_files_of_yolo(tmp_path: Path, imported: Import) -> None:
+    for camera, rows in (("north", "0 0.5 0.5 0.25 0.5 0.9\n1 0.1 0.2 0.1 0.1 0.3\n"), ("south", "")):
+        folder = tmp_path / camera / "labels"
+        folder.mkdir(parents=True)
+        (folder / "street_2.txt").write_text(rows)
+        (folder / "street_4.txt").write_text("0 0.005 0.005 0.01 0.01 0.8\n")
+        (folder / "classes.txt").write_text("person\n")
+    stated = {"rates": 2.0, "image_sizes": (100, 200)}
+    _, out = imported("yolo", tmp_path / "north", tmp_path / "south" / "labels", least_score=0.5, **stated)
+    # the corner of the image is the corner of the first pixel
+    assert log_rows(out / "detections.parquet") == [
+        (1.0, "north", 2, 49.5, 99.5),
+        (1.0, "south", 2, None, None),
+        (1.5, "north", 3, None, None),
+        (1.5, "south", 3, None, None),
+        (2.0, "north", 4, 0.0, 0.5),
+        (2.0, "south", 4, 0.0, 0.5),
+    ]
+    table = pq.read_table(out / "detections.parquet").to_pydict()
+    assert (table["width_px"][0], table["height_px"][0]) == (25.0, 100.0)
+    _, out = imported("yolo", tmp_path / "north", box_point="bottom", **stated)
+    assert log_rows(out / "detections.parquet")[0] == (1.0, "north", 2, 49.5, 149.5)
+    with pytest.raises(InputError, match="expected the size of the images, for boxes are shares of it"):
+        imported("yolo", tmp_path / "north", rates=2.0)
+    (tmp_path / "north" / "labels" / "street_4.txt").write_text("0 0.5 0.5\n")
+    with pytest.raises(InputError, match=r"street_4.txt: expected rows of numbers: class, x, y"):
+        imported("yolo", tmp_path / "north", **stated)

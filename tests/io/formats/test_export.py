@@ -60,15 +60,15 @@ def test_every_writer_of_tracks_keeps_the_contract(form: str, tracks: Path, tmp_
         pytest.importorskip(EXTRAS[form])
     first, again = tmp_path / "first", tmp_path / "again"
     for target in (first, again):
-        report = export(form, tracks, target, ExportOptions([3]))
+        report = export(form, tracks, target, ExportOptions(tracks=[3]))
         assert (report["format"], report["what"], report["file"]) == (form, "tracks", target.name)
     if form not in UNIQUE:
         assert first.read_bytes() == again.read_bytes()
     assert first.stat().st_size > 0
     with pytest.raises(InputError, match=r"expected the tracks \[5\]"):
-        export(form, tracks, tmp_path / "refused", ExportOptions([5]))
+        export(form, tracks, tmp_path / "refused", ExportOptions(tracks=[5]))
     with pytest.raises(InputError, match="exists already"):
-        export(form, tracks, first, ExportOptions([3]))
+        export(form, tracks, first, ExportOptions(tracks=[3]))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again", "first", "tracks.parquet"]
 
 
@@ -137,7 +137,7 @@ def test_tum_holds_one_track(tracks: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected one track for this format, found 2; choose one by `tracks`: 3, 8"):
         export("tum", tracks, tmp_path / "out.tum")
     assert not (tmp_path / "out.tum").exists()
-    export("tum", tracks, tmp_path / "out.tum", ExportOptions([8]))
+    export("tum", tracks, tmp_path / "out.tum", ExportOptions(tracks=[8]))
     table = np.loadtxt(tmp_path / "out.tum")
     np.testing.assert_array_equal(table[:, 0], TIMES[8])
     np.testing.assert_array_equal(table[:, 1:4], positions(8))
@@ -220,7 +220,7 @@ def test_targets_and_sources_are_checked(tracks: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="expected a format that holds cameras"):
         export("csv", tmp_path / "cameras.yaml", tmp_path / "x.csv")
     with pytest.raises(InputError, match=r"expected the tracks \[5\]"):
-        export("csv", tracks, tmp_path / "x.csv", ExportOptions([5]))
+        export("csv", tracks, tmp_path / "x.csv", ExportOptions(tracks=[5]))
     (tmp_path / "other").mkdir()
     with pytest.raises(InputError, match="expected a file of cameras, or a folder that holds one"):
         export("opencv", tmp_path / "other", tmp_path / "x.yml")

@@ -78,7 +78,8 @@ def test_one_camera_tracks_hold_the_objects(samples: list[CameraSample]) -> None
     for sample in samples:
         assert sum(map(len, sample.tracks)) > 0.7 * 4 * 0.95 * FRAMES
         assert sample.isolated_per_frame <= 2.0
-        assert sample.noise_px == pytest.approx(1.0, abs=0.4)
+        assert sample.noise_px is not None
+        assert sample.noise_px[0] == pytest.approx(1.0, abs=0.4)
 
 
 def test_noise_is_told_from_acceleration() -> None:
@@ -90,7 +91,9 @@ def test_noise_is_told_from_acceleration() -> None:
     place = 400.0 + (place - place.mean(axis=0)) * 200.0 / np.abs(place - place.mean(axis=0)).max()
     pixels = place + rng.normal(0.0, noise, (frames, 2))
     sample = sample_log([Frame(k / RATE, 0, k, pixels[k : k + 1]) for k in range(frames)], CAMERAS[:1])[0]
-    assert sample.noise_px == pytest.approx(noise, rel=0.3)
+    assert sample.noise_px is not None
+    assert sample.noise_px[0] == pytest.approx(noise, rel=0.3)
+    assert sample.noise_px[1] < noise
 
 
 @pytest.mark.parametrize(
@@ -171,14 +174,21 @@ def test_what_a_run_leaves_out_is_a_warning() -> None:
 def test_estimated_detectors_that_need_care_are_warnings() -> None:
     good = {
         "sigma_px": [1.0, 1.0], "residual_correlation": [0.1, 0.0], "sigma_px_standard_error": [0.1, 0.1],
-        "residuals": 500.0, "residual_ratio": 1.0, "confirmed": True,
+        "residuals": 500.0, "residual_ratio": 1.0, "confirmed": True, "clutter_per_frame": 5.0,
+        "clutter_per_frame_standard_error": 0.5,
     }  # fmt: skip
     report = {"passes": 3, "converged": True, "noise_in_log": False, "cameras": {"left": good}}
     assert list(check_estimated_detectors(None)) == list(check_estimated_detectors(report)) == []
     few = {**good, "residual_correlation": [0.1, 0.6], "sigma_px_standard_error": [0.5, 0.5]}
+    few["clutter_per_frame_standard_error"] = 3.0
     report |= {"converged": False, "cameras": {"left": good, "right": few}}
     causes = [(one.camera, one.cause) for one in check_estimated_detectors(report)]
-    assert causes == [(None, "not_converged"), ("right", "errors_last"), ("right", "too_few_detections")]
+    assert causes == [
+        (None, "not_converged"),
+        ("right", "errors_last"),
+        ("right", "too_few_detections"),
+        ("right", "clutter_unsure"),
+    ]
     # noise that the log states is not estimated
     report |= {"noise_in_log": True}
     assert [one.cause for one in check_estimated_detectors(report)] == ["not_converged", "errors_last"]

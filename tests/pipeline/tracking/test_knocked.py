@@ -53,10 +53,10 @@ def events(loaded: LoadedConfig, name: str, turn_deg: tuple[float, ...], shift: 
 
 def knocks(loaded: LoadedConfig, of_scene: list[Event]) -> tuple[list[Knock], RunFigures]:
     cameras = loaded.build_cameras()
-    figures = RunFigures(cameras)
+    figures, by_name = RunFigures(), {camera.name: camera for camera in cameras}
     found = []
     for record in run_estimator(build_filter(loaded.config, cameras, loaded.path, 1), of_scene):
-        figures.add(record)
+        figures.add(record, by_name)
         found += [record.knock] if record.knock is not None else []
     return found, figures
 
@@ -77,7 +77,7 @@ def test_a_knocked_camera_is_named(
     assert KNOCK_S <= knock.time_s < KNOCK_S + 1.0
     assert knock.since_s == pytest.approx(KNOCK_S, abs=0.3)
     assert np.sum(turn_deg) == 0.0 or knock.turn_deg == pytest.approx(np.sum(turn_deg), rel=0.3)
-    (finding,) = check_knocks(figures.report(0, 0))
+    (finding,) = check_knocks(figures.report({}, 0, 0))
     assert finding.status == "warning"
     assert finding.camera == name
 
@@ -85,4 +85,4 @@ def test_a_knocked_camera_is_named(
 def test_cameras_that_stay_raise_no_alarm(loaded: LoadedConfig) -> None:
     found, figures = knocks(loaded, events(loaded, "left", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     assert found == []
-    assert not list(check_knocks(figures.report(0, 0)))
+    assert not list(check_knocks(figures.report({}, 0, 0)))

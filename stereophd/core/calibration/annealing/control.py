@@ -1,8 +1,9 @@
-"""A control track of one of the objects: it fixes the scale, the frame and the clock of a fit.
+"""Control: a track of one of the objects, or points of known place, fix the scale and the frame of a fit.
 
-The answer states N(v, C) for the values of the cameras, the trajectories integrated out. What the places y of the
-control say beside it, of the values and of the world g, is the likelihood p(y | v, g, detections). Its logarithm is the
-difference of two minima over the knots x, with and without the control,
+Points meet the cameras alone: they observe the values v and the world g (`alignment.to_points`), and the trajectories
+follow. A control track fixes the clock, too. The answer states N(v, C) for the values of the cameras, the trajectories
+integrated out. What the places y of a track say beside it, of the values and of the world, is the likelihood
+p(y | v, g, detections). Its logarithm is the difference of two minima over the knots x, with and without the control,
 
     Phi(v, g) = min_x [J(v, x) + J_control(x, g)] - min_x J(v, x),
 
@@ -16,6 +17,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from stereophd.core.alignment.to_points import ControlPoints, adjust_to_points, align_to_points
 from stereophd.core.alignment.to_track import Alignment, align_to_track
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
@@ -39,11 +41,11 @@ MOST_STEPS, SETTLED = 20, 1e-4
 
 
 @dataclass(frozen=True)
-class ControlTrack:
-    """What is known of the control."""
+class WorldControl:
+    """What is known of places in the world."""
 
-    track: Truth
-    std: float | None  # Standard deviation of its places along each axis, if it is stated
+    known: Truth | ControlPoints
+    std: float | None  # Standard deviation of the places of a track along each axis, if it is stated
     any_scale: bool  # Whether the cameras have no length, so that their unit and the control's differ
     length_unit: str  # Of its places
 
@@ -57,21 +59,25 @@ class World:
     std: float  # Standard deviation of a place that was used
 
 
-def with_control(task: Task, fit: Fit, control: ControlTrack) -> tuple[Fit, World]:
-    """Adjust the values of a fit, and its trajectories, to a control track of one of the objects too.
+def with_control(task: Task, fit: Fit, control: WorldControl) -> tuple[Fit, World]:
+    """Adjust the values of a fit, and its trajectories, to a control too.
 
-    The alignment of the fitted trajectories says which of them it is, and where the world is. Raises ValueError where
-    the motion does not determine the world.
+    The alignment of the fit says which object a track is of, and where the world is. Raises ValueError where the
+    control does not determine the world.
     """
     cameras = task.parameters.build(fit.adjustment.values)
-    moved, found = fit, _aligned(fit, control, True)
+    resized = not control.any_scale and scale_is_free(task.parameters) and can_be_enlarged(cameras, task.reference)
+    if isinstance(control.known, ControlPoints):
+        ratio = align_to_points(cameras, control.known, True).registration.scale if resized else 1.0
+        return _adjusted_to_points(task, fit, _enlarged(task, fit, ratio), control.known, control.any_scale)
+    track = control.known
+    moved, found = fit, _aligned(fit, track, True)
     if not control.any_scale:
-        if scale_is_free(task.parameters) and can_be_enlarged(cameras, task.reference):
-            moved = _enlarged(task, fit, found.registration.scale)
-        found = _aligned(moved, control, False)
+        moved = _enlarged(task, fit, found.registration.scale if resized else 1.0)
+        found = _aligned(moved, track, False)
     std = max(control.std or 0.0, _noise(found.distances))
     for _ in range(ROUNDS):
-        moved, world = _adjusted(task, fit, moved, control, found, std)
+        moved, world = _adjusted(task, fit, moved, replace(control, std=std), found)
         again = max(control.std or std, _noise(world.alignment.distances))
         if again > 0.8 * std:
             break
@@ -85,6 +91,8 @@ def _noise(distances: Array) -> float:
 
 def _enlarged(task: Task, fit: Fit, ratio: float) -> Fit:
     """Return a fit at another scale, which no detection shows."""
+    if ratio == 1.0:
+        return fit
     cameras = task.parameters.build(fit.adjustment.values)
     values = task.parameters.difference(enlarged(cameras, task.reference, ratio))
     origin, states = cameras[task.reference].pose.center, ratio * fit.adjustment.states
@@ -92,23 +100,24 @@ def _enlarged(task: Task, fit: Fit, ratio: float) -> Fit:
     return replace(fit, adjustment=replace(fit.adjustment, values=values, states=states))
 
 
-def _aligned(fit: Fit, control: ControlTrack, any_scale: bool) -> Alignment:
+def _aligned(fit: Fit, track: Truth, any_scale: bool) -> Alignment:
     """Align the fitted trajectories with the control."""
     spans = fit.knots.spans
-    step = max(0.5 * control.track.step_s, float(np.ptp(spans, axis=1).sum()) / MOST_ESTIMATES)
+    step = max(0.5 * track.step_s, float(np.ptp(spans, axis=1).sum()) / MOST_ESTIMATES)
     times = [np.arange(start, end, step) for start, end in spans]
     ids = np.repeat(np.arange(len(spans)), [len(one) for one in times])
     every = np.concatenate(times)
     places = positions(fit.adjustment.states, *interpolation(fit.knots, ids, every))
     order = np.argsort(every, kind="stable")
-    return align_to_track(every[order], places[order], ids[order], control.track, Freedom(True, any_scale, True))
+    return align_to_track(every[order], places[order], ids[order], track, Freedom(True, any_scale, True))
 
 
-def _adjusted(
-    task: Task, answer: Fit, fit: Fit, control: ControlTrack, found: Alignment, std: float
-) -> tuple[Fit, World]:
-    """Adjust to the control with a noise, from a fit near it; what the detections say is the answer."""
-    times = found.registration.track_times(control.track.time_s)
+def _adjusted(task: Task, answer: Fit, fit: Fit, control: WorldControl, found: Alignment) -> tuple[Fit, World]:
+    """Adjust to a track of a known noise, from a fit near it; what the detections say is the answer."""
+    track, std = control.known, control.std
+    assert isinstance(track, Truth)
+    assert std is not None
+    times = found.registration.track_times(track.time_s)
     member = np.full(len(times), -1, dtype=np.int64)
     for number in found.members:
         start, end = fit.knots.spans[number]
@@ -119,7 +128,7 @@ def _adjusted(
     problem = problem_of(task, fit)
     alone = Linearisation.of(problem.weighted(problem.weights(answer.adjustment.distances)))
     both = ControlledLinearisation(
-        alone, control.track.time_s[rows], control.track.position[rows], member[rows], std, found.registration,
+        alone, track.time_s[rows], track.position[rows], member[rows], std, found.registration,
         found.center, world_std, FITTED_LOSS,
     )  # fmt: skip
     count = task.parameters.size
@@ -145,13 +154,35 @@ def _adjusted(
             break
     covariance: Array = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
     errors, _, registration, _ = both.residuals(values, states[0])
-    adjustment = replace(
-        fit.adjustment, values=values[:count], states=states[0], covariance=covariance[:count, :count],
-        distances=alone.at(values[:count], states[0]).distances,
-    )  # fmt: skip
-    seen = replace(fit.observations, times=true_times(task.parameters.build(values[:count]), fit.observations))
     alignment = replace(
         found, registration=registration, covariance=covariance[count:, count:],
         distances=np.linalg.norm(errors, axis=1),
     )  # fmt: skip
-    return replace(fit, adjustment=adjustment, observations=seen, held=None), World(alignment, covariance, std)
+    moved = _at(task, fit, alone, values[:count], states[0], covariance)
+    return moved, World(alignment, covariance, std)
+
+
+def _adjusted_to_points(task: Task, answer: Fit, fit: Fit, points: ControlPoints, any_scale: bool) -> tuple[Fit, World]:
+    """Adjust the values to points, from a fit near them, and let the trajectories follow."""
+    precision: Array = np.asarray(np.linalg.inv(answer.adjustment.covariance), dtype=np.float64)
+    means = answer.adjustment.values
+    values, alignment, covariance = adjust_to_points(
+        points, task.parameters.build, fit.adjustment.values, means, precision, any_scale
+    )
+    problem, states = problem_of(task, fit), fit.adjustment.states
+    alone = Linearisation.of(problem.weighted(problem.weights(answer.adjustment.distances)))
+    for _ in range(ROUNDS):
+        states = states + eliminate(alone.at(values, states), 0.0)[0][:, -1].reshape(states.shape)
+    std = float(np.median(points.precisions[points.precisions > 0.0]) ** -0.5)
+    return _at(task, fit, alone, values, states, covariance), World(alignment, covariance, std)
+
+
+def _at(task: Task, fit: Fit, alone: Linearisation, values: Array, states: Array, covariance: Array) -> Fit:
+    """Return a fit at other values and trajectories, with the covariance of values and world."""
+    count = task.parameters.size
+    adjustment = replace(
+        fit.adjustment, values=values, states=states, covariance=covariance[:count, :count],
+        distances=alone.at(values, states).distances,
+    )  # fmt: skip
+    seen = replace(fit.observations, times=true_times(task.parameters.build(values), fit.observations))
+    return replace(fit, adjustment=adjustment, observations=seen, held=None)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solveh_banded
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
@@ -13,7 +14,7 @@ from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.shared_errors import shared_errors
-from stereophd.core.calibration.adjustment.solver import adjust, posterior_covariance
+from stereophd.core.calibration.adjustment.solver import adjust, damped_bands, posterior_covariance
 from stereophd.core.calibration.adjustment.trajectories import (
     Knots,
     fit_states,
@@ -22,10 +23,10 @@ from stereophd.core.calibration.adjustment.trajectories import (
     place_knots,
     positions,
 )
+from stereophd.core.calibration.annealing.membership import chosen_detections
 from stereophd.core.calibration.annealing.rejected import collapsed, lone
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.pairing.association import (
-    fitted_detections,
     keep,
     shared,
     track_detections,
@@ -52,6 +53,10 @@ MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
 TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 3
+# Frames by which a trajectory may go on before its first detection and after its last one, in a pass.
+PADDED_FRAMES = 2.0
+# Times at most that trajectories of marginal optima choose their detections, and the change of a weight that counts.
+MOST_CHOICES, SAME_WEIGHT = 2, 0.1
 # Passes are weighted from this one on.
 FIRST_WEIGHTED = 2
 
@@ -128,20 +133,22 @@ def _annealed(task: Task) -> tuple[int, float]:
     return (MOST_ITERATIONS, TOLERANCE) if only_moves else (ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
 
 
-def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False, last: bool = True) -> Fit | None:
+def refitted(
+    task: Task, fit: Fit, tracked: bool = False, weighted: bool = False, last: bool = True, still: bool = False
+) -> Fit | None:
     """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
 
     `weighted`: detections whose errors are shared count less (`adjustment.shared_errors`), as the residuals of the
-    fit show. `last`: no other adjustment follows.
+    fit show. `last`: no other adjustment follows. `still`: the cameras stay, and only the trajectories are adjusted.
     """
-    counts = np.bincount(fit.observations.trajectories, minlength=fit.knots.count)
     cameras = task.parameters.build(fit.adjustment.values)
     scans = task.tracked_scans(cameras) if tracked else task.all_scans(cameras)
-    states = fit.adjustment.states
     noise = _noise(task, fit)
-    # over this time the noise of the motion moves an object by its detection's noise
-    padding = task.filter.motion.straying_time(noise)
-    trajectories, detections = fitted_detections(cameras, scans, fit.knots, states, padding, counts)
+    # over this time the noise of the motion moves an object by its detection's noise; a frame or two are looked at
+    periods = task.recording.periods(len(cameras))
+    padding = max(task.filter.motion.straying_time(noise), PADDED_FRAMES * float(periods.max()))
+    problem = problem_of(task, fit)
+    trajectories, detections = chosen_detections(problem, fit.adjustment, fit.detections, scans, padding)
     p_detect = np.array([camera.detector.p_detect for camera in cameras])
     several = ~lone(trajectories, scans.event_of[detections], scans.cameras, p_detect)
     trajectories, detections = trajectories[several], detections[several]
@@ -150,14 +157,14 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, weighted: bool = False
     if not len(chosen):
         return None
     rows, numbers = keep(trajectories, chosen)
-    chosen_detections = scans.source[detections[rows]]
-    fit = replace(fit, held=None)
-    observations = task.observations(cameras, numbers, chosen_detections)
+    of_log = scans.source[detections[rows]]
+    fit = replace(fit, held=np.ones(task.parameters.size, dtype=np.bool_) if still else None)
+    observations = task.observations(cameras, numbers, of_log)
     if weighted and task.settings.shared_error_px > 0.0:
-        weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), chosen_detections)
+        weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), of_log)
         observations = replace(observations, weights=weights)
     tolerance = TOLERANCE if last or task.parameters.only_moves else ANNEALED_TOLERANCE
-    return adjusted_to(task, fit, observations, trajectories[rows], chosen_detections, tolerance=tolerance)
+    return adjusted_to(task, fit, observations, trajectories[rows], of_log, tolerance=tolerance)
 
 
 def _weights(task: Task, fit: Fit, observations: Observations, detections: Integers) -> Array | None:
@@ -242,11 +249,22 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
+    # the loss would leave out at once what a trajectory has to reach out for, beyond its last detection so far
+    states = with_all_members(problem, fit.adjustment.values, states)
     found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, tolerance)
     standing = ~_collapsed(task, found)
     if standing.all():
         return found
     return _part(task, found, np.flatnonzero(standing), max_iterations) or found
+
+
+def with_all_members(problem: Problem, values: Array, states: Array) -> Array:
+    """Move the knots (k, 2, 3) of trajectories one linear step to all their detections, whatever the loss says."""
+    given = problem.observations.weights
+    weights = np.ones(len(problem.observations)) if given is None else given
+    _, bands, vector = Linearisation.of(problem.weighted(weights)).of_knots(values, states)
+    step: Array = solveh_banded(damped_bands(bands, 0.0), vector, lower=True)
+    return states + step.reshape(states.shape)
 
 
 def _collapsed(task: Task, fit: Fit) -> Booleans:
@@ -290,51 +308,58 @@ def _with_held_unknown(task: Task, fit: Fit) -> Fit:
     return replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
 
 
-def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, float, str]:
+def marginal_fit(task: Task, fit: Fit) -> tuple[Fit, float]:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
-    Values that are held stay. Not where detections share errors: what the trajectories absorb of those is no volume of
-    the motion model. The joint optimum of objects that manoeuvre is biased, and its residuals look like shared errors:
-    only those count that the marginal optimum of independent errors shows too. Not for objects of one knot each, which
-    stand still: the volume counts a velocity with every knot, and would take the scene for too small. Not where that
-    noise is not believed (`MarginalOptimum.believed`), unless `any_noise`, and not where the maximum disagrees with the
-    prior although the fit does not.
-
-    Returns the fit, the noise of the motion that the log shows over what is stated (1 where it was not estimated), and
-    why neither optimum is trusted, whether the search for it converged or not (empty if there is no reason).
+    Values that are held stay. Not for objects of one knot each, which stand still: the volume counts a velocity with
+    every knot, and would take the scene for too small. Also returns the noise of the motion over what is stated.
     """
     if not len(fit.knots.links()):
-        return fit, 1.0, ""
-    if fit.observations.weights is None:
-        return _at_marginal(task, fit, any_noise)
-    seen = replace(fit.observations, weights=None)
-    independent = adjusted_to(task, fit, seen, seen.trajectories, fit.detections)
-    found, noise_factor, doubt = _at_marginal(task, independent, any_noise)
-    sure = found is not independent and found.adjustment.converged and not doubt
-    if sure and _weights(task, found, found.observations, found.detections) is None:
-        return found, noise_factor, ""
-    return fit, 1.0, ""
-
-
-def _at_marginal(task: Task, fit: Fit, any_noise: bool) -> tuple[Fit, float, str]:
-    """`marginal_fit` of a fit whose detections have independent errors."""
+        return fit, 1.0
     found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment)
-    if not (found.believed or any_noise):
-        return fit, found.noise_factor, ""
-    parameters = task.parameters
-    against = parameters.prior_disagreement(found.adjustment.values)
-    if against is not None and parameters.prior_disagreement(fit.adjustment.values) is None:
-        return fit, 1.0, f"with the trajectories integrated out {against}"
-    cameras = parameters.build(found.adjustment.values)
+    cameras = task.parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
     moved = replace(fit, adjustment=found.adjustment, knots=knots, observations=observations)
-    return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor, ""
+    return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor
+
+
+def stated_fit(task: Task, joint: Fit) -> tuple[Fit, float]:
+    """`marginal_fit` of detections that its own trajectories choose, weighed by the errors that they share there.
+
+    The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
+    residuals look like shared errors.
+    """
+    if joint.observations.weights is not None:
+        seen = replace(joint.observations, weights=None)
+        joint = adjusted_to(task, joint, seen, seen.trajectories, joint.detections)
+    stated, factor = marginal_fit(task, joint)
+    for _ in range(MOST_CHOICES if stated is not joint and stated.adjustment.converged else 0):
+        begin = replace(stated, knots=replace(stated.knots, noise_std=joint.knots.noise_std))
+        again = refitted(task, begin, weighted=True, still=True)
+        if again is None or _same_members(again, stated):
+            break
+        better, new_factor = marginal_fit(task, replace(again, held=joint.held))
+        if not better.adjustment.converged:
+            break
+        stated, factor = better, new_factor
+    return stated, factor
+
+
+def _same_members(one: Fit, other: Fit) -> bool:
+    """Whether two fits have the same detections, which count alike."""
+    if not np.array_equal(one.detections, other.detections):
+        return False
+    first, second = (
+        np.ones(len(fit.detections)) if fit.observations.weights is None else fit.observations.weights
+        for fit in (one, other)
+    )
+    return bool(np.allclose(first, second, rtol=SAME_WEIGHT))
 
 
 def at_marginal_optimum(task: Task, fit: Fit) -> Fit:
     """Move a fit to the maximum of the marginal posterior, and keep the stated noise of the motion."""
-    found, _, _ = marginal_fit(task, fit)
+    found, _ = marginal_fit(task, fit)
     return replace(found, knots=fit.knots)
 
 

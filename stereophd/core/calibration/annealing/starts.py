@@ -29,6 +29,7 @@ from stereophd.core.calibration.annealing.fits import (
 from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
 from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio
 from stereophd.core.calibration.pairing.association import track_detections, with_cameras
+from stereophd.core.calibration.time_limit import TIME_OVER
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import collapse, enlarged
@@ -57,8 +58,9 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
     and the start's own values at the widest noise, are tried only where none has succeeded so far. The number is for
     the record; the seed is that of the further draws among which one-camera tracks are paired.
     """
-    pairings = pairings_of(task, values, seed)[:MOST_PAIRINGS]
     tried: list[Start] = []
+    is_timely = task.limit.begin(f"start {number + 1} of at most {task.most_starts}: one-camera tracks are paired")
+    pairings = pairings_of(task, values, seed)[:MOST_PAIRINGS] if is_timely else []
     for place, pairing in enumerate(pairings):
         if best_of(tried) is not None and pairing.gain < AMBIGUOUS * pairings[0].gain:
             break
@@ -80,7 +82,11 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
         values = fit.adjustment.values
         history.append(values)
         inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
+    count = len(inflations) + FITTED_PASSES
+    about = f"start {number + 1} of at most {task.most_starts}, from {origin}: pass"
     for number_of_pass, inflation in enumerate(inflations):
+        if not task.limit.begin(f"{about} {number_of_pass + 1} of {count}, {inflation:g} times the noise"):
+            return failed(TIME_OVER)
         ratio = 1.0 if fit is None else depth_ratio(task, fit, KEPT_WITHIN)
         fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio)
         if fit is None:
@@ -91,6 +97,8 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
     for number_of_pass in range(FITTED_PASSES + 1):
         if number_of_pass == FITTED_PASSES and fit.observations.weights is None:
             break  # one more pass only where the last one found weights
+        if not task.limit.begin(f"{about} {count - FITTED_PASSES + number_of_pass + 1} of {count}") and number_of_pass:
+            break  # judged as it is
         again = refitted(
             task, fit, tracked=number_of_pass == 0, weighted=number_of_pass >= FIRST_WEIGHTED,
             last=number_of_pass >= FIRST_WEIGHTED,

@@ -21,6 +21,7 @@ from stereophd.core.calibration.pairing.track_pairs import (
     one_camera_tracks,
 )
 from stereophd.core.calibration.settings import AnnealedSettings
+from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages
@@ -54,6 +55,7 @@ class Task:
     clocks: ClockOffsets  # Offsets of unknown clocks by the motion that the tracks show
     # Unknowns that are free while tracking, pass by pass, the last of them also in the passes that follow.
     stages: tuple[UnknownSet, ...]
+    limit: TimeLimit = ENDLESS
 
     @property
     def most_starts(self) -> int:

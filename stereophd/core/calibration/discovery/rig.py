@@ -19,6 +19,7 @@ from stereophd.core.calibration.discovery.tracks import SlopeTracks, slope_track
 from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, PairResult, find_pair
 from stereophd.core.calibration.discovery.verdict import doubts_of_pair, doubts_of_tracks
 from stereophd.core.calibration.pairing.hypotheses import spanning_tree
+from stereophd.core.calibration.time_limit import ENDLESS, TIME_OVER, TimeLimit
 from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
@@ -77,23 +78,32 @@ class Discovery:
     reason: str = ""
 
 
-def discover(views: Sequence[View], raw: RawTracks, reference: int, rng: np.random.Generator) -> Discovery:
+def discover(
+    views: Sequence[View], raw: RawTracks, reference: int, rng: np.random.Generator, limit: TimeLimit = ENDLESS
+) -> Discovery:
     """Find poses, clocks and intrinsics of cameras from one-camera tracks: raw pixels on each camera's own clock.
 
     The reference camera is the origin, and its clock is true; `rng` chooses among hypotheses where there are too many.
     """
+    names = [view.camera.name for view in views]
     found = slope_tracks([view.camera for view in views], raw)
-    if (reason := doubts_of_tracks(found, [view.camera.name for view in views])) is not None:
+    if (reason := doubts_of_tracks(found, names)) is not None:
         return Discovery((), reason)
     results = {}
-    for two in combinations(range(len(views)), 2):
+    every = list(combinations(range(len(views)), 2))
+    for number, two in enumerate(every):
+        stage = f"{names[two[0]]} and {names[two[1]]} are found from their tracks, pair {number + 1} of {len(every)}"
+        if not limit.begin(stage):
+            break
         prior, reach = _prior_of(views, two)
         result = find_pair(found, two, prior, reach, rng)
         if result is not None:
             results[two] = result
     tree = spanning_tree({two: result.best.gain for two, result in results.items()})
     placed = {camera for two in tree for camera in two}
-    if missing := [view.camera.name for number, view in enumerate(views) if number not in placed]:
+    if missing := [name for number, name in enumerate(names) if number not in placed]:
+        if limit.is_over:
+            return Discovery((), f"{TIME_OVER} before {', '.join(missing)} could be found")
         return Discovery((), f"no tracks of {', '.join(missing)} agree with those of another camera at any offset")
     if len(tree) < len(views) - 1:
         return Discovery((), "the cameras fall into groups without common objects")
@@ -168,8 +178,12 @@ def _rig(
         rotation, direction, offset, rate = np.sqrt(variances[number]).tolist()
         spreads.append(Spread(rotation, direction, offset, rate, focal_std, lens_std))
     names = [view.camera.name for view in views]
-    confirmed = _confirmed(poses, pairs, others)
-    doubts = [text for pair in pairs for text in doubts_of_pair(pair, names, pair.cameras in confirmed)]
+    confirmed, closed = _confirmed(poses, pairs, others)
+    doubts = [
+        text
+        for pair in pairs
+        for text in doubts_of_pair(pair, names, pair.cameras in confirmed, pair.cameras in closed)
+    ]
     return RigHypothesis(
         tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts), sum(pair.best.gain for pair in pairs)
     )
@@ -177,17 +191,25 @@ def _rig(
 
 def _confirmed(
     poses: Mapping[int, Pose], pairs: Sequence[PairResult], others: Sequence[PairResult]
-) -> set[tuple[int, int]]:
-    """Pairs of the tree on the way between two cameras whose own optimum, found without the tree, agrees with it."""
-    out: set[tuple[int, int]] = set()
+) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
+    """Pairs of the tree on the way between two cameras whose own optimum, found without the tree, agrees with it.
+
+    And those on the way between any two cameras that share tracks besides.
+    """
+    confirmed: set[tuple[int, int]] = set()
+    closed: set[tuple[int, int]] = set()
     for other in others:
+        if other.best.front < LEAST_FRONT:
+            continue
+        way = _way(other.cameras, [pair.cameras for pair in pairs])
+        closed.update(way)
         a, b = (poses[number] for number in other.cameras)
         state, offset = other.best.state, b.rotation @ (a.center - b.center)
         turn = np.linalg.norm(rotation_to_vector(state.rotation @ (b.rotation @ a.rotation.T).T))
         cosine = float(state.direction @ offset) / max(float(np.linalg.norm(offset)), 1e-12)
-        if other.best.front >= LEAST_FRONT and max(turn, np.arccos(np.clip(cosine, -1.0, 1.0))) <= LOOP_ANGLE:
-            out.update(_way(other.cameras, [pair.cameras for pair in pairs]))
-    return out
+        if max(turn, np.arccos(np.clip(cosine, -1.0, 1.0))) <= LOOP_ANGLE:
+            confirmed.update(way)
+    return confirmed, closed
 
 
 def _way(ends: tuple[int, int], tree: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:

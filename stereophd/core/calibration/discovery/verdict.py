@@ -37,14 +37,15 @@ def doubts_of_tracks(found: SlopeTracks, names: Sequence[str]) -> str | None:
     return f"no object can be followed before {', '.join(still)}: record fewer false detections, or more frames"
 
 
-def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool) -> list[str]:
+def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool, is_closed: bool) -> list[str]:
     """Return why two cameras that were found may be wrong; empty if they are believed.
 
-    Where further cameras confirm a pair, its next optimum counts no more.
+    Where further cameras confirm a pair, its next optimum counts no more. Where they close a loop with it, what the two
+    leave open (focal lengths above all) may be determined by all: the final answer is judged, not the pair.
     """
     fit = pair.best
     two = " and ".join(names[number] for number in pair.cameras)
-    doubts = []
+    doubts: list[str] = []
     if fit.parallax < LEAST_PARALLAX:
         doubts.append(
             f"rays of {two} meet at {np.rad2deg(fit.parallax):.1f} degrees: the cameras stand at one place, or the "
@@ -55,8 +56,13 @@ def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool) -
             f"the tracks that {two} share are too few or too straight ({fit.pieces:.1f} pieces of a curve, "
             f"{LEAST_PIECES:g} are needed): record objects that turn, or more of them"
         )
+    if doubts:
+        return doubts  # what follows from them says no more
     if fit.front < LEAST_FRONT:
-        doubts.append(f"only {100.0 * fit.front:.0f} % of the points lie in front of {two}")
+        doubts.append(
+            f"only {100.0 * fit.front:.0f} % of the points lie in front of {two}: their tracks agree by chance; record "
+            "the same moving objects with both, at one time, and state the lenses"
+        )
     if fit.residual > MOST_RESIDUAL:
         doubts.append(
             f"rays of {two} miss each other by {fit.residual:.1f} times the noise: a lens, a focal length or a clock "
@@ -64,7 +70,7 @@ def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool) -
         )
     if pair.gap < LEAST_GAP and not is_confirmed:
         doubts.append(_second_optimum(pair, two))
-    if fit.stds[:3].max() > MOST_ROTATION or fit.stds[3:5].max() > MOST_DIRECTION:
+    if not is_closed and (fit.stds[:3].max() > MOST_ROTATION or fit.stds[3:5].max() > MOST_DIRECTION):
         kind = "; the objects move in one plane" if _is_plane(fit) else ""
         doubts.append(
             f"the tracks leave {two} open by {np.rad2deg(fit.stds[:3].max()):.1f} degrees in rotation and "

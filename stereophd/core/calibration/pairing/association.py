@@ -1,4 +1,4 @@
-"""Which detections belong to which object: from the tracks of a filter, and from fitted trajectories."""
+"""Which detections belong to which object: from the tracks of a filter."""
 
 from __future__ import annotations
 
@@ -11,16 +11,13 @@ from scipy.optimize import linear_sum_assignment
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Scans
-from stereophd.core.calibration.adjustment.trajectories import Knots, interpolation, positions
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import pinhole
 from stereophd.core.multi.pmb.filter import PmbFilter
 
-# A detection belongs to a track within this squared Mahalanobis distance in its (inflated) noise: 3 sigma while
-# tracking, 3.7 sigma (0.1 % of a normal distribution in the plane) once the trajectories are fitted.
-TRACK_GATE, FITTED_GATE = 9.0, 13.8
+# A detection belongs to a track within this squared Mahalanobis distance in its (inflated) noise.
+TRACK_GATE = 9.0
 # Tracks of a smaller existence are not asked.
 LEAST_EXISTENCE = 0.6
 
@@ -119,45 +116,6 @@ def match(pixels: Array, event: Event, gate: float) -> tuple[Integers, Integers]
     rows, columns = linear_sum_assignment(cost)
     kept = cost[rows, columns] < gate
     return rows[kept].astype(np.int64), columns[kept].astype(np.int64)
-
-
-def fitted_detections(
-    cameras: Sequence[Camera],
-    scans: Scans,
-    knots: Knots,
-    states: Array,
-    padding: float,
-    counts: Integers,
-) -> tuple[Integers, Integers]:
-    """Give fitted trajectories (knots with states (k, 2, 3)) their detections, those with the most so far first.
-
-    A piece of a track that another trajectory explains better is thus left without detections. A trajectory continues
-    without noise for the time `padding`, s, before its first and after its last detection; `counts` (j,) are the
-    detections of each so far. Returns trajectories (n,) and detections (n,), sorted by trajectory and time.
-    """
-    owner = np.full(len(scans.points), -1)
-    times, of_camera = scans.detection_times, scans.cameras[scans.event_of]
-    pixels, sigma = scans.recording.pixels[scans.source], scans.recording.sigma[scans.source]
-    for j in np.argsort(-counts, kind="stable"):
-        start, end = knots.spans[j]
-        open_ = np.flatnonzero((owner < 0) & (times >= start - padding) & (times <= end + padding))
-        points = positions(states, *interpolation(knots, np.full(len(open_), j), times[open_]))
-        difference = np.full((len(open_), 2), np.nan)
-        for number, camera in enumerate(cameras):
-            here = np.flatnonzero(of_camera[open_] == number)
-            still, nothing = np.zeros((len(here), 3)), np.zeros(len(here))
-            view = look(camera, points[here], still, times[open_[here]], nothing, nothing)
-            seen = here[view.visible]
-            difference[seen] = pixels[open_[seen]] - view.pixels[view.visible]
-        distance = ((difference / sigma[open_]) ** 2).sum(axis=1)
-        near = np.flatnonzero(distance < FITTED_GATE)
-        # the nearest of each event
-        near = near[np.lexsort((distance[near], scans.event_of[open_[near]]))]
-        _, nearest = np.unique(scans.event_of[open_[near]], return_index=True)
-        owner[open_[near[nearest]]] = j
-    detections = np.flatnonzero(owner >= 0)
-    order = np.lexsort((detections, owner[detections]))
-    return owner[detections[order]], detections[order]
 
 
 def shared(trajectories: Integers, cameras: Integers, least: int) -> Integers:

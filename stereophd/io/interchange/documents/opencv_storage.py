@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.errors import InputError
-from stereophd.io.documents import SAFE_LOADER, load_npz, load_yaml, read_bytes
+from stereophd.io.documents import SAFE_LOADER, expecting, load_npz, load_yaml, read_bytes
 
 # The first line that OpenCV writes is no YAML directive; YAML's own would be "%YAML 1.0".
 _DIRECTIVE = re.compile(r"\A\ufeff?%YAML[: ]1\.\d\s*")
@@ -24,19 +24,14 @@ def read_document(path: Path) -> dict[str, Any]:
     content = read_bytes(path)
     if content[:2] == b"PK":
         return {name: _unwrapped(array) for name, array in load_npz(path).items()}
-    try:
+    with expecting("YAML, XML, JSON or NPZ", path):
         text = content.decode("utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected YAML, XML, JSON or NPZ, found bytes that are no text") from error
-    try:
         if text.lstrip().startswith("<"):
             document = _read_xml(text)
         elif text.lstrip().startswith("{"):
             document = _plain(json.loads(text))
         else:
             document = _plain(_read_yaml(text, str(path)))
-    except (ValueError, TypeError, KeyError, SyntaxError) as error:
-        raise InputError(f"{path}: expected YAML, XML, JSON or NPZ, found: {str(error).splitlines()[0]}") from error
     if not isinstance(document, dict):
         raise InputError(f"{path}: expected named values, found something else")
     return document

@@ -5,12 +5,13 @@ from __future__ import annotations
 import contextlib
 import csv
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -29,13 +30,14 @@ def first_lines(path: Path, count: int) -> list[str]:
 
     Raises InputError when the file cannot be read, or is no text.
     """
-    try:
-        with open(path, encoding="utf-8-sig") as stream:
-            return [line.rstrip("\r\n") for line, _ in zip(stream, range(count), strict=False)]
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except UnicodeDecodeError as error:
-        raise InputError(f"{path}: expected text, found bytes that are not UTF-8") from error
+    with expecting("text in UTF-8", path), open(path, encoding="utf-8-sig") as stream:
+        return [line.rstrip("\r\n") for line, _ in zip(stream, range(count), strict=False)]
+
+
+def header_of(path: Path) -> tuple[str, list[str]]:
+    """Return what separates the columns of a table, and the words of its first line."""
+    line = (first_lines(path, 1) or [""])[0]
+    return separator_of(line), split_line(line)
 
 
 def separator_of(line: str) -> str:
@@ -100,10 +102,16 @@ def _is_cut_off(source: Path | IO[bytes], reason: str) -> bool:
     return False
 
 
-def numbers(batch: Any, column: str) -> Array:
-    """Return a column of numbers, NaN where it is empty."""
-    values: Array = batch.column(column).to_numpy(zero_copy_only=False)
-    return values
+def number_batches(
+    source: Path | IO[bytes], separator: str, columns: Iterable[str], where: str, names: list[str] | None = None,
+    skip: int = 0,
+) -> Iterator[dict[str, Array]]:  # fmt: skip
+    """Yield columns of numbers in pieces, NaN where they are empty; the rest as `read_batches`."""
+    import pyarrow as pa
+
+    kinds = dict.fromkeys(columns, pa.float64())
+    for batch in read_batches(source, separator, kinds, where, names, skip):
+        yield {name: batch.column(name).to_numpy(zero_copy_only=False) for name in kinds}
 
 
 def read_matrix(path: Path) -> Array | None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,6 +28,9 @@ Rays = tuple[Array | None, Array | None]
 MOST_DETECTIONS, SHIFTS, MOST_DISTANCES = 400, 8, 300_000
 # Tolerances, in standard deviations of the distance.
 TOLERANCES = (3.0, 8.0, 20.0)
+# By how much detections are moved for distances of chance, as a share of the image, and the angle between successive
+# directions. At other times alone the rays of objects that hardly move still meet.
+OFFSETS, GOLDEN_ANGLE = (0.08, 0.25), 2.39996
 # Rays at a smaller angle (sine) meet anywhere: the depth has no sign.
 LEAST_SINE = 1e-3
 
@@ -69,6 +72,15 @@ class Candidates:
             self.a, self.b, self.detections[kept], self.times[kept], self.pixels_a[kept],
             np.ascontiguousarray(self.pixels_b[: 1 + shifts, kept]),
         )  # fmt: skip
+
+    def elsewhere(self, camera: Camera) -> Candidates:
+        """Return the detections of A, the given camera, at other places of the image, each in its own direction."""
+        angle = GOLDEN_ANGLE * np.arange(len(self.pixels_a))
+        size = np.array([camera.width, camera.height]) - 1.0
+        away = np.linspace(*OFFSETS, 7)[np.arange(len(self.pixels_a)) % 7]
+        moved = self.pixels_a + (away * np.array([np.cos(angle), np.sin(angle)])).T * size.max()
+        # reflected at the borders
+        return replace(self, pixels_a=size - np.abs(size - np.abs(moved)))
 
 
 @dataclass(frozen=True)

@@ -169,8 +169,8 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             detector.clutter_per_frame, round(isolated, 3), camera.name,
             f"set clutter_per_frame near {isolated:.2g}, or estimate it (detector: estimate)", "clutter",
         )  # fmt: skip
-    noise = sample.noise_px
-    if follows and noise is not None and noise > NOISE_FACTOR * float(detector.sigma.mean()):
+    noise, least = sample.noise_px or (0.0, 0.0)
+    if follows and least > NOISE_FACTOR * float(detector.sigma.mean()):
         yield Finding(
             "detector.sigma", "warning",
             f"{camera.name}: detections scatter by about {noise:.2g} px about one-camera tracks, but sigma_px is "

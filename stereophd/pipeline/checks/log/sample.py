@@ -32,8 +32,9 @@ LEAST_CONTINUED_FRAMES, LEAST_CONTINUED = 8, 20
 # A place in an image is told apart to this many pixels; it lasts if it detects in so many frames and in this share of
 # them, unless this share of all detections is at such places: then the scene rests.
 PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.5
-# Differences from which noise is told.
-LEAST_DIFFERENCES = 60
+# Differences from which noise is told, and the relative error of a variance from their median over the root of their
+# number: they overlap.
+LEAST_DIFFERENCES, VARIANCE_ERROR = 60, 3.5
 # Frames of the shortest track that counts.
 LEAST_LENGTH = 6
 
@@ -142,18 +143,21 @@ class CameraSample:
         return [(self.pixels[number == k].mean(axis=0), int(frames[k])) for k in lasting.tolist()]
 
     @cached_property
-    def noise_px(self) -> float | None:
-        """Standard deviation of a detection about its one-camera track, px; None without long tracks.
+    def noise_px(self) -> tuple[float, float] | None:
+        """Standard deviation of a detection about its one-camera track, px, and the least; None without long tracks.
 
         From third differences, which a steady acceleration does not change; the median resists wrong links. What white
-        acceleration adds to their variance grows with the cube of the step, so that two steps tell it from noise.
+        acceleration adds to their variance grows with the cube of the step, so that two steps tell it from noise. The
+        least noise is three standard errors less.
         """
         once, twice = (self._third_differences(step) for step in (1, 2))
         if min(len(once), len(twice)) < LEAST_DIFFERENCES:
             return None
         # 1 + 9 + 9 + 1 = 20 times the variance of one detection
         single, double = (float(np.median(np.abs(each)) / 0.6745) ** 2 / 20.0 for each in (once, twice))
-        return float(np.sqrt(max(8.0 * single - double, 0.0) / 7.0))
+        error = VARIANCE_ERROR * np.hypot(8.0 * single / np.sqrt(len(once)), double / np.sqrt(len(twice)))
+        most = max(8.0 * single - double, 0.0)
+        return float(np.sqrt(most / 7.0)), float(np.sqrt(max(most - 3.0 * error, 0.0) / 7.0))
 
     def _third_differences(self, step: int) -> Array:
         """Return third differences (n,), px, of one-camera tracks with even times, over steps of so many frames."""
@@ -168,6 +172,10 @@ class CameraSample:
     @cached_property
     def tracks(self) -> tuple[Integers, ...]:
         """Detections of every one-camera track of at least `LEAST_LENGTH` frames."""
+        return self.chains(LEAST_LENGTH)
+
+    def chains(self, least: int) -> tuple[Integers, ...]:
+        """Return the detections of every one-camera track of at least so many frames."""
         following = self.links
         starts = np.setdiff1d(np.flatnonzero(following >= 0), following[following >= 0])
         found = []
@@ -176,7 +184,7 @@ class CameraSample:
             while k >= 0:
                 chain.append(k)
                 k = int(following[k])
-            if len(chain) >= LEAST_LENGTH:
+            if len(chain) >= least:
                 found.append(np.array(chain, dtype=np.int64))
         return tuple(found)
 

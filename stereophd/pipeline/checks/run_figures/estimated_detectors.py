@@ -13,6 +13,8 @@ from stereophd.pipeline.checks.finding import Finding
 LASTING = 0.3
 # Relative standard error from which an estimated noise is unsure: two of them are a factor of 1.5.
 UNSURE = 0.2
+# Standard error of the clutter, over it and in detections of a frame, from which it is unsure.
+UNSURE_CLUTTER, LEAST_UNSURE = 0.5, 0.5
 
 
 def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Finding]:
@@ -26,8 +28,9 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
         text = f"the estimated detectors still change after {report['passes']} passes"
         yield Finding("detector.estimate", "warning", text, cause="not_converged")
     for name, estimate in report["cameras"].items():
-        correlation = estimate["residual_correlation"]
-        if correlation is not None and max(correlation) > LASTING:
+        correlation, points = estimate["residual_correlation"], "sigma_px" in estimate
+        # the errors of boxes last as poses of bodies do: their filter allows for that
+        if points and correlation is not None and max(correlation) > LASTING:
             text = (
                 f"{name}: errors last from frame to frame (correlation {correlation[0]:.2f}, {correlation[1]:.2f} "
                 "along u, v): of pose, clock or lens, or of smoothed labels; with noise estimated from them tracks "
@@ -38,28 +41,37 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
             )
         if report["noise_in_log"]:
             continue
-        noise = " x ".join(f"{sigma:.3g}" for sigma in estimate["sigma_px"])
+        key, unit = ("sigma_px", " px") if points else ("box_noise", "")
+        noise = " x ".join(f"{value:.3g}" for value in estimate[key]) + unit
         if not estimate["confirmed"]:
             ratio = estimate["residual_ratio"]
             seen = "no track gave residuals" if ratio is None else f"the residuals of tracks are {ratio:.2g} times it"
             text = (
-                f"{name}: no tracks confirm the estimated noise ({seen}): it stays at {noise} px, what the rays and "
+                f"{name}: no tracks confirm the estimated noise ({seen}): it stays at {noise}, what the rays and "
                 "the usual noise of detectors say"
             )
             remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
             yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")
-        elif (error := _unsure(estimate)) > UNSURE:
+        elif (error := _unsure(estimate, key)) > UNSURE:
             text = (
                 f"{name}: {estimate['residuals']:.0f} detections of tracks that two cameras saw are few: the estimated "
-                f"noise of {noise} px is known to a factor of {np.exp(2.0 * error):.1f}"
+                f"noise of {noise} is known to a factor of {np.exp(2.0 * error):.1f}"
             )
-            remedy = f"state cameras.{name}.detector.sigma_px if you know it, or take a longer log"
+            remedy = f"state cameras.{name}.detector.{key} if you know it, or take a longer log"
             yield Finding(
                 "detector.estimate", "warning", text, round(error, 2), UNSURE, name, remedy, "too_few_detections"
             )
+        clutter, error = estimate["clutter_per_frame"], estimate["clutter_per_frame_standard_error"]
+        if error is not None and error > max(UNSURE_CLUTTER * clutter, LEAST_UNSURE):
+            text = (
+                f"{name}: the estimated clutter of {clutter:.2g} detections of a frame is known to {error:.2g} only: "
+                "few frames, or objects that tracks do not settle"
+            )
+            remedy = f"state cameras.{name}.detector.clutter_per_frame if you know it, or take a longer log"
+            yield Finding("detector.estimate", "warning", text, round(error, 2), None, name, remedy, "clutter_unsure")
 
 
-def _unsure(estimate: Mapping[str, Any]) -> float:
+def _unsure(estimate: Mapping[str, Any], key: str) -> float:
     """Return the relative standard error of an estimated noise."""
-    pairs = zip(estimate["sigma_px_standard_error"], estimate["sigma_px"], strict=True)
+    pairs = zip(estimate[f"{key}_standard_error"], estimate[key], strict=True)
     return float(max(error / sigma for error, sigma in pairs))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,12 +10,15 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.outputs.json_text import finite_or_none
+from stereophd.pipeline.tracking.associations import Associated
 from stereophd.pipeline.tracking.loop import Record
 
 # A detection that belongs to a track more probably than not has a residual.
 PROBABLE = 0.5
 # Residuals computed at a time.
 BATCH = 2048
+# Residuals above this many times the median are those of wrong detections, and say nothing about the noise.
+OUTLIER = 8.0
 # Step of the derivatives of a projection, over the standard deviation of the position.
 DERIVATIVE_STEP = 0.1
 
@@ -58,76 +60,61 @@ class CameraSums:
     residuals: int = 0
     total: Array = field(default_factory=lambda: np.zeros(2))
     squares: float = 0.0
+    # Squares of the residuals without outliers, and those that are expected.
+    usual: float = 0.0
     expected: float = 0.0
     times: list[float] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
     covariances: list[Array] = field(default_factory=list)
     pixels: list[Array] = field(default_factory=list)
 
-
-class Explained:
-    """Running figures of every camera; `sums`, camera -> figures so far, are kept up to date."""
-
-    def __init__(self, cameras: Sequence[Camera], sums: dict[str, CameraSums] | None = None) -> None:
-        self._cameras = {camera.name: camera for camera in cameras}
-        self._sums = {} if sums is None else sums
-        for name in self._cameras:
-            self._sums.setdefault(name, CameraSums())
-
-    def add(self, record: Record) -> None:
-        """Take in one record."""
-        if record.is_event:
-            sums = self._sums[record.camera]
-            sums.frames += 1
-            sums.detections += record.n_detections
-        for sightings in record.associations:
-            sums = self._sums[sightings.camera]
-            sums.explained += float(sightings.probabilities.sum())
-            if sightings.time_s != record.time_s or not record.is_event or sightings.camera != record.camera:
-                continue
-            place = {track: row for row, track in enumerate(record.estimates.track_ids.tolist())}
-            probable = np.flatnonzero(sightings.probabilities > PROBABLE).tolist()
-            ids = sightings.track_ids.tolist()
-            for row in probable:
-                if ids[row] in place:
-                    sums.times.append(record.time_s)
-                    sums.states.append(record.estimates.states[place[ids[row]]])
-                    sums.covariances.append(record.estimates.covariances[place[ids[row]], :3, :3])
-                    sums.pixels.append(sightings.pixels[row])
-            if len(sums.times) >= BATCH:
-                self._flush(record.camera)
-
-    def _flush(self, name: str) -> None:
-        sums = self._sums[name]
-        if not sums.times:
+    def add(self, record: Record, sightings: Associated, camera: Camera) -> None:
+        """Take in detections of this camera that tracks claim; those of the record's event have residuals."""
+        self.explained += float(sightings.probabilities.sum())
+        if sightings.time_s != record.time_s or not record.is_event or sightings.camera != record.camera:
             return
-        camera, times, states = self._cameras[name], np.array(sums.times), np.array(sums.states)
-        found = residuals_px(camera, times, states, np.array(sums.pixels))
-        expected = expected_squares(camera, times, states, np.array(sums.covariances))
+        place = {track: row for row, track in enumerate(record.estimates.track_ids.tolist())}
+        ids = sightings.track_ids.tolist()
+        for row in np.flatnonzero(sightings.probabilities > PROBABLE).tolist():
+            if ids[row] in place:
+                self.times.append(record.time_s)
+                self.states.append(record.estimates.states[place[ids[row]]])
+                self.covariances.append(record.estimates.covariances[place[ids[row]], :3, :3])
+                self.pixels.append(sightings.pixels[row])
+        if len(self.times) >= BATCH:
+            self._compute(camera)
+
+    def _compute(self, camera: Camera) -> None:
+        """Compute the residuals that wait."""
+        if not self.times:
+            return
+        times, states = np.array(self.times), np.array(self.states)
+        found = residuals_px(camera, times, states, np.array(self.pixels))
+        expected = expected_squares(camera, times, states, np.array(self.covariances))
         usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
         found = found[usable]
-        sums.expected += float(expected[usable].sum())
-        sums.residuals += len(found)
-        sums.total = sums.total + found.sum(axis=0)
-        sums.squares += float((found**2).sum())
-        sums.times, sums.states, sums.covariances, sums.pixels = [], [], [], []
+        squares = (found**2).sum(axis=1)
+        usual = squares <= OUTLIER**2 * np.median(squares) if len(squares) else squares > 0.0
+        self.expected += float(expected[usable][usual].sum())
+        self.usual += float(squares[usual].sum())
+        self.residuals += len(found)
+        self.total = self.total + found.sum(axis=0)
+        self.squares += float(squares.sum())
+        self.times, self.states, self.covariances, self.pixels = [], [], [], []
 
-    def report(self) -> dict[str, Any]:
-        """Return the figures of every camera for ``report.json``."""
-        out: dict[str, Any] = {}
-        for name, sums in self._sums.items():
-            self._flush(name)
-            count = sums.residuals
-            out[name] = {
-                "frames": sums.frames,
-                "detections": sums.detections,
-                "explained_detections": sums.explained,
-                "explained_share": finite_or_none(sums.explained / sums.detections) if sums.detections else None,
-                "residuals": count,
-                # Root mean square of one axis.
-                "residual_rms_px": float(np.sqrt(sums.squares / (2 * count))) if count else None,
-                # Over what the stated noise leads to expect of an estimate that has taken in the detection.
-                "residual_ratio": float(np.sqrt(sums.squares / sums.expected)) if sums.expected > 0.0 else None,
-                "residual_mean_px": (sums.total / count).tolist() if count else None,
-            }
-        return out
+    def report(self, camera: Camera) -> dict[str, Any]:
+        """Return the figures for ``report.json``."""
+        self._compute(camera)
+        count = self.residuals
+        return {
+            "frames": self.frames,
+            "detections": self.detections,
+            "explained_detections": self.explained,
+            "explained_share": finite_or_none(self.explained / self.detections) if self.detections else None,
+            "residuals": count,
+            # Root mean square of one axis.
+            "residual_rms_px": float(np.sqrt(self.squares / (2 * count))) if count else None,
+            # Over what the stated noise leads to expect of an estimate that has taken in the detection.
+            "residual_ratio": float(np.sqrt(self.usual / self.expected)) if self.expected > 0.0 else None,
+            "residual_mean_px": (self.total / count).tolist() if count else None,
+        }

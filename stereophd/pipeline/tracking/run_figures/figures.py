@@ -3,28 +3,29 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
+from stereophd.core.calibration.unknowns.considered import CommonPart
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.run_figures.explained import CameraSums, Explained
+from stereophd.pipeline.tracking.run_figures.explained import CameraSums
 
 
 @dataclass
 class Losses:
     """Events after which a bound left something out, and the most that it left out at once."""
 
-    cut: int = 0
-    most_left_out: int = 0
-    bursts: int = 0
+    events: int = 0
+    most: int = 0
+    burst_frames: int = 0
     burst_detections: int = 0
-    crowded: int = 0
+    hypothesis_events: int = 0
     most_hypotheses: int = 0
 
     def add(self, record: Record) -> None:
@@ -32,23 +33,12 @@ class Losses:
         if not record.is_event:
             return
         info = record.info
-        self.cut += info.left_out > 0
-        self.most_left_out = max(self.most_left_out, info.left_out)
-        self.bursts += info.burst > 0
+        self.events += info.left_out > 0
+        self.most = max(self.most, info.left_out)
+        self.burst_frames += info.burst > 0
         self.burst_detections += info.burst
-        self.crowded += info.hypotheses_left_out > 0
+        self.hypothesis_events += info.hypotheses_left_out > 0
         self.most_hypotheses = max(self.most_hypotheses, info.hypotheses_left_out)
-
-    def report(self) -> dict[str, Any]:
-        """Return the figures for ``report.json``."""
-        return {
-            "events": self.cut,
-            "most": self.most_left_out,
-            "burst_frames": self.bursts,
-            "burst_detections": self.burst_detections,
-            "hypothesis_events": self.crowded,
-            "most_hypotheses": self.most_hypotheses,
-        }
 
 
 @dataclass
@@ -64,8 +54,8 @@ class IdentitySums:
 
 
 @dataclass
-class FigureSums:
-    """Figures of a run so far, all that `RunFigures` counts."""
+class RunFigures:
+    """Figures of a run so far, and what waits for the next row of the table of events: all that is kept of them."""
 
     events: int = 0
     confirmed: int = 0
@@ -77,74 +67,76 @@ class FigureSums:
     identities: dict[int, IdentitySums] = field(default_factory=dict)
     detections: dict[int, dict[str, int]] = field(default_factory=dict)  # Track -> camera -> number
     knocks: list[Knock] = field(default_factory=list)
+    # Since the last row of the table of events: what happened between two reports belongs to the second.
+    new_detections: int = 0
+    new_log_likelihood: float = 0.0
+    cameras_part: CommonPart | None = None  # Of what uncertain cameras add
 
-
-class RunFigures:
-    """Figures of a run for ``report.json``, counted as its records come.
-
-    The cameras are in order, for the figures of each. `sums` is where the figures begin, and is kept up to date.
-    """
-
-    def __init__(self, cameras: Sequence[Camera], sums: FigureSums | None = None) -> None:
-        self._cameras = cameras
-        self._sums = FigureSums() if sums is None else sums
-        self._explained = Explained(cameras, self._sums.cameras)
-
-    def add(self, record: Record) -> None:
-        """Count a record, reported or not."""
-        sums = self._sums
-        sums.losses.add(record)
+    def add(self, record: Record, cameras: Mapping[str, Camera]) -> None:
+        """Count a record, reported or not, of a run of these cameras."""
+        self.losses.add(record)
         if record.knock is not None:
-            sums.knocks.append(record.knock)
+            self.knocks.append(record.knock)
         if record.is_event:
-            sums.events += 1
-            sums.first_s, sums.last_s = (record.time_s if sums.events == 1 else sums.first_s), record.time_s
-        sums.log_likelihood += record.info.log_likelihood
+            self.events += 1
+            self.first_s, self.last_s = (record.time_s if self.events == 1 else self.first_s), record.time_s
+            sums = self.cameras.setdefault(record.camera, CameraSums())
+            sums.frames += 1
+            sums.detections += record.n_detections
+        self.log_likelihood += record.info.log_likelihood
+        self.new_detections += record.n_detections
+        self.new_log_likelihood += record.info.log_likelihood
         for track_id, counts in record.attributed.items():
-            total = sums.detections.setdefault(track_id, {})
+            total = self.detections.setdefault(track_id, {})
             for camera, count in counts.items():
                 total[camera] = total.get(camera, 0) + count
-        self._explained.add(record)
+        for sightings in record.associations:
+            sums = self.cameras.setdefault(sightings.camera, CameraSums())
+            sums.add(record, sightings, cameras[sightings.camera])
 
     def add_estimates(self, estimates: Estimates, time_s: float) -> None:
         """Count what is reported at a time, s."""
-        self._sums.confirmed += len(estimates.track_ids)
+        self.confirmed += len(estimates.track_ids)
         if not len(estimates.track_ids):
             return
         speeds = np.sqrt(np.einsum("ni,ni->n", estimates.states[:, 3:], estimates.states[:, 3:]))
         stds = np.sqrt(np.trace(estimates.covariances[:, :3, :3], axis1=1, axis2=2))
         columns = (estimates.track_ids, estimates.existence, speeds, stds)
         for track_id, existence, speed, std in zip(*(column.tolist() for column in columns), strict=True):
-            identity = self._sums.identities.setdefault(track_id, IdentitySums(time_s, time_s))
+            identity = self.identities.setdefault(track_id, IdentitySums(time_s, time_s))
             identity.last_s = time_s
             identity.n_estimates += 1
             identity.existence += existence
             identity.speed += speed
             identity.position_std += std
 
-    def report(self, reports: int, estimates: int) -> dict[str, Any]:
+    def report(self, cameras: Mapping[str, Camera], reports: int, estimates: int) -> dict[str, Any]:
         """Return the figures of a run that wrote so many reports and so many estimates, tentative ones included."""
+        common, other = (0.0, 0.0) if self.cameras_part is None else self.cameras_part.stds()
         return {
-            "events": self._sums.events,
-            "duration_s": self._sums.last_s - self._sums.first_s,
+            "events": self.events,
+            "duration_s": self.last_s - self.first_s,
             "reports": reports,
-            "estimates": self._sums.confirmed,
-            "tentative_estimates": estimates - self._sums.confirmed,
-            "log_likelihood": self._sums.log_likelihood,
-            "left_out": self._sums.losses.report(),
-            "cameras": self._explained.report(),
-            "knocks": [asdict(knock) for knock in self._sums.knocks],
-            "tracks": [self._track(track_id, identity) for track_id, identity in sorted(self._sums.identities.items())],
+            "estimates": self.confirmed,
+            "tentative_estimates": estimates - self.confirmed,
+            "log_likelihood": self.log_likelihood,
+            "left_out": asdict(self.losses),
+            "cameras": {name: self.cameras.get(name, CameraSums()).report(camera) for name, camera in cameras.items()},
+            "knocks": [asdict(knock) for knock in self.knocks],
+            "tracks": [
+                self._track(track_id, identity, cameras) for track_id, identity in sorted(self.identities.items())
+            ],
+            **({} if self.cameras_part is None else {"cameras_part": {"common_std": common, "other_std": other}}),
         }
 
-    def _track(self, track_id: int, identity: IdentitySums) -> dict[str, Any]:
-        detections = self._sums.detections.get(track_id, {})
+    def _track(self, track_id: int, identity: IdentitySums, cameras: Iterable[str]) -> dict[str, Any]:
+        detections = self.detections.get(track_id, {})
         return {
             "track_id": track_id,
             "first_s": identity.first_s,
             "last_s": identity.last_s,
             "n_estimates": identity.n_estimates,
-            "n_detections": {camera.name: detections.get(camera.name, 0) for camera in self._cameras},
+            "n_detections": {camera: detections.get(camera, 0) for camera in cameras},
             "mean_existence": identity.existence / identity.n_estimates,
             "mean_speed": identity.speed / identity.n_estimates,
             "mean_position_std": identity.position_std / identity.n_estimates,

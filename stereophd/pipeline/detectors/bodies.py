@@ -1,0 +1,101 @@
+"""What the boxes of an event show of the detector that made them, and what is known of it before."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stereophd.core.arrays import Integers
+from stereophd.core.bodies.boxes import FLOOR_PX, box_variances, boxes_of, share_in_image
+from stereophd.core.bodies.filter import LEAST_HIDDEN, BodyState
+from stereophd.core.bodies.occlusion import hidden_shares
+from stereophd.core.bodies.outline import BOTTOM, TOP, outline_boxes
+from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
+from stereophd.core.disparity.events import Event
+from stereophd.core.geometry.camera import BOX_NOISE, Camera, Detector
+from stereophd.core.multi.state.estimates import Info
+from stereophd.pipeline.detectors.statistics import (
+    DECIDED_SHARE,
+    LIKELY,
+    USUAL_P_DETECT,
+    DetectorSums,
+    NoisePrior,
+    Sighting,
+)
+
+# Spread of the logarithm of the noise of boxes between detectors, and the clutter of an unknown one.
+SPREAD, USUAL_CLUTTER = 0.5, 1.0
+
+
+def starting_box_detectors(
+    cameras: Sequence[Camera], estimated: Collection[str]
+) -> tuple[tuple[Camera, ...], dict[str, NoisePrior]]:
+    """Return cameras with detectors to begin with where they are `estimated`, and what is known of their noise."""
+    usual = [Detector(camera.detector.sigma, USUAL_P_DETECT, USUAL_CLUTTER, BOX_NOISE) for camera in cameras]
+    started = tuple(
+        replace(camera, detector=detector) if camera.name in estimated else camera
+        for camera, detector in zip(cameras, usual, strict=True)
+    )
+    return started, {name: NoisePrior(np.array(BOX_NOISE), SPREAD) for name in estimated}
+
+
+def point_noise(cameras: Sequence[Camera], parts: Sequence[Sequence[Event]]) -> tuple[Camera, ...]:
+    """Return cameras with the noise of the middles of boxes, px, for what takes boxes for points."""
+    out = []
+    for number, camera in enumerate(cameras):
+        sizes = [
+            event.sizes[:, 1] for part in parts for event in part if event.camera == number and event.sizes is not None
+        ]
+        height = float(np.median(np.concatenate(sizes))) if sum(map(len, sizes)) else 0.0
+        detector = camera.detector
+        u, top, bottom, _ = detector.box_noise
+        sigma = np.hypot(FLOOR_PX, height * np.array([u, np.hypot(top, bottom) / 2.0]))
+        out.append(
+            replace(camera, detector=Detector(sigma, detector.p_detect, detector.clutter_per_frame, detector.box_noise))
+        )
+    return tuple(out)
+
+
+def observe_bodies(
+    sums: DetectorSums,
+    before: BodyState,
+    info: Info,
+    event: Event,
+    camera: Camera,
+    shape: EllipsoidSettings,
+    settled: Integers,
+) -> Sighting:
+    """Add the residuals of the boxes of a frame to the sums of its camera; return which bodies it detected.
+
+    Only bodies of `settled` labels count that are whole in the image, that nothing hides and that one Gaussian
+    describes. `before` is the state predicted to the event, `info` what the update found.
+    """
+    hypotheses = before.hypotheses
+    first = hypotheses.first()
+    means, covariances = hypotheses.means[first], hypotheses.covariances[first]
+    existence = hypotheses.existence(len(before.labels))
+    projected, slopes = outline_boxes(means, camera, shape.direction)
+    hidden = hidden_shares(projected, means, covariances, existence, camera)
+    chosen = np.isin(before.labels, settled) & (hypotheses.weights[first] > DECIDED_SHARE * existence)
+    chosen &= (hypotheses.views[first] < 0) & (hidden < LEAST_HIDDEN) & (share_in_image(projected, camera) == 1.0)
+    rows, claims = np.flatnonzero(chosen), info.claims
+    assert claims is not None
+    if not len(rows):
+        return Sighting(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+    order = np.argsort(before.labels)
+    owners = order[np.searchsorted(before.labels, claims.labels, sorter=order).clip(max=len(order) - 1)]
+    known = (before.labels[owners] == claims.labels) & chosen[owners]
+    total = np.bincount(owners[known], claims.probabilities[known], len(before.labels))[rows]
+    boxes = boxes_of(event, camera)
+    known &= (claims.probabilities > LIKELY) & ~boxes.hidden[claims.detections].any(axis=1)
+    owners, columns = owners[known], claims.detections[known]
+    if len(owners):
+        heights = projected[owners, BOTTOM] - projected[owners, TOP]
+        noise = box_variances(heights, boxes.scales[columns], np.array(camera.detector.box_noise))
+        spread = np.einsum("kij,kjl,kil->ki", slopes[owners], covariances[owners], slopes[owners])
+        residuals = boxes.values[columns] - projected[owners]
+        sums.add(residuals, spread + noise, noise, claims.probabilities[known], before.labels[owners])
+    detected = np.minimum(total, existence[rows]).astype(np.float64)
+    return Sighting(before.labels[rows], detected, existence[rows] - detected)
