@@ -6,8 +6,8 @@ without a turn. A detection is any one of the track's neighbours, or false, or m
 hundred standard deviations is as visible as one of three. The log-likelihood ratios of the tracks add up to one of the
 frame, and those of the frames to a CUSUM for each turn, which never falls below 0. Without a knock a CUSUM exceeds c
 with a probability of at most exp(-c) (Wald). A camera is knocked when one is beyond the value that is exceeded once in
-`FALSE_ALARM_S` by chance, over all looks, turns and cameras. In a frame a track speaks for a turn no louder than all
-others together, and half of the tracks, two at least, must speak for it: a wrong track is no knock.
+`FALSE_ALARM_S` by chance, over all looks, turns and cameras. In a frame a track speaks for a turn at most twice
+as loud as all others together, and half of the tracks, two at least, must speak for it: a wrong track is no knock.
 
 A small steady misfit of lens, pose or motion is no knock either: the spread of the residuals, which follows
 their tail, widens all likelihoods. Objects that move as one, such as the corners of a board, may be off
@@ -178,8 +178,8 @@ def _added(
     sums: Array | None, since_s: Array | None, ratios: Array, coherence: float, time_s: float
 ) -> tuple[Array | None, Array | None]:
     """Return CUSUMs, and since when they are above 0, with the ratios (n, h) of the tracks of a look."""
-    # no track speaks louder than all others together
-    total = np.minimum(ratios.sum(axis=0), 2.0 * (ratios.sum(axis=0) - ratios.max(axis=0)))
+    # no track speaks more than twice as loud as all others together
+    total = np.minimum(ratios.sum(axis=0), 3.0 * (ratios.sum(axis=0) - ratios.max(axis=0)))
     agreeing = (ratios > 0.0).sum(axis=0) >= max(FEWEST_TRACKS, AGREEING * len(ratios))
     # neighbours hide together, and a turn may bring others into their places: those speak against it
     total = np.where(agreeing, total, np.minimum(ratios, 0.0).sum(axis=0)) / coherence

@@ -107,8 +107,8 @@ def check_knocks(summary: Mapping[str, Any]) -> Iterator[Finding]:
         yield Finding(
             "tracking.knocked", "warning",
             f"{name}{others}: from {knock['since_s']:.6g} s on its detections lie where a camera would see the tracks "
-            f"that is turned by about {knock['turn_deg']:.2g} degrees (noticed at {knock['time_s']:.6g} s): it was knocked, or "
-            "moved; tracks after that are doubtful",
+            f"that is turned by about {knock['turn_deg']:.2g} degrees (noticed at {knock['time_s']:.6g} s): it was "
+            "knocked, or moved; tracks after that are doubtful",
             round(knock["since_s"], 3), None, name,
             f"calibrate cameras.{name} anew from the part of the log after that, and give it as poses with from_s",
             "knocked",
