@@ -83,7 +83,7 @@ def test_points_do_not_read_boxes(log: Path, tmp_path: Path) -> None:
     [
         (["filter.kind=phd"], "filter.kind: expected pmb .*, found phd"),
         (["motion={model: static}"], "motion.model: expected one whose objects move .*, found static"),
-        (["report.smooth={}"], "report.smooth: expected none"),
+        (["report.smooth={reassociate: true}"], "report.smooth.reassociate: expected false"),
         (["cameras.northeast.readout_s=0.01"], "cameras.northeast.readout_s: expected 0"),
         (["object={shape: point}"], "filter.birth: expected exactly one of disparity and depth_range, found none"),
         (["object.up=null"], "object: expected width and up, or neither of them"),
