@@ -38,9 +38,8 @@ from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, STATE_SIZE, TOP, out
 from stereophd.core.bodies.prediction import predict_bodies
 from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
-from stereophd.core.metrics.identities import clear_mot_figures
+from stereophd.core.metrics.identities import clear_mot_figures, identity_switches
 from stereophd.core.metrics.matching.clear_mot import match_within
-from stereophd.core.metrics.matching.identity import identity_switches
 from stereophd.core.metrics.matching.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.simulation.detections import Scene, simulate_frames, truth_rows

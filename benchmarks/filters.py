@@ -172,7 +172,7 @@ def score(run: Run, settings: Sequence[str]) -> list[float]:
     report = figures_of_run(found, run.truth, scores, near, near, ospa2, errors, Waits(np.zeros(0), np.zeros(0), 0))
     both = points_of_estimates([one.with_tentative() for one in estimates])
     late = run.time_s >= 0.5 * (run.time_s[0] + run.time_s[-1])
-    last_half = float(scores.ospa[late].mean())
+    last_half = float(scores.ospa.distance[late].mean())
     return [
         float(report["ospa"]["mean"]),
         float(score_scans(both, run.truth, ORDER, CUTOFF).ospa.mean()),

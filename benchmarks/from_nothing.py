@@ -212,10 +212,8 @@ def one_run(seed: int, kind: str, folder: Path, search: bool) -> dict[str, Any]:
     if search:
         _, found = with_found_cameras(loaded, folder / "log.parquet")
         assert found is not None
-        rig = found.rig
-        doubts = found.reason if rig is None else "; ".join(rig.doubts)
-        row |= {"status": "undetermined" if doubts else "determined", "reason": doubts}
-        cameras = None if rig is None else rig.cameras
+        row |= {"status": "undetermined" if found.reason else "determined", "reason": found.reason}
+        cameras = None if found.rig is None else found.rig.cameras
     else:
         report = calibrate(loaded, folder / "log.parquet", folder / "out", jobs=1, plots=False, force=True)
         row |= {"status": report["status"], "reason": report["reason"]}

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from stereophd.cli.batch import are_many, finish_batch
 from stereophd.cli.options import ConfigWords, Logs, Out, Session, Strict
-from stereophd.cli.terminal import exit_if_strict, load, print_run, progress_bar
+from stereophd.cli.terminal import exit_if_strict, load, print_scored, progress_bar
 from stereophd.cli.unused_options import report_jobs_beside_dask
 from stereophd.commands.options import CalibrateOptions
-from stereophd.errors import GateError, InputError
+from stereophd.errors import InputError
 
 
 def calibrate_command(
@@ -32,13 +34,10 @@ def calibrate_command(
         raise InputError("--dask: expected several logs, found one; its starts run on the processes of --jobs")
     from stereophd.commands.calibrate import calibrate
     from stereophd.pipeline.batch.names import expand
+    from stereophd.report.summaries import summary_text
 
-    try:
+    def run() -> dict[str, Any]:
         with progress_bar(session, "calibrate") as progress:
-            report = calibrate(loaded, expand(log)[0], out, options=options, progress=progress)
-    except GateError as error:
-        if error.report is not None:
-            print_run(session, error.report)
-        raise
-    print_run(session, report)
-    exit_if_strict(strict, report)
+            return calibrate(loaded, expand(log)[0], out, options=options, progress=progress)
+
+    exit_if_strict(strict, print_scored(session, run, summary_text))

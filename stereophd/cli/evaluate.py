@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from stereophd.cli.batch import finish_batch
 from stereophd.cli.options import ConfigWords, Seed, Session, option
-from stereophd.cli.terminal import load, print_report, progress_bar
+from stereophd.cli.terminal import load, print_scored, progress_bar
 from stereophd.cli.unused_options import refuse, report, report_jobs_beside_dask
 from stereophd.commands.options import FOLDERS, EvaluateCamerasOptions, EvaluateOptions
-from stereophd.errors import GateError, InputError
+from stereophd.errors import InputError
 from stereophd.options import names_of_use
-
-Report = Mapping[str, Any]
 
 Tracks = Annotated[Path, typer.Argument(metavar="TRACKS", help="tracks.parquet, or a folder of runs.")]
 Truth = Annotated[Path, typer.Argument(metavar="TRUTH", help="truth.parquet, or a folder of truths.")]
@@ -53,7 +50,7 @@ def evaluate_command(
     from stereophd.commands.evaluate import evaluate
     from stereophd.report.scores import scores_text
 
-    _run(session, lambda: evaluate(tracks, truth, out, options=options), scores_text)
+    print_scored(session, lambda: evaluate(tracks, truth, out, options=options), scores_text)
 
 
 def evaluate_cameras_command(
@@ -72,8 +69,10 @@ def evaluate_cameras_command(
     from stereophd.commands.evaluate_cameras import evaluate_calibration
     from stereophd.report.camera_scores import camera_scores_text
 
-    loaded = None if config is None else load(ConfigWords(config, true, None, seed))
-    _run(session, lambda: evaluate_calibration(estimated, true, out, loaded, options=options), camera_scores_text)
+    loaded = None if config is None else load(ConfigWords(config, None, seed, true))
+    print_scored(
+        session, lambda: evaluate_calibration(estimated, true, out, loaded, options=options), camera_scores_text
+    )
 
 
 def _score_runs(session: Session, tracks: Path, truth: Path, out: Path | None, options: EvaluateOptions) -> None:
@@ -91,16 +90,3 @@ def _report_without_out(session: Session, out: Path | None) -> None:
     """Warn of what concerns files where none is written."""
     if out is None:
         report(session, ("force",), "with --out DIR")
-
-
-def _run(session: Session, score: Callable[[], Report], text: Callable[[Report], str]) -> None:
-    """Score and show the report; where a gate fails the run is done, and its report is shown before the failure."""
-
-    try:
-        scores = score()
-    except GateError as error:
-        if error.report is not None:
-            failed = error.report
-            print_report(session, failed, lambda: text(failed))
-        raise
-    print_report(session, scores, lambda: text(scores))

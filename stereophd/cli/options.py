@@ -168,19 +168,16 @@ Debug = Annotated[bool, _common("debug", "--debug", text="Show the traceback of 
 
 
 @dataclass(frozen=True)
-class ConfigWords:
-    """A configuration, its cameras, and what replaces its values."""
+class SceneWords:
+    """A configuration with the cameras that it names, and what replaces its values."""
 
     config: Config
-    cameras: Cameras = None
     overrides: Set = None
     seed: Seed = None
 
 
 @dataclass(frozen=True)
-class SceneWords:
-    """A configuration with the cameras that it names."""
+class ConfigWords(SceneWords):
+    """A configuration, and cameras that replace those that it names."""
 
-    config: Config
-    overrides: Set = None
-    seed: Seed = None
+    cameras: Cameras = None

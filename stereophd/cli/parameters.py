@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from pathlib import Path
@@ -13,6 +14,7 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.terminal import begin
+from stereophd.errors import InputError
 from stereophd.options import Declaration
 
 
@@ -51,6 +53,10 @@ def command(function: Callable[..., Any]) -> Callable[..., Any]:
         session = begin(values.pop("context"))
         for name in common:
             del values[name]
+        for parameter in session.context.command.params if session.context else ():
+            value = values.get(parameter.name or "")
+            if isinstance(value, float) and not math.isfinite(value):
+                raise InputError(f"{parameter.opts[0]}: expected a finite number, found {value}")
         for name, kind in classes.items():
             values[name] = kind(**{each.name: _parsed(each, values.pop(each.name)) for each in _stated(kind)})
         return function(session, **values)

@@ -14,6 +14,7 @@ import typer
 from stereophd.cli import interrupts, memory
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import ConfigWords, SceneWords, Session
+from stereophd.errors import GateError
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -48,7 +49,7 @@ def begin(context: typer.Context) -> Session:
     return session
 
 
-def load(words: ConfigWords | SceneWords, further: Sequence[str] = ()) -> LoadedConfig:
+def load(words: SceneWords, further: Sequence[str] = ()) -> LoadedConfig:
     """Load the configuration of a command; `further` overrides come after those of the command line."""
     from stereophd.config.loading import load_config
 
@@ -99,6 +100,18 @@ def print_run(session: Session, report: Mapping[str, Any]) -> None:
     from stereophd.report.summaries import summary_text
 
     print_report(session, report, lambda: summary_text(report))
+
+
+def print_scored(session: Session, run: Callable[[], Mapping[str, Any]], text: Callable[[Any], str]) -> dict[str, Any]:
+    """Run a command and print its report; where a gate fails the run is done, and its report comes before the error."""
+    try:
+        report = run()
+    except GateError as error:
+        if (failed := error.report) is not None:
+            print_report(session, failed, lambda: text(failed))
+        raise
+    print_report(session, report, lambda: text(report))
+    return dict(report)
 
 
 def exit_if_strict(strict: bool, report: Mapping[str, Any]) -> None:

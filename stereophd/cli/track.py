@@ -57,7 +57,11 @@ def track_command(
         raise InputError("LOG: expected a detection log, found none (- reads frames from standard input)")
     if out is None:
         raise InputError("--out: expected a folder, found none (see 'stereophd track --help')")
-    refuse(session, ("record", "publish", "arrow"), "with -, --follow or --listen, found a recording that has ended")
+    refuse(
+        session,
+        ("record", "publish", "arrow", "mcap"),
+        "with -, --follow or --listen, found a recording that has ended",
+    )
     if options.overlap_s is not None and options.pieces_s is None:
         raise InputError("--overlap: expected --pieces SECONDS too, found none")
     loaded = load(words)

@@ -23,6 +23,7 @@ def run_live(
 ) -> None:
     """Track frames as they arrive; lines on standard output, a summary on standard error."""
     from stereophd.commands.track_live import LiveOutputs, track_live
+    from stereophd.io.streams.mcap import McapRows
     from stereophd.io.streams.rows import ArrowRows, JsonLines, Publisher, RowSink
 
     refuse(session, WHOLE_LOGS, "for a recording that has ended, found one that is still running")
@@ -33,6 +34,8 @@ def run_live(
     rows: list[RowSink] = [ArrowRows(sys.stdout.buffer, events) if live.arrow else JsonLines(sys.stdout, events)]
     if live.publish is not None:
         rows.append(Publisher(live.publish))
+    mcap = None if live.mcap is None else McapRows(live.mcap)
+    rows += [] if mcap is None else [mcap]
     outputs = LiveOutputs(rows, out, live.record, options.force, options.resume)
     try:
         done = track_live(loaded, arrivals, source, outputs)
@@ -40,6 +43,9 @@ def run_live(
         # the reader has gone; what Python would write at its end has no reader either
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return
+    finally:
+        if mcap is not None:
+            mcap.close()
     if session.quiet:
         return
     latency, processor = done["latency_ms"], done["processor_ms"]

@@ -88,7 +88,7 @@ def _aligned(path: Path, to: Path | str, out_dir: Path | None, options: AlignOpt
     if unit == NO_LENGTH:
         report["scale_is_unknown"] = "no length is known: lengths are in units of the distance of two cameras"
         LOGGER.warning("%s: %s", path, report["scale_is_unknown"])
-    tables = {name: tracks_path.with_name(name) for name in TABLES[1:]} | {TRACKS_FILE: tracks_path}
+    tables = {name: tracks_path.parent / name for name in TABLES[1:]} | {TRACKS_FILE: tracks_path}
     tables = {name: source for name, source in tables.items() if source.exists()}
     inputs: dict[str, Path | str] = {"cameras": path, **{name.partition(".")[0]: tables[name] for name in tables}}
     if Path(to).is_file():

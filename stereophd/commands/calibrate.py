@@ -56,8 +56,7 @@ from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
     TRACKS_FILE,
-    reported_records,
-    write_tracks,
+    TrackingRun,
 )
 from stereophd.report.installed import whether_to_draw
 
@@ -220,19 +219,16 @@ def _write_posterior(out: OutputFolder, outcome: Outcome, metadata: dict[bytes, 
 
 
 def _track(
-    loaded: LoadedConfig,
-    uncertainty: CameraUncertainty,
-    log_path: Path | str,
-    out: OutputFolder,
+    loaded: LoadedConfig, uncertainty: CameraUncertainty, log_path: Path | str, out: OutputFolder,
     metadata: dict[bytes, bytes],
-) -> tuple[dict[str, Any], tuple[Finding, ...]]:
+) -> tuple[dict[str, Any], tuple[Finding, ...]]:  # fmt: skip
     """Track with the calibrated cameras, as `stereophd.commands.track` does; return figures and findings of the run."""
-    report, cameras = loaded.config.report, uncertainty.parameters.cameras
+    report = loaded.config.report.model_copy(update={"associations": True})
+    cameras = uncertainty.parameters.cameras
     multi_filter = replace(pmb_filter(loaded, cameras), claims=True)
     stream = open_stream(loaded.config, cameras, log_path)
-    records = reported_records(multi_filter, multi_filter.motion, stream, report, reach_back=True)
-    summary = write_tracks(records, out, metadata, cameras, report.model_copy(update={"associations": True}),
-                           uncertainty=uncertainty)  # fmt: skip
+    run = TrackingRun(loaded, 1, multi_filter, multi_filter.motion, cameras, report)
+    summary = run.write(run.records(stream), out, metadata, uncertainty=uncertainty)
     findings = [
         found
         for found in check_log(loaded, log_path, thorough=False, cameras=cameras)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import json
+import contextlib
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from stereophd.errors import InputError
 from stereophd.io.documents import expecting
 from stereophd.io.file_kinds import CSV, HDF5, LOG, kind_of_file, remedy
 from stereophd.io.outputs.commit import refuse_unsettled
+from stereophd.io.outputs.json_text import read_report
 from stereophd.pipeline.inspection.cameras import summarise_cameras
 from stereophd.pipeline.inspection.log import summarise_log
 from stereophd.pipeline.inspection.tables import kind_of, provenance_of, summarise_objects, summarise_table
@@ -68,11 +69,10 @@ def _table(path: Path) -> dict[str, Any]:
 
 def _report(path: Path) -> dict[str, Any] | None:
     """Describe a ``report.json``; None if the file is no report."""
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError):
-        return None
-    if not isinstance(document, dict) or not isinstance(document.get("provenance"), dict):
+    document: dict[str, Any] = {}
+    with contextlib.suppress(InputError):
+        document = read_report(path) or {}
+    if not document:
         return None
     values = {k: v for k, v in document.items() if isinstance(v, (str, int, float)) and k != "report_version"}
     return {"path": str(path), "kind": "report", "origin": _origin(document["provenance"]), "values": values}

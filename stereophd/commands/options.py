@@ -71,8 +71,8 @@ class LiveOptions:
     """Where the frames of a recording that is still running come from, and where they are kept."""
 
     follow: Path | None = option(
-        "Track a recording that is still running: a growing file of JSON lines or Arrow IPC, or a folder of Parquet "
-        "parts.",
+        "Track a recording that is still running: a growing file of JSON lines or Arrow IPC, a folder of Parquet "
+        "parts, or an MCAP file.",
         default=None,
         metavar="LOG",
     )
@@ -86,6 +86,11 @@ class LiveOptions:
         "extra 'live').",
         default=None,
         metavar="ADDRESS",
+    )
+    mcap: Path | None = option(
+        "Write the tracks of a running recording as an MCAP file too (needs the extra 'mcap').",
+        default=None,
+        metavar="FILE",
     )
     arrow: bool = option("Write an Arrow IPC stream in place of lines of JSON.", default=False)
     record: Path | None = option(

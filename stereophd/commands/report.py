@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from stereophd.commands.options import ReportOptions
-from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.options import takes
 from stereophd.pipeline.inspection.runs import read_runs
@@ -26,11 +27,10 @@ def report(folders: Sequence[Path | str], out: Path | str, *, options: ReportOpt
     from stereophd.report.summaries import verdict
 
     target = Path(out)
-    if target.exists() and not options.force:
-        raise InputError(f"{target}: the file exists; use `force=True` to replace it")
-    runs = read_runs(folders, options.logs or (), options.truths or ())
-    text = page(runs, options.title)
     with atomic_write(target, replace=options.force) as temporary:
+        runs = read_runs(folders, options.logs or (), options.truths or ())
+        with np.errstate(all="ignore"):  # what cannot be drawn is not drawn
+            text = page(runs, options.title)
         temporary.write_text(text, encoding="utf-8")
     return {
         "page": str(target),

@@ -170,10 +170,13 @@ def _write_log(
 ) -> dict[str, int]:
     counts = {"frames": 0, "detections": 0, "clutter": 0, "objects": len(scene.objects)}
     names = [camera.name for camera in scene.cameras]
-    with LogWriter(path, metadata, object_id, scene.sized is not None) as writer:
+    optional = [*(("width_px", "height_px") if scene.sized is not None else ()), *(("object_id",) if object_id else ())]
+    with LogWriter(path, metadata, optional) as writer:
         for frame in simulate_frames(scene, seed):
-            labels = frame.object_id if object_id else None
-            writer.write(frame.log_time_s, names[frame.camera], frame.frame, frame.pixels, labels, frame.sizes)
+            values: dict[str, Any] = {"object_id": frame.object_id}
+            if frame.sizes is not None:
+                values |= {"width_px": frame.sizes[:, 0], "height_px": frame.sizes[:, 1]}
+            writer.write(frame.log_time_s, names[frame.camera], frame.frame, frame.pixels, values)
             counts["frames"] += 1
             counts["detections"] += len(frame.pixels)
             counts["clutter"] += int(np.count_nonzero(frame.object_id == CLUTTER_ID))

@@ -12,7 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.options import TrackOptions
 from stereophd.config.loading import LoadedConfig
@@ -35,7 +35,6 @@ from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, 
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces
-from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, track_pieces
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
@@ -43,13 +42,14 @@ from stereophd.pipeline.tracking.run import (
     TrackingRun,
     build_tracking,
     with_detectors,
-    write_tracks,
 )
-from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
 from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
+
+if TYPE_CHECKING:
+    from stereophd.pipeline.tracking.pieces import JoinedPieces
 
 CAMERAS_FILE = "cameras.yaml"
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
@@ -104,7 +104,7 @@ def track(
                 report = run.write(tracking.records(stream, kept), findings, out, kept=kept)
             else:
                 joined = run.in_pieces(options, progress)
-                report = run.write(run.lasting(joined.records()), findings, out, joined)
+                report = run.write(joined.lasting_records(), findings, out, joined)
     return report
 
 
@@ -121,9 +121,10 @@ class _Outputs:
 
     def in_pieces(self, options: TrackOptions, progress: Progress | None) -> JoinedPieces:
         """Track the log in pieces."""
-        length_s, overlap_s = options.pieces_s, options.overlap_s
-        assert length_s is not None
-        assert overlap_s is not None
+        # Only here: a run in one piece begins sooner without what joins pieces.
+        from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, track_pieces
+
+        length_s, overlap_s = options.pieces_s or 0.0, options.overlap_s or 0.0
         log = Path(os.path.abspath(self.stream.source))
         unfinished = UnfinishedRun(Path(os.path.abspath(self.unfinished.out)), self.unfinished.identity)
         work = PieceWork(self.tracking.loaded, self.tracking.cameras, log, unfinished, options.threads)
@@ -133,11 +134,6 @@ class _Outputs:
         joined = JoinedPieces(work, pieces, length_s, overlap_s, isinstance(self.tracking.estimator, SingleTracker))
         self.stream.not_invertible = joined.not_invertible
         return joined
-
-    def lasting(self, records: Iterator[Record]) -> Iterator[Record]:
-        """Leave out tracks shorter than ``report.min_track_length``."""
-        least = self.tracking.report.min_track_length
-        return lasting(records, least) if least > 0.0 else records
 
     def write(
         self, records: Iterator[Record], findings: tuple[Finding, ...], out: OutputFolder,
@@ -150,9 +146,7 @@ class _Outputs:
             write_cameras(out.path(CAMERAS_FILE), described, loaded.config.units.length, self.record)
         metadata = to_metadata(self.record)
         uncertainty = stated_uncertainty(tracking.cameras, loaded.config.cameras_covariance)
-        summary = write_tracks(
-            records, out, metadata, tracking.cameras, loaded.config.report, kept, tracking.boxes, uncertainty
-        )
+        summary = tracking.write(records, out, metadata, kept, uncertainty)
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))

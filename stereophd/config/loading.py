@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
-from stereophd.config.camera_files import read_camera_tree
 from stereophd.config.errors import describe
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes
-from stereophd.config.yaml import Place, Tree, apply_override, key_path, parse_override, read_yaml
+from stereophd.config.yaml import Place, Tree, apply_override, key_path, parse_override, parse_yaml, read_yaml
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.cameras.models import CameraConfig, CamerasFile
@@ -246,13 +245,58 @@ def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any
     return LoadedConfig(_validate(Config, tree), loaded.path, loaded.inputs, tree)
 
 
+@dataclass(frozen=True)
+class _CameraTree:
+    """The cameras of a file in the native form."""
+
+    tree: Tree  # The content of the file. A complete file has the keys ``units`` and ``cameras``.
+    # Whether the file (or its format) states the unit of length; if not, the unit of the configuration is assumed.
+    has_unit: bool
+    sha256: str  # Hash of the bytes that were read
+
+
+def _read_camera_tree(path: Path) -> _CameraTree:
+    """Read a file of cameras, native or of another program.
+
+    Raises InputError when the file cannot be read, or its format is unknown.
+    """
+    refused: InputError | None = None
+    native: _CameraTree | None = None
+    try:
+        tree, content = read_yaml(path, "file of cameras")
+        native = _CameraTree(tree, True, hashlib.sha256(content).hexdigest())
+    except InputError as error:
+        refused = error
+    if native is not None and isinstance(native.tree.data, dict) and {"units", "cameras"} <= native.tree.data.keys():
+        return native
+    # Imported here: native files do not need the other formats.
+    from stereophd.io.interchange.reading import read_foreign_cameras
+
+    foreign = read_foreign_cameras(path)
+    if foreign is None:
+        if native is None:
+            assert refused is not None
+            raise refused
+        return native
+    from stereophd.io.cameras.writing import cameras_text
+
+    form, recording = foreign
+    for sentence in (f"read as {form}", *recording.assumed):
+        LOGGER.info("%s: %s", path, sentence)
+    for sentence in recording.warnings:
+        LOGGER.warning("%s", sentence)
+    digest = hashlib.sha256(b"".join(file.read_bytes() for file in recording.files)).hexdigest()
+    text = cameras_text(recording.cameras, recording.length_unit or "m")
+    return _CameraTree(parse_yaml(text, str(path), numbered=False), not recording.unit_is_assumed, digest)
+
+
 def load_cameras(path: Path | str) -> CamerasFile:
     """Load a file of cameras without a configuration.
 
     It is a ``cameras.yaml``, or a file of another program, recognised by its content. Raises InputError as
     `load_config`.
     """
-    tree = read_camera_tree(Path(path)).tree
+    tree = _read_camera_tree(Path(path)).tree
     _inline_trajectories(tree, Path(path).parent)
     return _validate(CamerasFile, tree)
 
@@ -321,7 +365,7 @@ def _check_camera_of_reports(config: Config, tree: Tree) -> None:
 
 def _inline_cameras(tree: Tree, path: Path) -> tuple[str | None, str]:
     """Put the cameras of a file into the tree; return their unit of length, if stated, and the file's hash."""
-    read = read_camera_tree(path)
+    read = _read_camera_tree(path)
     _inline_trajectories(read.tree, path.parent)
     checked = _validate(CamerasFile, read.tree)
     apply_override(tree, ("cameras",), read.tree, ("cameras",))

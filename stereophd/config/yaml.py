@@ -231,7 +231,7 @@ def parse_yaml(text: str | bytes, source: str, numbered: bool = True) -> Tree:
         # the end of a document that breaks off is a line after its last
         place = Place(source, min(mark.line, last) + 1 if mark and numbered else None)
         raise InputError(f"{place}: expected YAML, found a syntax error: {error.problem or error.context}") from error
-    except (yaml.YAMLError, UnicodeDecodeError) as error:
+    except (yaml.YAMLError, UnicodeError) as error:
         raise InputError(f"{source}: expected YAML text, found {str(error).splitlines()[0]}") from error
     except RecursionError as error:
         raise InputError(f"{source}: expected YAML, found lists or mappings nested too deeply") from error

@@ -16,8 +16,8 @@ from stereophd.io.cameras import writing as camera_files
 from stereophd.io.cameras.writing import camera_config
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED
+from stereophd.io.logs.writing import log_schema
 from stereophd.io.outputs.atomic import atomic_write
-from stereophd.io.tables.schemas import DETECTIONS
 from stereophd.io.tables.writing import TableWriter
 
 # Columns that a log may have; no filter reads the score.
@@ -63,9 +63,8 @@ def write_cameras(path: Path | str, cameras: Sequence[Camera], length_unit: str,
     InputError
         The file exists, or a camera has a value that a configuration does not allow.
     """
-    target = _target(path, force)
-    described = {camera.name: camera_config(camera) for camera in cameras}
-    with atomic_write(target, replace=force) as temporary:
+    with atomic_write(path, replace=force) as temporary:
+        described = {camera.name: camera_config(camera) for camera in cameras}
         camera_files.write_cameras(temporary, described, length_unit)
 
 
@@ -119,7 +118,7 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
     InputError
         The file exists, a column is missing or unknown, columns differ in length or do not hold numbers.
     """
-    target = _target(path, force)
+    target = Path(path)
     names = [str(name) for name in (table.keys() if hasattr(table, "keys") else table.column_names)]
     missing, unknown = [n for n in REQUIRED if n not in names], [n for n in names if n not in {**REQUIRED, **_OPTIONAL}]
     if missing or unknown:
@@ -131,17 +130,9 @@ def write_log(path: Path | str, table: Any, force: bool = False) -> None:
         lengths = ", ".join(f"{name} {len(column)}" for name, column in columns.items())
         raise InputError(f"{target}: expected columns of one length, found {lengths}")
     order = np.argsort(np.ma.getdata(columns["time_s"]), kind="stable")
-    extra = [pa.field(name, _OPTIONAL[name], nullable=True) for name in _OPTIONAL if name in names]
-    schema = pa.schema([*DETECTIONS, *extra])
+    schema = log_schema(name for name in _OPTIONAL if name in names)
     with atomic_write(target, replace=force) as temporary, TableWriter(temporary, schema) as writer:
         writer.append({name: columns[name][order] for name in schema.names})
-
-
-def _target(path: Path | str, force: bool) -> Path:
-    target = Path(path)
-    if target.exists() and not force:
-        raise InputError(f"{target}: the file exists; use `force=True` to replace it")
-    return target
 
 
 def _column(values: Any, name: str, path: Path) -> Any:

@@ -33,27 +33,25 @@ class EventStream:
 
     The cameras are in the order that the frames number them; the frames are in order of true time, ties in the order of
     the cameras. `progress` is called with the rows of the log that were read and their total. Events before `from_s`
-    are passed over, and the first one from `until_s` on is the last.
+    are passed over, and the first one from `until_s` on is the last; `counted` is the span of time whose detections
+    beyond the lens model are counted.
     """
 
     def __init__(
-        self,
-        cameras: Sequence[Camera],
-        frames: LogReader | Sequence[Frame],
-        progress: Progress | None = None,
-        from_s: float = -math.inf,
-        until_s: float = math.inf,
-    ) -> None:
+        self, cameras: Sequence[Camera], frames: LogReader | Sequence[Frame], progress: Progress | None = None,
+        from_s: float = -math.inf, until_s: float = math.inf, counted: tuple[float, float] = (-math.inf, math.inf),
+    ) -> None:  # fmt: skip
         self.cameras = tuple(cameras)
         self.frames = frames
         self.not_invertible = 0
         self._progress = progress
         self._from_s = from_s
         self._until_s = until_s
+        self._counted = counted
 
     def with_cameras(self, cameras: Sequence[Camera]) -> EventStream:
         """Return a stream of the same frames for cameras with other detectors."""
-        return EventStream(cameras, self.frames, self._progress, self._from_s, self._until_s)
+        return EventStream(cameras, self.frames, self._progress, self._from_s, self._until_s, self._counted)
 
     @property
     def counts(self) -> dict[str, int]:
@@ -87,7 +85,8 @@ class EventStream:
             event = make_event(
                 camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame, frame.sizes, rows
             )
-            self.not_invertible += event.not_invertible
+            if self._counted[0] <= event.time_s < self._counted[1]:
+                self.not_invertible += event.not_invertible
             yield event
             if number % PROGRESS_EVERY == 0:
                 self._report()

@@ -14,6 +14,12 @@ from stereophd.wording import counted
 ROWS_SHOWN = 12
 # Kinds of files that `info` names after the tables, in this order; pictures are counted in one line at the end.
 AFTER_TABLES = ("report", "cameras", "configuration", "folder", "other")
+#: Counts of a camera of a log: title, key, and digits of what is no whole number.
+COUNTS = (
+    ("frames", "frames", 0), ("empty", "empty_frames", 0), ("detections", "detections", 0),
+    ("per frame", "detections_per_frame", 3), ("most", "most_detections_in_a_frame", 0), ("rate Hz", "rate_hz", 5),
+    ("gaps", "gaps", 0), ("longest s", "longest_interval_s", 3), ("first s", "first_s", 6), ("last s", "last_s", 6),
+)  # fmt: skip
 PICTURES = (".jpeg", ".jpg", ".pdf", ".png", ".svg")
 
 
@@ -47,38 +53,8 @@ def _log(found: Mapping[str, Any]) -> Iterator[str]:
         f"{found['overlap_s']:.6g} s"
     )
     yield f"columns: {', '.join(found['columns'])}"
-    rows = [
-        (
-            "camera",
-            "frames",
-            "empty",
-            "detections",
-            "per frame",
-            "most",
-            "rate Hz",
-            "gaps",
-            "longest s",
-            "first s",
-            "last s",
-        ),
-        *(
-            (
-                name,
-                str(c["frames"]),
-                str(c["empty_frames"]),
-                str(c["detections"]),
-                _number(c["detections_per_frame"], 3),
-                str(c["most_detections_in_a_frame"]),
-                _number(c["rate_hz"], 5),
-                str(c["gaps"]),
-                _number(c["longest_interval_s"], 3),
-                _number(c["first_s"], 6),
-                _number(c["last_s"], 6),
-            )
-            for name, c in found["cameras"].items()
-        ),
-    ]
-    yield from aligned(rows)
+    cells = ((name, *(_shown(c[key], digits) for _, key, digits in COUNTS)) for name, c in found["cameras"].items())
+    yield from aligned([("camera", *(title for title, _, _ in COUNTS)), *cells])
     if found["times_backwards"]:
         yield f"times go backwards in {found['times_backwards']} places: rows are not in order of time"
     for name, c in found["cameras"].items():
@@ -106,7 +82,7 @@ def _objects(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"mean existence {found['mean_existence']:.3f}"
     rows = [("id", "first s", "last s", "rows")]
     shown = found["rows_by_object"][:ROWS_SHOWN]
-    rows += [(str(r["id"]), _number(r["first_s"], 6), _number(r["last_s"], 6), str(r["rows"])) for r in shown]
+    rows += [(str(r["id"]), _shown(r["first_s"], 6), _shown(r["last_s"], 6), str(r["rows"])) for r in shown]
     yield from aligned(rows)
     if found["objects"] > len(shown):
         yield f"... and {found['objects'] - len(shown)} shorter ones"
@@ -130,7 +106,7 @@ def _cameras(found: Mapping[str, Any]) -> Iterator[str]:
                 c["lens"],
                 _vector(c["center"], 4),
                 _vector(c["looks_along"], 2),
-                _number(c["frame_rate_hz"], 5),
+                _shown(c["frame_rate_hz"], 5),
                 detector or f"{noise} px, pD {c['p_detect']:g}, clutter {c['clutter_per_frame']:g}",
             )
         )
@@ -202,8 +178,9 @@ def _table(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"  {name}  {kind}"
 
 
-def _number(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}g}"
+def _shown(value: float | None, digits: int) -> str:
+    """Return a number with so many digits; 0: a whole number."""
+    return "-" if value is None else f"{value:.{digits}g}" if digits else str(value)
 
 
 def _vector(values: Sequence[float], digits: int) -> str:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 from stereophd.report.tables import CHECKS, SummaryTable, table_text
 from stereophd.wording import counted, percent
@@ -47,6 +47,29 @@ def tracking_part(report: Mapping[str, Any]) -> Mapping[str, Any]:
     """Return the figures of a tracking run inside a report; empty if there are none."""
     part = report.get("tracking", report)
     return part if isinstance(part.get("tracks"), list) else {}
+
+
+class FitTotals(NamedTuple):
+    """How well the tracks of a run explain the detections of all cameras; None where nothing is known."""
+
+    detections: int
+    explained: float | None  # Share of the detections
+    residual_px: float | None  # Root mean square of one axis
+    ratio: float | None  # Of the residuals to what the noise leads to expect
+
+
+def fit_totals(tracking: Mapping[str, Any]) -> FitTotals:
+    """Return the figures of all cameras of a tracking run together."""
+    cameras = (tracking.get("cameras") or {}).values()
+    detections = sum(camera["detections"] for camera in cameras)
+    explained = sum(camera["explained_detections"] for camera in cameras) / detections if detections else None
+    residuals = sum(camera["residuals"] for camera in cameras)
+
+    def rms(key: str) -> float | None:
+        known = [(c["residuals"], c[key]) for c in cameras if c.get(key)]
+        return (sum(n * value**2 for n, value in known) / residuals) ** 0.5 if known and residuals else None
+
+    return FitTotals(detections, explained, rms("residual_rms_px"), rms("residual_ratio"))
 
 
 def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN) -> list[SummaryTable]:
@@ -180,7 +203,7 @@ def _tracks(tracks: Sequence[Mapping[str, Any]], unit: str, most: int | None) ->
                 f"{track['first_s']:.2f}",
                 f"{track['last_s']:.2f}",
                 f"{track['last_s'] - track['first_s']:.2f}",
-                *(str(counts[name]) for name in each),
+                *(str(counts.get(name, 0)) for name in each),
                 *(() if each else (str(sum(counts.values())), str(sum(n > 0 for n in counts.values())))),
                 number(track.get("mean_speed")),
                 number(track.get("mean_position_std"), 2),
@@ -233,17 +256,12 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
             if count
             else "No tracks"
         )
-        detections = sum(camera["detections"] for camera in cameras.values())
-        if detections and count:
-            explained = sum(camera["explained_detections"] for camera in cameras.values())
-            squares = sum(c["residuals"] * c["residual_rms_px"] ** 2 for c in cameras.values() if c["residuals"])
-            residuals = sum(camera["residuals"] for camera in cameras.values())
-            yield f"they explain {share(explained / detections)} of {detections:,} detections"
-            if residuals:
-                ratios = [(c["residuals"], c["residual_ratio"]) for c in cameras.values() if c.get("residual_ratio")]
-                beside = (sum(n * ratio**2 for n, ratio in ratios) / residuals) ** 0.5
-                of_noise = f", {beside:.2f} times what the noise leads to expect" if ratios else ""
-                yield f"residual {number((squares / residuals) ** 0.5, 2)} px{of_noise}"
+        totals = fit_totals(tracking)
+        if totals.explained is not None and count:
+            yield f"they explain {share(totals.explained)} of {totals.detections:,} detections"
+            if totals.residual_px is not None:
+                of_noise = "" if totals.ratio is None else f", {totals.ratio:.2f} times what the noise leads to expect"
+                yield f"residual {number(totals.residual_px, 2)} px{of_noise}"
     if evaluation is not None:
         ospa = evaluation["ospa"]
         scale = f" {unit}" if ospa["base"] == "euclidean" else ""

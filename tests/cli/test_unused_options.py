@@ -67,6 +67,7 @@ REFUSED = [
     (["track", "CONFIG", "b", "--out", "c"], ["--overlap", "3"], "--overlap: expected --pieces SECONDS too"),
     (["track", "CONFIG", "b", "--out", "c"], ["--record", "d"], "--record: expected only with -, --follow or"),
     (["track", "CONFIG", "b", "--out", "c"], ["--arrow", "d"], "--arrow: expected only with -, --follow or"),
+    (["track", "CONFIG", "b", "--out", "c"], ["--mcap", "d"], "--mcap: expected only with -, --follow or"),
     (["track", "CONFIG", "b", "--out", "c"], ["--publish", "d"], "--publish: expected only with -, --follow or"),
     (["track", "CONFIG", "b"], ["--follow", "d"], "expected one of -, --follow and --listen"),
     (["simulate", "CONFIG", "--out", "c"], ["--jobs", "2"], "--jobs: expected only with --runs N, found one run"),

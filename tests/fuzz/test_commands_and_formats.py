@@ -17,10 +17,15 @@ from stereophd.io.interchange.registry import find, names
 
 from .cases import Case, cases, command_of, tried
 from .commands import EXAMPLES, budget
+from .damage import Harm
 from .valid_files import USES, write_all
 
 # Commands that make their own inputs, compile, or wait for a network.
 WITHOUT_FILES = {"demo", "compile", "watch"}
+
+
+# One of each kind that the campaign found, as it prints them.
+FOUND = Path(__file__).with_name("found.txt")
 
 
 @pytest.fixture(scope="module")
@@ -42,6 +47,12 @@ def test_the_files_are_valid(folder: Path, use: str) -> None:
     result = tried(Case(use, 0.0, (), (), False), folder)
     assert result.code == 0, result
     assert not result.wrong
+
+
+@pytest.mark.parametrize("text", FOUND.read_text(encoding="utf-8").splitlines())
+def test_cases_that_were_found(folder: Path, text: str) -> None:
+    result = tried(eval(text, {"Case": Case, "Harm": Harm}), folder)
+    assert not result.wrong, result.wrong
 
 
 @budget(10 * EXAMPLES)

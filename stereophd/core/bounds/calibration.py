@@ -6,8 +6,6 @@ priors, the trajectories eliminated. Which detection belongs to which object is 
 that is expected with probability p_detect counts by that part; so the bound is optimistic.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -68,7 +66,7 @@ def calibration_bound(
     knots = place_knots(spans, knot_spacing(motion, noise), motion, np.bincount(numbers, minlength=count))
     observations = Observations(
         numbers, cameras[seen], times[seen], np.zeros((int(seen.sum()), 2)), precisions[seen], log_times[seen],
-        heights[seen],
+        heights[seen]
     )  # fmt: skip
     states = fit_states(
         knots, *interpolation(knots, numbers, times[seen]), positions[seen], np.full(int(seen.sum()), noise**-2)

@@ -18,8 +18,6 @@ filtering", IEEE Trans. Signal Processing 46 (5), 1998), the expectation over tr
 Information matrices are (d, d), covariances their inverses; lengths and pixels as everywhere.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Sequence
 
@@ -182,10 +180,7 @@ def mean_error_norm(covariance: Array) -> float:
 
 
 def static_point_information(
-    detections: AssociatedDetections,
-    positions: Array,
-    first: Sequence[DisparitySpace | None],
-    prior: BirthPrior,
+    detections: AssociatedDetections, positions: Array, first: Sequence[DisparitySpace | None], prior: BirthPrior
 ) -> Array:
     """Return the information (n, 3, 3) of points, in 1 / length^2; the inverse bounds the covariance of estimates.
 

@@ -120,39 +120,23 @@ def make_event(
 ) -> Event:
     """Undistort the detections of a frame, carrying their noise through the Jacobian.
 
-    Parameters
-    ----------
-    camera : Camera
-        The camera that made them.
-    index : int
-        Its index in the rig.
-    time_s : float
-        Time of the frame, s.
-    pixels : array (m, 2)
-        Distorted pixels, as in the log.
-    sigma : array (m, 2), optional
-        Standard deviations of the detections, px; by default the detector's.
-    frame : int
-        Number of the frame.
-    sizes : array (m, 2), optional
-        Width and height of their boxes, px.
-    rows : array (m,) of int, optional
-        Row of each detection in the log; default its number in the frame.
-
-    Returns
-    -------
-    Event
-        Without the detections at which the lens model cannot be inverted; it counts them.
+    Pixels (m, 2) are as in the log, with standard deviations `sigma` (m, 2), px, by default the detector's, and with
+    widths and heights `sizes` (m, 2) of boxes; `index` is that of the camera in the rig, and `rows` (m,) those of the
+    log, by default numbers in the frame. The event has no detections at which the lens model cannot be inverted; it
+    counts them.
     """
-    std = np.broadcast_to(np.asarray(camera.detector.sigma if sigma is None else sigma, dtype=float), pixels.shape)
+    std = np.empty(pixels.shape)
+    std[:] = camera.detector.sigma if sigma is None else sigma
     points, covariances, areas, delays, moved = framed_detections(camera, np.full(len(pixels), time_s), pixels, std)
     order = np.lexsort((points[:, 1], points[:, 0]))
-    order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
+    good = np.isfinite(points).all(axis=1) & (areas > 0.0)
+    if not good.all():
+        order = order[good[order]]
     return Event(
         time_s, index, points[order], covariances[order], areas[order], None if delays is None else delays[order],
         frame, len(pixels) - len(order), sigma is not None, pixels[order], None if moved is None else moved[order],
         None if sizes is None else sizes[order],
-        order if rows is None else rows[order],
+        order if rows is None else rows[order]
     )  # fmt: skip
 
 

@@ -11,8 +11,6 @@ given here is the one that infinitely many samples would give. (A diagonal prior
 near, fast objects and make far ones fly; the paper's experiments use one, so it can be had.)
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -38,24 +36,11 @@ class FirstSight(NamedTuple):
 def initial_moments(
     points: Array, noises: Array, prior: FirstSight, size: int, readings: Array | None = None
 ) -> tuple[Array, Array]:
-    """Return the Gaussians of objects of which only one detection each is known.
+    """Return the Gaussians (m, d), (m, d, d) of objects of which only one detection each is known.
 
-    Parameters
-    ----------
-    points, noises : arrays (m, 2), (m, 2, 2)
-        Undistorted pixels, and their covariances, px^2.
-    prior : FirstSight
-        For the camera that saw them.
-    size : int
-        6, or 3 for static objects.
-    readings : array (m, 3), optional
-        Time of each detection after that of the Gaussian, s, and the change of its u and v with the disparity
-        (`stereophd.core.disparity.events`).
-
-    Returns
-    -------
-    means, covariances : arrays (m, d), (m, d, d)
-        In the camera's disparity space, given the detection.
+    They are in the disparity space of the camera of the prior, given undistorted pixels (m, 2) and their covariances
+    (m, 2, 2), px^2; the size d is 6, or 3 for static objects. Readings (m, 3) have the time of each detection after
+    that of the Gaussian, s, and the change of its u and v with the disparity (`stereophd.core.disparity.events`).
     """
     count = len(points)
     means = np.zeros((count, size))

@@ -7,8 +7,6 @@ destination's space describes it badly beyond the field of view and behind the c
 module is rank-deficient.
 """
 
-from __future__ import annotations
-
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from itertools import pairwise
@@ -18,9 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans
-from stereophd.core.disparity.linear_move import linear_components
 from stereophd.core.disparity.moved import Moved, room_for_moved
-from stereophd.core.disparity.rule_move import rule_components
+from stereophd.core.disparity.rule_move import linear_components, rule_components
 from stereophd.core.disparity.sample_move import Look, carry_components, noise_axes
 from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.arrays import MotionArrays
@@ -83,7 +80,7 @@ def move(
     def run(part: slice) -> None:
         carry_components(
             which[part], means, covariances, homes, intervals, important, first, second, destination, p_detect,
-            region, moved,
+            region, moved
         )  # fmt: skip
 
     slices = _slices(len(which), samples.shape[1], threads)
@@ -129,7 +126,7 @@ def _low_order(sources: Sources, destination: Array, sets: SampleSets, region: A
     adaptive = sets.method == "adaptive"
     todo = rule_components(
         means, covariances, homes, motion, points, axes, destination, region,
-        WIDEST_RULE if adaptive else np.inf, sets.max_nonlinearity if adaptive else np.inf, moved,
+        WIDEST_RULE if adaptive else np.inf, sets.max_nonlinearity if adaptive else np.inf, moved
     )  # fmt: skip
     if sets.method == "linear":
         linear_components(means, covariances, homes, motion, axes, destination, moved.means, moved.covariances)

@@ -1,7 +1,5 @@
 """Gaussians carried into the disparity space of a camera: one named tuple, the same in Python and in compiled code."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -34,7 +32,7 @@ def room_for_moved(count: int, size: int) -> Moved:
     """Room for components: all inside the region, none in view."""
     return Moved(
         np.zeros((count, size)), np.zeros((count, size, size)), np.zeros(count), np.zeros(count, dtype=np.int64),
-        np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count),
+        np.zeros((count, size)), np.zeros((count, size, size)), np.ones(count)
     )  # fmt: skip
 
 
@@ -47,5 +45,5 @@ def slice_moved(moved: Moved, first: int, last: int) -> Moved:
     """Return views of consecutive components."""
     return Moved(
         moved.means[first:last], moved.covariances[first:last], moved.fraction[first:last], moved.status[first:last],
-        moved.missed_means[first:last], moved.missed_covariances[first:last], moved.inside[first:last],
+        moved.missed_means[first:last], moved.missed_covariances[first:last], moved.inside[first:last]
     )  # fmt: skip

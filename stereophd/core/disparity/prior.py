@@ -1,7 +1,5 @@
 """Settings of the prior of an object's depth and velocity, which its first detection does not measure."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array

@@ -12,8 +12,6 @@ for a detection, of which z is known, linear in the disparity d. An object moves
 (`stereophd.core.multi.association.likelihoods`), so that its observation stays linear.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array

@@ -11,9 +11,10 @@ vanishes for a linear map. With the covariance P of the images,
 
 measures the non-linearity of the map over the Gaussian: the curvature of one standard deviation, in standard
 deviations of the result. Where N is small the rule is as good as any number of samples.
-"""
 
-from __future__ import annotations
+The first-order move is the extended Kalman filter's. Its Jacobian is that of the trip, by central differences over
+`STEP` standard deviations along the same coordinates.
+"""
 
 import math
 
@@ -30,6 +31,8 @@ from stereophd.core.numerics.moments import weighted_moments
 
 # A point of the rule represents no share of the Gaussian, so none may be outside the region.
 NO_SLACK = 1.0
+# Errors of the differences are 1e-8 of the curvature, and 1e-9 px by rounding.
+STEP = 1e-4
 
 
 @compiled
@@ -49,22 +52,10 @@ def rule_components(
     """Move components by the rule; return those (in order) that need samples instead.
 
     These are the components with a point outside the image or the region (a few points do not show which part of a
-    Gaussian is in view), and those for which the measure exceeds `max_nonlinearity`.
-
-    Parameters
-    ----------
-    points : array (rows, 2 n + 1)
-        Points of the rule, positive ones first, then their mirror images, then the mean.
-    axes : array (3, 3)
-        Axes of the motion noise (`motion_noise`).
-    widest : float
-        Components whose disparity is known no better than to this fraction are not tried.
-    max_nonlinearity : float
-        Limit of N; infinity for none.
-    moved : tuple
-        As `stereophd.core.disparity.sample_move.carry_components` fills it; filled where the rule does.
-
-    Other parameters as there.
+    Gaussian is in view), and those for which the measure exceeds `max_nonlinearity`; those whose disparity is known no
+    better than to the fraction `widest` are not tried. The points (rows, 2 n + 1) are the positive ones, then their
+    mirror images, then the mean; `axes` (3, 3) are those of `motion_noise`. Other parameters are those of
+    `stereophd.core.disparity.sample_move.carry_components`; `moved` is filled where the rule does.
     """
     out_means, out_covariances, fraction, status, _, _, inside = moved
     size = means.shape[1]
@@ -99,7 +90,7 @@ def rule_components(
                 motion_noise(points, axes, with_velocity, alone, noise)
             moving_trips(
                 means[k], factor, points, noise, position_noise[k], velocity_noise[k], homes[k],
-                destination, reach[k], keep[k], drift[k], max_speed, images,
+                destination, reach[k], keep[k], drift[k], max_speed, images
             )  # fmt: skip
         else:
             static_trips(means[k], factor, points, homes[k], destination, images)
@@ -132,3 +123,51 @@ def _nonlinearity(images: Array, factor: Array) -> float:
             even[a] = 0.5 * (images[a, i] + images[a, half + i]) - images[a, count - 1]
         total += squared_distance(even, factor, scratch)
     return float(math.sqrt(total) / half)
+
+
+@compiled
+def linear_components(
+    means: Array,
+    covariances: Array,
+    homes: Array,
+    motion: MotionArrays,
+    axes: Array,
+    destination: Array,
+    out_means: Array,
+    out_covariances: Array,
+) -> None:
+    """Carry every component over to first order, overwriting `out_means` (n, d) and `out_covariances` (n, d, d).
+
+    Other parameters as in `rule_components`. A component whose covariance is not positive definite, before or after,
+    keeps what the arrays hold.
+    """
+    size = means.shape[1]
+    rows = 12 if size == 6 else 3
+    points = np.zeros((rows, 2 * rows + 1))
+    for i in range(rows):
+        points[i, i], points[i, rows + i] = STEP, -STEP
+    images = np.empty((size + 1, 2 * rows + 1))
+    noise = np.empty((6, 2 * rows + 1 if size == 6 else 0))
+    factor, scratch, covariance = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
+    columns = np.empty((size, rows))
+    for k in range(len(means)):
+        if not cholesky(covariances[k], factor):
+            continue
+        if size == 6:
+            motion_noise(points, axes, motion.with_velocity[k], motion.alone[k], noise)
+            moving_trips(
+                means[k], factor, points, noise, motion.position_noise[k], motion.velocity_noise[k], homes[k],
+                destination, motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed, images,
+            )  # fmt: skip
+        else:
+            static_trips(means[k], factor, points, homes[k], destination, images)
+        for a in range(size):
+            for i in range(rows):
+                columns[a, i] = (images[a, i] - images[a, rows + i]) / (2.0 * STEP)
+        for a in range(size):
+            for b in range(size):
+                covariance[a, b] = 0.0
+                for i in range(rows):
+                    covariance[a, b] += columns[a, i] * columns[b, i]
+        if condition(covariance, scratch):
+            out_means[k], out_covariances[k] = images[:size, 2 * rows], covariance

@@ -4,8 +4,6 @@ The kernels use the trips of `stereophd.core.disparity.trips`. They take samples
 compute moments; components of which only a corner is in view are moved again with more samples.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -129,7 +127,7 @@ def move_components(
                 motion_noise(samples, axes, with_velocity, alone, noise)
             moving_trips(
                 means[k], factor, samples, noise, position_noise[k], velocity_noise[k], homes[k],
-                destination, reach[k], keep[k], drift[k], max_speed, points,
+                destination, reach[k], keep[k], drift[k], max_speed, points
             )  # fmt: skip
         else:
             static_trips(means[k], factor, samples, homes[k], destination, points)
@@ -167,7 +165,7 @@ def move_components(
         elif status[k] == PARTLY_IN_VIEW or (status[k] == OUT_OF_VIEW and inside[k] < 1.0):
             missed_moments(
                 means[k], factor, samples, weights, mask, p_detect, minimum,
-                missed_means[k], missed_covariances[k],
+                missed_means[k], missed_covariances[k]
             )  # fmt: skip
             if not condition(missed_covariances[k], scratch):
                 copy_gaussian(means, covariances, k, missed_means, missed_covariances, k)

@@ -16,8 +16,6 @@ Layout: samples (rows, n) with the sample axis last, so that the loops vectorise
 `stereophd.core.disparity.space.DisparitySpace.packed` lays them out.
 """
 
-from __future__ import annotations
-
 import math
 
 from stereophd.core.arrays import Array

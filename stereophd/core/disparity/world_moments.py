@@ -1,7 +1,5 @@
 """Compiled moments of moved Gaussians in the world."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -12,6 +12,7 @@ from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry import layout
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
+from stereophd.core.geometry.trajectory import EqualByValue
 
 Time = TypeVar("Time", float, Array)
 
@@ -20,7 +21,7 @@ BOX_NOISE = (0.06, 0.045, 0.05, 0.09)
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Detector:
+class Detector(EqualByValue):
     """A camera's detector: noise, misses and false detections.
 
     Parameters
@@ -67,12 +68,6 @@ class Detector:
 
     def _key(self) -> tuple[float, ...]:
         return (float(self.sigma[0]), float(self.sigma[1]), self.p_detect, self.clutter_per_frame, *self.box_noise)
-
-    def __eq__(self, other: object) -> bool:
-        return self._key() == other._key() if isinstance(other, Detector) else NotImplemented
-
-    def __hash__(self) -> int:
-        return hash(self._key())
 
 
 @dataclass(frozen=True)
@@ -183,18 +178,10 @@ class Camera:
         return np.asarray(self.intrinsic_matrix @ extrinsic, dtype=np.float64)
 
     def project(self, x_world: ArrayLike) -> Array:
-        """Project world positions into the image.
+        """Project world positions (n, 3) into the image.
 
-        Parameters
-        ----------
-        x_world : (n, 3) array_like
-            Positions in the world, length.
-
-        Returns
-        -------
-        (n, 2) array
-            Distorted pixels, inside the image or not; a row of NaN where the depth is not positive or the
-            point is beyond the lens's `max_radius`.
+        Returns distorted pixels (n, 2), inside the image or not; a row of NaN where the depth is not positive or the
+        point is beyond the lens's `max_radius`.
         """
         x = self.pose.to_camera(x_world)
         depth = np.where(x[:, 2] > 0.0, x[:, 2], np.nan)
@@ -213,19 +200,9 @@ class Camera:
         return replace(self, pose=Pose(np.eye(3), np.zeros(3))).project(seen)
 
     def unproject(self, pixels: ArrayLike, depth: ArrayLike) -> Array:
-        """Return the world positions of distorted pixels at given depths.
+        """Return the world positions (n, 3) of distorted pixels (n, 2) at depths (n,) along the optical axis, length.
 
-        Parameters
-        ----------
-        pixels : (n, 2) array_like
-            Distorted pixels.
-        depth : (n,) array_like
-            Depth along the optical axis, length.
-
-        Returns
-        -------
-        (n, 3) array
-            Positions in the world, length; a row of NaN where a pixel cannot be undistorted.
+        A row has NaN where a pixel cannot be undistorted.
         """
         return self.pose.to_world(self.rays(pixels) * np.asarray(depth, dtype=np.float64)[:, None])
 
@@ -252,37 +229,19 @@ class Camera:
         return np.asarray(inside.all(axis=1), dtype=np.bool_)
 
     def undistort_pixels(self, pixels: ArrayLike) -> tuple[Array, Array]:
-        """Undistort pixels, with the Jacobian that carries their noise along.
+        """Undistort pixels (n, 2), with the Jacobian that carries their noise along.
 
-        Parameters
-        ----------
-        pixels : (n, 2) array_like
-            Distorted pixels.
-
-        Returns
-        -------
-        undistorted : (n, 2) array
-            Pixels of the pinhole camera; a row of NaN where there are none.
-        jacobian : (n, 2, 2) array
-            d undistorted / d distorted: a covariance C becomes J C J^T.
+        Returns the pixels (n, 2) of the pinhole camera, NaN where there are none, and d undistorted / d distorted (n,
+        2, 2): a covariance C becomes J C J^T.
         """
         xy, jacobian = self.lens.undistort(self._to_normalised(pixels))
         return self._to_pixels(xy), self._jacobian_in_pixels(jacobian)
 
     def distort_pixels(self, pixels: ArrayLike) -> tuple[Array, Array]:
-        """Distort pixels of the pinhole camera, the inverse of `undistort_pixels`.
+        """Distort pixels (n, 2) of the pinhole camera, the inverse of `undistort_pixels`.
 
-        Parameters
-        ----------
-        pixels : (n, 2) array_like
-            Undistorted pixels. Whether they are within the lens's `max_radius` is not checked.
-
-        Returns
-        -------
-        distorted : (n, 2) array
-            Pixels in the image.
-        jacobian : (n, 2, 2) array
-            d distorted / d undistorted.
+        Returns pixels (n, 2) in the image and d distorted / d undistorted (n, 2, 2). Whether a pixel is within the
+        lens's `max_radius` is not checked.
         """
         xy_d, jacobian = self.lens.distort(self._to_normalised(pixels))
         return self._to_pixels(xy_d), self._jacobian_in_pixels(jacobian)

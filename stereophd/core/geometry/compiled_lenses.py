@@ -13,15 +13,12 @@ Sources: OpenCV, camera calibration module and fisheye module; D. C. Brown, "Dec
 lenses", 1966; J. Kannala and S. Brandt, "A generic camera model", IEEE TPAMI 28 (8), 2006.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.layout import (
-    CENTER,
     CX,
     CY,
     FX,
@@ -32,38 +29,10 @@ from stereophd.core.geometry.layout import (
     LENS_FISHEYE,
     LENS_NONE,
     MAX_RADIUS,
-    PACKED_SIZE,
-    ROTATION,
     WIDTH,
 )
 from stereophd.core.geometry.lenses import brown_conrady, fisheye
 from stereophd.core.numerics.compilation.compiled import compiled
-
-# Other kernels take the layout of a packed camera from here too.
-__all__ = [
-    "CENTER",
-    "CX",
-    "CY",
-    "FX",
-    "FY",
-    "HEIGHT",
-    "LENS_CODE",
-    "LENS_COEFFICIENTS",
-    "LENS_FISHEYE",
-    "LENS_NONE",
-    "MAX_RADIUS",
-    "PACKED_SIZE",
-    "ROTATION",
-    "WIDTH",
-    "compiled",
-    "distort_point",
-    "distort_point_jacobian",
-    "distort_points",
-    "pixel_in_view",
-    "undistort_point",
-    "undistort_points",
-]
-
 
 # An inverse beyond this radius is 89.99999 degrees off the axis: as good as not invertible.
 LARGEST_RADIUS = 1e8
@@ -111,21 +80,10 @@ def _distort(code: int, c: Array, start: int, x: float, y: float) -> tuple[float
 
 @compiled
 def distort_point(code: int, coefficients: Array, x: float, y: float) -> tuple[float, float]:
-    """Distort one normalised point.
+    """Distort one normalised point; whether it lies within the lens's max_radius is not checked.
 
-    Parameters
-    ----------
-    code : int
-        Lens model, a ``LENS_`` constant of `stereophd.core.geometry.layout`.
-    coefficients : (8,) array
-        k1, k2, p1, p2, k3, k4, k5, k6; fisheye: k1, k2, k3, k4 in the first four.
-    x, y : float
-        Undistorted normalised coordinates.
-
-    Returns
-    -------
-    x_d, y_d : float
-        Distorted normalised coordinates. Whether (x, y) lies within the lens's max_radius is not checked.
+    The lens has a model, a ``LENS_`` constant of `stereophd.core.geometry.layout`, and coefficients (8,): k1, k2, p1,
+    p2, k3, k4, k5, k6; of a fisheye k1, k2, k3, k4 in the first four.
     """
     return _distort(code, coefficients, 0, x, y)
 
@@ -134,18 +92,7 @@ def distort_point(code: int, coefficients: Array, x: float, y: float) -> tuple[f
 def distort_point_jacobian(
     code: int, coefficients: Array, x: float, y: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Distort one normalised point, with the Jacobian.
-
-    Parameters
-    ----------
-    code, coefficients, x, y
-        As in `distort_point`.
-
-    Returns
-    -------
-    x_d, y_d, j00, j01, j10, j11 : float
-        Distorted coordinates, and the rows of d(x_d, y_d) / d(x, y).
-    """
+    """Distort one normalised point as `distort_point`; return it with the rows of d(x_d, y_d) / d(x, y)."""
     s = x * x + y * y
     g, g_slope = _scale(code, coefficients, 0, s)
     p1, p2 = _tangential(code, coefficients, 0)
@@ -217,21 +164,10 @@ def _undistort_newton(code: int, c: Array, x_d: float, y_d: float, x: float, y: 
 
 @compiled
 def undistort_point(code: int, coefficients: Array, max_radius: float, x_d: float, y_d: float) -> tuple[float, float]:
-    """Undistort one normalised point.
+    """Undistort one normalised point of a lens as that of `distort_point`.
 
-    Parameters
-    ----------
-    code, coefficients
-        As in `distort_point`.
-    max_radius : float
-        Undistorted radius up to which the radial map is monotone (`Lens.max_radius`).
-    x_d, y_d : float
-        Distorted normalised coordinates.
-
-    Returns
-    -------
-    x, y : float
-        Undistorted normalised coordinates within max_radius; NaN if there are none.
+    The result lies within `max_radius`, up to which the radial map is monotone (`Lens.max_radius`); NaN if there is
+    none.
     """
     if code == LENS_NONE:
         return x_d, y_d
@@ -260,20 +196,10 @@ def undistort_point(code: int, coefficients: Array, max_radius: float, x_d: floa
 
 @compiled
 def pixel_in_view(camera: Array, u: float, v: float) -> bool:
-    """Whether a point in front of the camera is seen, given its undistorted pixel.
+    """Whether a packed camera (28,) sees a point of positive depth, given its undistorted pixel (u, v).
 
-    Parameters
-    ----------
-    camera : (28,) array
-        A packed camera (`Camera.packed`).
-    u, v : float
-        Undistorted (pinhole) pixel coordinates; the caller has checked that the depth is positive.
-
-    Returns
-    -------
-    bool
-        True if the distorted pixel is inside the image, ``-0.5 <= u_d <= width - 0.5`` and likewise v, and
-        the point is within the lens's max_radius. False for NaN.
+    It does if the distorted pixel is inside the image, ``-0.5 <= u_d <= width - 0.5`` and likewise v, and the point is
+    within the lens's max_radius; not for NaN.
     """
     code = int(camera[LENS_CODE])
     if code != LENS_NONE:

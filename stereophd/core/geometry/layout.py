@@ -5,8 +5,6 @@ Numba caches compiled kernels by the file of each kernel: after changing a value
 ``__pycache__`` folders of the package.
 """
 
-from __future__ import annotations
-
 from typing import Final
 
 LENS_NONE: Final = 0

@@ -1,7 +1,5 @@
 """Lens distortion of normalised image coordinates."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
@@ -81,19 +79,9 @@ class Lens:
         return _max_radius(self.model, tuple(self.coefficients.tolist()))
 
     def distort(self, xy: ArrayLike) -> tuple[Array, Array]:
-        """Distort normalised points.
+        """Distort normalised points (n, 2); return them with d xy_d / d xy (n, 2, 2).
 
-        Parameters
-        ----------
-        xy : (n, 2) array_like
-            Undistorted normalised coordinates. Whether they are within `max_radius` is not checked.
-
-        Returns
-        -------
-        xy_d : (n, 2) array
-            Distorted normalised coordinates.
-        jacobian : (n, 2, 2) array
-            d xy_d / d xy.
+        Whether they are within `max_radius` is not checked.
         """
         points = _points(xy)
         if self.model == "none":
@@ -104,19 +92,9 @@ class Lens:
         return distort_points(self.code, self.coefficients, points)
 
     def undistort(self, xy_d: ArrayLike) -> tuple[Array, Array]:
-        """Undistort normalised points, by Newton's iteration to rounding.
+        """Undistort normalised points (n, 2), by Newton's iteration to rounding; return them, d xy / d xy_d too.
 
-        Parameters
-        ----------
-        xy_d : (n, 2) array_like
-            Distorted normalised coordinates.
-
-        Returns
-        -------
-        xy : (n, 2) array
-            Undistorted normalised coordinates within `max_radius`; a row of NaN where there are none.
-        jacobian : (n, 2, 2) array
-            d xy / d xy_d, NaN in the same rows.
+        A row is NaN where there is no point within `max_radius`.
         """
         points = _points(xy_d)
         if self.model == "none":

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.rotations import rotations
-from stereophd.core.geometry.trajectory import BodyTrajectory, Motions, MountedPath
+from stereophd.core.geometry.trajectory import BodyTrajectory, EqualByValue, Motions, MountedPath
 
 # A matrix whose R R^T differs more than this from the identity is refused rather than repaired.
 LARGEST_ROTATION_DEFECT = 1e-4
@@ -91,7 +91,7 @@ def _nearest_rotation(rotation: Array) -> Array:
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class Pose:
+class Pose(EqualByValue):
     """Pose of a camera: ``x_camera = rotation @ (x_world - center)``.
 
     Camera axes: x right, y down, z forward. A moving camera has a constant velocity of its centre and a
@@ -176,12 +176,6 @@ class Pose:
         arrays = (self.rotation, self.center, self.velocity, self.rotation_rate, np.float64(self.time_s))
         # Adding zero makes -0.0 and 0.0 the same bytes, as they are the same number.
         return (*((array + 0.0).tobytes() for array in arrays), self.path)
-
-    def __eq__(self, other: object) -> bool:
-        return self._key() == other._key() if isinstance(other, Pose) else NotImplemented
-
-    def __hash__(self) -> int:
-        return hash(self._key())
 
     @property
     def is_static(self) -> bool:

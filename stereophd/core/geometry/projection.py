@@ -5,8 +5,6 @@ position in the world, and `calibration.unknowns.quantities.pixel_derivatives.lo
 distorted pixel: through the lens, and by the pose, the motion of object and camera, and time.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array

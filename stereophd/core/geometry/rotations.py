@@ -1,7 +1,5 @@
 """Many rotations at once: rotation vectors, matrices and quaternions, in arrays with a leading axis."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array

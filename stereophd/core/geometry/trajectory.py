@@ -4,8 +4,6 @@ Between two poses the body's origin moves straight and the body turns steadily a
 "Animating rotation with quaternion curves", SIGGRAPH 1985: slerp), so velocity and angular velocity are constant there.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -14,17 +12,25 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array
-from stereophd.core.geometry.rotations import (
-    quaternion_matrices,
-    quaternion_products,
-    quaternion_vectors,
-    rotations,
-)
+from stereophd.core.geometry.rotations import quaternion_matrices, quaternion_products, quaternion_vectors, rotations
 
 # A quaternion whose norm differs more than this from 1 is refused rather than normalised.
 LARGEST_NORM_DEFECT = 1e-3
 # Columns of the poses of a trajectory.
 COLUMNS = ("time_s", "x", "y", "z", "qw", "qx", "qy", "qz")
+
+
+class EqualByValue:
+    """Objects are equal when their types and their keys are: arrays count by their numbers."""
+
+    def _key(self) -> object:
+        raise NotImplementedError
+
+    def __eq__(self, other: object) -> bool:
+        return self._key() == other._key() if isinstance(other, type(self)) else NotImplemented
+
+    def __hash__(self) -> int:
+        return hash(self._key())
 
 
 class Motions(NamedTuple):
@@ -42,7 +48,7 @@ class Motions(NamedTuple):
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class BodyTrajectory:
+class BodyTrajectory(EqualByValue):
     """The poses of a body in the world, at least two rows of `COLUMNS` (n, 8).
 
     A row has the time, s, increasing; the origin of the body in the world, length; and the unit quaternion that turns
@@ -70,11 +76,8 @@ class BodyTrajectory:
         rows.setflags(write=False)
         object.__setattr__(self, "poses", rows)
 
-    def __eq__(self, other: object) -> bool:
-        return np.array_equal(self.poses, other.poses) if isinstance(other, BodyTrajectory) else NotImplemented
-
-    def __hash__(self) -> int:
-        return hash(self.poses.tobytes())
+    def _key(self) -> bytes:
+        return (self.poses + 0.0).tobytes()
 
     @property
     def span(self) -> tuple[float, float]:
@@ -112,7 +115,7 @@ class BodyTrajectory:
 
 
 @dataclass(frozen=True, init=False, eq=False)
-class MountedPath:
+class MountedPath(EqualByValue):
     """A camera that a body with a known trajectory carries.
 
     `rotation` (3, 3) leads from the body's axes to the camera's (hand-eye); `center` (3,) is the optical centre in the
@@ -132,12 +135,6 @@ class MountedPath:
 
     def _key(self) -> tuple[bytes, bytes, BodyTrajectory]:
         return (self.rotation + 0.0).tobytes(), (self.center + 0.0).tobytes(), self.trajectory
-
-    def __eq__(self, other: object) -> bool:
-        return self._key() == other._key() if isinstance(other, MountedPath) else NotImplemented
-
-    def __hash__(self) -> int:
-        return hash(self._key())
 
     def at(self, times: Array) -> Motions:
         """Return the poses of the camera at times (n,), s."""

@@ -4,8 +4,6 @@ Poses are compared relative to a reference camera, so that a common motion of al
 with R_k, c_k of camera k and r the reference, the relative pose is (R_k R_r^T, R_r (c_k - c_r)).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -8,11 +8,11 @@ K. Bernardin, R. Stiefelhagen, "Evaluating multiple object tracking performance:
 EURASIP Journal on Image and Video Processing, 2008 (identity switches, there "mismatches").
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.matching.assignment import is_positive_definite
@@ -43,38 +43,16 @@ def mean_per_group(values: Array, group: Integers, groups: int) -> Array:
     return np.where(count > 0, total / np.maximum(count, 1), np.nan)
 
 
-@dataclass(frozen=True)
-class ErrorPercentiles:
-    """Median and 90th percentile of n lengths of error; NaN when n is zero."""
-
-    median: float
-    p90: float
-    n: int
-
-
-def error_percentiles(errors: Array) -> ErrorPercentiles:
-    """Return percentiles of the lengths of error vectors (n, d), with linear interpolation."""
-    if len(errors) == 0:
-        return ErrorPercentiles(float("nan"), float("nan"), 0)
+def error_percentiles(errors: Array) -> dict[str, float]:
+    """Return ``median`` and ``p90`` of the lengths of error vectors (n, d), NaN without any, and their number ``n``."""
     length = np.sqrt(np.einsum("nd,nd->n", errors, errors))
-    median, p90 = np.percentile(length, [50.0, 90.0])
-    return ErrorPercentiles(float(median), float(p90), len(length))
+    median, p90 = np.percentile(length, [50.0, 90.0]).tolist() if len(length) else (float("nan"), float("nan"))
+    return {"median": median, "p90": p90, "n": len(length)}
 
 
-@dataclass(frozen=True)
-class CardinalityError:
-    """Error of the number of objects: bias (estimates minus truth) and mean absolute error."""
-
-    bias: float
-    mae: float
-
-
-def cardinality_error(n_estimates: Integers, n_truth: Integers) -> CardinalityError:
-    """Return the error of the numbers of objects (k,) over scans; the bias of too many estimates is positive."""
-    if len(n_truth) == 0:
-        return CardinalityError(float("nan"), float("nan"))
-    error = n_estimates.astype(np.float64) - n_truth
-    return CardinalityError(float(error.mean()), float(np.abs(error).mean()))
+def mean_of(values: NDArray[Any]) -> float:
+    """Return the mean of values, NaN without any."""
+    return float(values.mean()) if len(values) else float("nan")
 
 
 # A track without an identity (filters that do not label their estimates) carries a negative label.

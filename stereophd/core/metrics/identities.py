@@ -1,11 +1,13 @@
-"""Purity of the tracks of a run, completeness of its objects, and IDF1.
+"""How tracks and true objects belong together over a run: identity switches, purity, completeness, IDF1.
+
+All count the matched pairs of all scans. The dominant object of a track is the one it is matched to most often (the
+smallest identity of several), and likewise the dominant track of an object (A. A. Gorji, R. Tharmarasa, T. Kirubarajan,
+"Performance measures for multiple target tracking problems", FUSION 2011).
 
 IDF1 is the share of points with the right identity when each object is given at most one track for the whole run
 (E. Ristani, F. Solera, R. Zou, R. Cucchiara, C. Tomasi, "Performance measures and a data set for multi-target,
 multi-camera tracking", ECCV Workshops 2016, section 3).
 """
-
-from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,15 +15,109 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array
-from stereophd.core.metrics.errors import UNLABELLED
+from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.metrics.errors import UNLABELLED, mean_of
 from stereophd.core.metrics.matching.assignment import optimal_assignment
-from stereophd.core.metrics.matching.identity import ObjectTable, TrackTable, tabulate_objects, tabulate_tracks
 from stereophd.core.metrics.matching.near_pairs import Couples, NearPairs, couples
 from stereophd.core.metrics.scans import PointSets, ScanScores
 
 # An object is mostly tracked if it is matched in at least this share of its scans, and mostly lost below the rest.
 MOSTLY = 0.8
+
+
+@dataclass(frozen=True)
+class TrackTable:
+    """Figures of each track, arrays (t,) in order of identity."""
+
+    track_id: Integers  # (t,) array: Identity
+    # `n_estimates`, `n_matched`: (t,) arrays: Number of its estimates, and of those that are matched to an object.
+    n_estimates: Integers
+    n_matched: Integers
+    object_id: Integers  # (t,) array: Its dominant object; without meaning where nothing is matched
+    n_dominant: Integers  # (t,) array: Number of its estimates that are matched to that object
+
+    @property
+    def purity(self) -> Array:
+        """Share of the estimates that are matched to the dominant object, (t,); 0 for a false track."""
+        return self.n_dominant / self.n_estimates
+
+
+@dataclass(frozen=True)
+class ObjectTable:
+    """How each true object was followed, arrays (o,) in order of identity."""
+
+    object_id: Integers  # (o,) array: Identity
+    # `n_scans`, `n_matched`: (o,) arrays: Number of scans at which it exists, and of those at which any estimate is
+    # matched to it.
+    n_scans: Integers
+    n_matched: Integers
+    track_id: Integers  # (o,) array: Its dominant track; without meaning where no track is matched
+    n_dominant: Integers  # (o,) array: Number of scans at which that track is matched to it
+    # (o,) array: Number of tracks that are matched to it at some scan: its fragmentation, 1 if followed well.
+    n_tracks: Integers
+
+    @property
+    def completeness(self) -> Array:
+        """Share of the scans at which any estimate is matched, (o,)."""
+        return self.n_matched / self.n_scans
+
+    @property
+    def completeness_dominant(self) -> Array:
+        """Share of the scans at which the dominant track is matched, (o,)."""
+        return self.n_dominant / self.n_scans
+
+
+def tabulate_tracks(label: Integers, pair_track: Integers, pair_object: Integers) -> TrackTable:
+    """Return what each track did, from the labels (n,) of estimates and the tracks and objects (q,) of matched pairs.
+
+    Unlabelled estimates (negative) are left out.
+    """
+    tracks, n_estimates = np.unique(label[label > UNLABELLED], return_counts=True)
+    labelled = pair_track > UNLABELLED
+    owner = np.searchsorted(tracks, pair_track[labelled])
+    partner, most, _ = _dominant(owner, pair_object[labelled], len(tracks))
+    n_matched = np.bincount(owner, minlength=len(tracks)).astype(np.int64)
+    return TrackTable(tracks, n_estimates, n_matched, partner, most)
+
+
+def tabulate_objects(object_id: Integers, pair_track: Integers, pair_object: Integers) -> ObjectTable:
+    """Return how each true object was followed, from the objects (n,) of true points and those (q,) of matched pairs.
+
+    At most one pair for an object and scan. Unlabelled tracks (negative) count for `ObjectTable.n_matched` only.
+    """
+    objects, n_scans = np.unique(object_id, return_counts=True)
+    owner = np.searchsorted(objects, pair_object)
+    labelled = pair_track > UNLABELLED
+    partner, most, partners = _dominant(owner[labelled], pair_track[labelled], len(objects))
+    n_matched = np.bincount(owner, minlength=len(objects)).astype(np.int64)
+    return ObjectTable(objects, n_scans, n_matched, partner, most, partners)
+
+
+def _dominant(owner: Integers, partner: Integers, owners: int) -> tuple[Integers, Integers, Integers]:
+    """Return the most frequent partner of each owner, how often it is, and the number of partners."""
+    names, number = np.unique(partner, return_inverse=True)
+    couple, times = np.unique(owner * max(len(names), 1) + number, return_counts=True)
+    who, whom = np.divmod(couple, max(len(names), 1))
+    # The last of each owner is its most frequent partner, of equals the smallest.
+    order = np.lexsort((-whom, times, who))
+    dominant, most = np.full(owners, UNLABELLED, dtype=np.int64), np.zeros(owners, dtype=np.int64)
+    last = order[np.append(np.diff(who[order]) > 0, True)] if len(order) else order
+    dominant[who[last]], most[who[last]] = names[whom[last]], times[last]
+    return dominant, most, np.bincount(who, minlength=owners).astype(np.int64)
+
+
+def identity_switches(scan: Integers, object_id: Integers, track_id: Integers) -> NDArray[np.bool_]:
+    """Mark the matched pairs at which a true object is matched to another track than the time before.
+
+    Scan (in time order), object and track are those of each matched pair (n,). Pairs whose track is unlabelled
+    (negative) neither are nor cause a switch, and scans at which the object is not matched in between do not matter.
+    """
+    switched = np.zeros(len(scan), dtype=bool)
+    labelled = np.flatnonzero(track_id > UNLABELLED)
+    order = labelled[np.lexsort((scan[labelled], object_id[labelled]))]
+    same_object = object_id[order[1:]] == object_id[order[:-1]]
+    switched[order[1:]] = same_object & (track_id[order[1:]] != track_id[order[:-1]])
+    return switched
 
 
 def has_identities(estimates: PointSets) -> bool:
@@ -41,14 +137,14 @@ def identity_figures(
     tracks = tabulate_tracks(estimates.label, pair_track, pair_object)
     objects = tabulate_objects(truth.label, pair_track, pair_object)
     owner = np.searchsorted(objects.object_id, pair_object[switched])
-    switches = np.bincount(owner, minlength=len(objects.object_id)).tolist()
+    switches = np.bincount(owner, minlength=len(objects.object_id))
     known = has_identities(estimates)
     return {
-        "purity": {"mean": _mean(tracks.purity), "table": _track_rows(tracks)},
+        "purity": {"mean": mean_of(tracks.purity), "table": _track_rows(tracks)},
         "completeness": {
-            "mean": _mean(objects.completeness),
-            "mean_dominant": _mean(objects.completeness_dominant) if known else float("nan"),
-            "fragmentation": _mean(objects.n_tracks) if known else float("nan"),
+            "mean": mean_of(objects.completeness),
+            "mean_dominant": mean_of(objects.completeness_dominant) if known else float("nan"),
+            "fragmentation": mean_of(objects.n_tracks) if known else float("nan"),
             "table": _object_rows(objects, switches, known),
         },
     }
@@ -65,94 +161,74 @@ def clear_mot_figures(
     """
     matched, points = len(scores.pair_scan), len(truth.label)
     if not has_identities(estimates):
-        return {"mota": None, "motp": _mean(distance), "mostly_tracked": None, "mostly_lost": None}
+        return {"mota": None, "motp": mean_of(distance), "mostly_tracked": None, "mostly_lost": None}
     wrong = points + len(estimates.label) - 2 * matched + int(switched.sum())
     number = np.unique(truth.label, return_inverse=True)[1]
     share = np.bincount(number[scores.pair_truth], minlength=number.max(initial=-1) + 1) / np.bincount(number)
     return {
         "mota": 1.0 - wrong / points if points else float("nan"),
-        "motp": _mean(distance),
+        "motp": mean_of(distance),
         "mostly_tracked": int((share >= MOSTLY).sum()),
         "mostly_lost": int((share < 1.0 - MOSTLY).sum()),
     }
 
 
 def _track_rows(tracks: TrackTable) -> list[dict[str, Any]]:
-    return [
+    return _rows(
         {
-            "track_id": track,
-            "object_id": dominant if most else None,
-            "estimates": estimates,
-            "matched": matched,
-            "matched_dominant": most,
-            "purity": purity,
+            "track_id": tracks.track_id,
+            "object_id": _known(tracks.object_id, tracks.n_dominant > 0),
+            "estimates": tracks.n_estimates,
+            "matched": tracks.n_matched,
+            "matched_dominant": tracks.n_dominant,
+            "purity": tracks.purity,
         }
-        for track, dominant, estimates, matched, most, purity in zip(
-            tracks.track_id.tolist(),
-            tracks.object_id.tolist(),
-            tracks.n_estimates.tolist(),
-            tracks.n_matched.tolist(),
-            tracks.n_dominant.tolist(),
-            tracks.purity.tolist(),
-            strict=True,
-        )
-    ]
-
-
-def _object_rows(objects: ObjectTable, switches: list[int], known: bool) -> list[dict[str, Any]]:
-    rows = zip(
-        objects.object_id.tolist(),
-        objects.track_id.tolist(),
-        objects.n_scans.tolist(),
-        objects.n_matched.tolist(),
-        objects.n_dominant.tolist(),
-        objects.completeness.tolist(),
-        objects.completeness_dominant.tolist(),
-        objects.n_tracks.tolist(),
-        switches,
-        strict=True,
     )
-    return [
-        {
-            "object_id": target,
-            "track_id": dominant if most else None,
-            "scans": scans,
-            "matched": matched,
-            "matched_dominant": most if known else None,
-            "completeness": any_track,
-            "completeness_dominant": one_track if known else None,
-            "fragmentation": tracks if known else None,
-            "identity_switches": changes if known else None,
-        }
-        for target, dominant, scans, matched, most, any_track, one_track, tracks, changes in rows
-    ]
 
 
-def _mean(values: NDArray[Any]) -> float:
-    return float(values.mean()) if len(values) else float("nan")
+def _object_rows(objects: ObjectTable, switches: Integers, known: bool) -> list[dict[str, Any]]:
+    of_tracks = {
+        "matched_dominant": objects.n_dominant,
+        "completeness_dominant": objects.completeness_dominant,
+        "fragmentation": objects.n_tracks,
+        "identity_switches": switches,
+    }
+    columns = {
+        "object_id": objects.object_id,
+        "track_id": _known(objects.track_id, objects.n_dominant > 0),
+        "scans": objects.n_scans,
+        "matched": objects.n_matched,
+        "matched_dominant": objects.n_dominant,
+        "completeness": objects.completeness,
+    }
+    return _rows(
+        columns | {name: values if known else np.full(len(values), None) for name, values in of_tracks.items()}
+    )
 
 
-@dataclass(frozen=True)
-class IdentityScore:
-    """IDF1 and its two parts, between 0 and 1; NaN where there is nothing to divide by."""
-
-    f1: float
-    precision: float
-    recall: float
+def _known(values: NDArray[Any], known: Booleans) -> NDArray[Any]:
+    """Return values, as objects of Python, with None where they are not known."""
+    out = values.astype(object)
+    out[~known] = None
+    return out
 
 
-def identity_score(estimates: PointSets, truth: PointSets, near: NearPairs) -> IdentityScore:
-    """Return IDF1 with ID precision and ID recall, from all pairs of the same scans nearer than the cutoff.
+def _rows(columns: dict[str, NDArray[Any]]) -> list[dict[str, Any]]:
+    """Return one dictionary of plain values for each row of a table."""
+    values = zip(*(column.tolist() for column in columns.values()), strict=True)
+    return [dict(zip(columns, row, strict=True)) for row in values]
 
-    An estimate without an identity is a track of its own.
+
+def identity_score(estimates: PointSets, truth: PointSets, near: NearPairs) -> dict[str, float]:
+    """Return ``idf1``, ``id_precision`` and ``id_recall``, from all pairs of the same scans nearer than the cutoff.
+
+    They are between 0 and 1; NaN where there is nothing to divide by. An estimate without an identity is a track of its
+    own.
     """
     right = _most_common_scans(couples(estimates, truth, near))
     n_truth, n_estimates = len(truth.label), len(estimates.label)
-    return IdentityScore(_share(2.0 * right, n_truth + n_estimates), _share(right, n_estimates), _share(right, n_truth))
-
-
-def _share(part: float, whole: int) -> float:
-    return part / whole if whole else float("nan")
+    wholes = {"idf1": (n_truth + n_estimates) / 2.0, "id_precision": n_estimates, "id_recall": n_truth}
+    return {name: right / whole if whole else float("nan") for name, whole in wholes.items()}
 
 
 def _most_common_scans(pairs: Couples) -> int:

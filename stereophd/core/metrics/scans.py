@@ -9,22 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.metrics.distances.ospa import Matching, gospa_of_matching, match, ospa_of_matching
+from stereophd.core.metrics.distances.ospa import Gospa, Ospa, gospa_of_matching, match, ospa_of_matching
 from stereophd.core.metrics.matching.assignment import euclidean_distances, mahalanobis_distances
 
 # Distances held at once: bounds the memory of a batch to a few megabytes and keeps it in cache.
 BATCH_ENTRIES = 100_000
-
-# The fields of `ScanScores` that are distances, in the order in which a batch computes them.
-DISTANCE_FIELDS = (
-    "ospa",
-    "ospa_localisation",
-    "ospa_cardinality",
-    "gospa",
-    "gospa_localisation",
-    "gospa_missed",
-    "gospa_false",
-)
 
 
 @dataclass(frozen=True)
@@ -77,17 +66,8 @@ class PointSets:
 class ScanScores:
     """Metrics of each scan, arrays (k,), and the matched pairs, arrays (q,) in order of scan."""
 
-    # `ospa`, `ospa_localisation`, `ospa_cardinality`: (k,) arrays: OSPA distance and its parts, in the unit of the
-    # base distance.
-    ospa: Array
-    ospa_localisation: Array
-    ospa_cardinality: Array
-    # `gospa`, `gospa_localisation`, `gospa_missed`, `gospa_false`: (k,) arrays: GOSPA distance (alpha = 2) and its
-    # parts.
-    gospa: Array
-    gospa_localisation: Array
-    gospa_missed: Array
-    gospa_false: Array
+    ospa: Ospa
+    gospa: Gospa
     n_matched: Integers  # (k,) array: Pairs nearer than the cutoff
     # `pair_scan`, `pair_estimate`, `pair_truth`: (q,) arrays: Those pairs: the scan, and the rows of the estimate and
     # of the true point.
@@ -112,21 +92,21 @@ def score_scans(
         raise ValueError(f"expected as many scans of truth as of estimates, {estimates.scans}")
     if mahalanobis and estimates.covariance is None:
         raise ValueError("expected covariances for the Mahalanobis distance")
-    values = np.zeros((len(DISTANCE_FIELDS), estimates.scans))
+    ospa, gospa = np.zeros((3, estimates.scans)), np.zeros((4, estimates.scans))
     n_matched = np.zeros(estimates.scans, dtype=np.int64)
     pairs: list[tuple[Integers, Integers, Integers]] = []
     for scans, m, n in batches_of_one_size(estimates.counts, truth.counts):
         rows = estimates.start[scans][:, None] + np.arange(m)
         columns = truth.start[scans][:, None] + np.arange(n)
         matching = match(base_distances(estimates, truth, rows, columns, mahalanobis), order, cutoff)
-        values[:, scans] = _distances_of(matching, n, order, cutoff)
+        ospa[:, scans] = ospa_of_matching(matching, n, order, cutoff)
+        gospa[:, scans] = gospa_of_matching(matching, n, order, cutoff)
         near = matching.distance < cutoff
         n_matched[scans] = near.sum(axis=1)
         batch, row = np.nonzero(near)
         pairs.append((scans[batch], rows[batch, row], columns[batch, matching.truth[batch, row]]))
     scan, estimate, true_point = _in_scan_order(pairs)
-    distances = dict(zip(DISTANCE_FIELDS, values, strict=True))
-    return ScanScores(**distances, n_matched=n_matched, pair_scan=scan, pair_estimate=estimate, pair_truth=true_point)
+    return ScanScores(Ospa(*ospa), Gospa(*gospa), n_matched, scan, estimate, true_point)
 
 
 def batches_of_one_size(n_estimates: Integers, n_truth: Integers) -> Iterator[tuple[Integers, int, int]]:
@@ -154,23 +134,6 @@ def base_distances(
     if mahalanobis and estimates.covariance is not None:
         return mahalanobis_distances(x, y, estimates.covariance[rows])
     return euclidean_distances(x, y)
-
-
-def _distances_of(matching: Matching, n_truth: int, order: float, cutoff: float) -> Array:
-    """Return the distances and parts of a batch, (7, k), in the order of `DISTANCE_FIELDS`."""
-    ospa = ospa_of_matching(matching, n_truth, order, cutoff)
-    gospa = gospa_of_matching(matching, n_truth, order, cutoff)
-    return np.stack(
-        [
-            ospa.distance,
-            ospa.localisation,
-            ospa.cardinality,
-            gospa.distance,
-            gospa.localisation,
-            gospa.missed,
-            gospa.false,
-        ]
-    )
 
 
 def _in_scan_order(pairs: list[tuple[Integers, Integers, Integers]]) -> tuple[Integers, Integers, Integers]:

@@ -1,7 +1,5 @@
 """The figures of a run from the scores of its scans."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,14 +8,14 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
 from stereophd.core.metrics.distances.hota import hota
-from stereophd.core.metrics.distances.ospa import Ospa
+from stereophd.core.metrics.distances.ospa import Gospa, Ospa
 from stereophd.core.metrics.distances.ospa2 import ospa2_of_windows
 from stereophd.core.metrics.errors import (
     UNLABELLED,
     Waits,
-    cardinality_error,
     error_percentiles,
     independent_count,
+    mean_of,
     mean_per_group,
     nees,
     nees_interval,
@@ -30,8 +28,8 @@ from stereophd.core.metrics.identities import (
     has_identities,
     identity_figures,
     identity_score,
+    identity_switches,
 )
-from stereophd.core.metrics.matching.identity import identity_switches
 from stereophd.core.metrics.matching.near_pairs import NearPairs
 from stereophd.core.metrics.scans import PointSets, ScanScores
 
@@ -97,13 +95,13 @@ def per_scan_columns(
     scans, group = len(time_s), scores.pair_scan
     return {
         "time_s": time_s,
-        "ospa": scores.ospa,
-        "ospa_localisation": scores.ospa_localisation,
-        "ospa_cardinality": scores.ospa_cardinality,
+        "ospa": scores.ospa.distance,
+        "ospa_localisation": scores.ospa.localisation,
+        "ospa_cardinality": scores.ospa.cardinality,
         "ospa2": ospa2.distance,
         "ospa2_localisation": ospa2.localisation,
         "ospa2_cardinality": ospa2.cardinality,
-        "gospa": scores.gospa,
+        "gospa": scores.gospa.distance,
         "n_truth": truth.counts,
         "n_estimates": estimates.counts,
         "n_matched": scores.n_matched,
@@ -131,8 +129,7 @@ def figures(
     Means of OSPA, OSPA(2) and GOSPA (and of their parts) are over scans, the others over matched pairs. The
     parts of a mean distance do not add up to it: only those of a single scan do.
     """
-    cardinality = cardinality_error(estimates.counts, truth.counts)
-    percentiles = error_percentiles(errors.position)
+    surplus = estimates.counts - truth.counts
     normalised = errors.nees
     known = np.isfinite(normalised)
     normalised = normalised[known]
@@ -141,32 +138,19 @@ def figures(
     matched = int(scores.n_matched.sum())
     labels = estimates.label[estimates.label > UNLABELLED]
     return {
-        "ospa": {
-            "mean": _mean(scores.ospa),
-            "localisation": _mean(scores.ospa_localisation),
-            "cardinality": _mean(scores.ospa_cardinality),
-        },
-        "ospa2": {
-            "mean": _mean(ospa2.distance),
-            "localisation": _mean(ospa2.localisation),
-            "cardinality": _mean(ospa2.cardinality),
-        },
-        "gospa": {
-            "mean": _mean(scores.gospa),
-            "localisation": _mean(scores.gospa_localisation),
-            "missed": _mean(scores.gospa_missed),
-            "false": _mean(scores.gospa_false),
-        },
+        "ospa": _means(scores.ospa),
+        "ospa2": _means(ospa2),
+        "gospa": _means(scores.gospa),
         "rmse": {
             "position": root_mean_square(errors.position),
             "velocity": root_mean_square(errors.velocity),
         },
-        "position_error": {"median": percentiles.median, "p90": percentiles.p90, "n": percentiles.n},
+        "position_error": error_percentiles(errors.position),
         "cardinality": {
-            "bias": cardinality.bias,
-            "mae": cardinality.mae,
-            "mean_truth": _mean(truth.counts),
-            "mean_estimates": _mean(estimates.counts),
+            "bias": mean_of(surplus),
+            "mae": mean_of(np.abs(surplus)),
+            "mean_truth": mean_of(truth.counts),
+            "mean_estimates": mean_of(estimates.counts),
         },
         "pairs": {
             "matched": matched,
@@ -183,7 +167,7 @@ def figures(
         **identity_figures(estimates, truth, scores, errors.switched),
         "confirmation": _confirmation(waits),
         "nees": {
-            "position": _mean(normalised),
+            "position": mean_of(normalised),
             "interval_95": [low, high],
             "dimension": POSITION_DIMENSION,
             "n": len(normalised),
@@ -193,20 +177,26 @@ def figures(
     }
 
 
+def _means(distances: Ospa | Gospa) -> dict[str, float]:
+    """Return the means of a distance (as ``mean``) and of its parts."""
+    parts = distances._asdict()
+    return {"mean": mean_of(parts.pop("distance"))} | {name: mean_of(part) for name, part in parts.items()}
+
+
 def _without_cameras(errors: PairErrors) -> dict[str, float]:
     """Return the mean NEES without what uncertain cameras add; nothing where they add nothing."""
     alone = errors.nees_without_cameras
-    return {} if alone is None else {"without_cameras": _mean(alone[np.isfinite(alone)])}
+    return {} if alone is None else {"without_cameras": mean_of(alone[np.isfinite(alone)])}
 
 
 def _confirmation(waits: Waits) -> dict[str, Any]:
     """Return how long objects wait until they are confirmed."""
     times = waits.confirmed_s
     return {
-        "mean_s": _mean(times),
+        "mean_s": mean_of(times),
         "median_s": float(np.median(times)) if len(times) else float("nan"),
         "max_s": float(times.max()) if len(times) else float("nan"),
-        "first_report_mean_s": _mean(waits.reported_s),
+        "first_report_mean_s": mean_of(waits.reported_s),
         "objects": len(times),
         "never": waits.never,
     }
@@ -217,22 +207,16 @@ def _identity_scores(estimates: PointSets, truth: PointSets, near: NearPairs, ma
     if not has_identities(estimates):
         unknown = float("nan")
         return {
-            "idf1": unknown, "id_precision": unknown, "id_recall": unknown,
+            **dict.fromkeys(("idf1", "id_precision", "id_recall"), unknown),
             "hota": dict.fromkeys(("mean", "detection", "association", "localisation"), unknown),
-        }  # fmt: skip
-    identity, curves = identity_score(estimates, truth, matchable), hota(estimates, truth, near)
+        }
+    curves = hota(estimates, truth, near)
     return {
-        "idf1": identity.f1,
-        "id_precision": identity.precision,
-        "id_recall": identity.recall,
+        **identity_score(estimates, truth, matchable),
         "hota": {
-            "mean": _mean(curves.hota),
-            "detection": _mean(curves.detection),
-            "association": _mean(curves.association),
-            "localisation": _mean(curves.localisation),
+            "mean": mean_of(curves.hota),
+            "detection": mean_of(curves.detection),
+            "association": mean_of(curves.association),
+            "localisation": mean_of(curves.localisation),
         },
     }
-
-
-def _mean(values: NDArray[Any]) -> float:
-    return float(values.mean()) if len(values) else float("nan")

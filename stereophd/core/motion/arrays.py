@@ -1,7 +1,5 @@
 """A motion model for compiled code: a few numbers for each interval."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 from stereophd.core.arrays import Array

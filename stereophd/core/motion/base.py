@@ -11,8 +11,6 @@ with scalars `reach` and `keep` (`Motion.flow`) and Gaussian noise of covariance
 these two: transitions, what compiled moves read, drawn noise, and the interpolation between two states.
 """
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from typing import ClassVar, NamedTuple

@@ -4,8 +4,6 @@ A filter is ``init / predict / update / extract`` over a frozen state; `Disparit
 three in a row that an event takes. The filters differ in their update.
 """
 
-from __future__ import annotations
-
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable
@@ -21,9 +19,15 @@ from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.moments import Sources, move
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.births.birth import birth_moments, newborn_prior
-from stereophd.core.multi.births.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
-from stereophd.core.multi.births.undetected import Undetected, burst_of, expected_births, undetected_shares
+from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
+from stereophd.core.multi.births.undetected import (
+    Undetected,
+    birth_moments,
+    burst_of,
+    expected_births,
+    newborn_prior,
+    undetected_shares,
+)
 from stereophd.core.multi.extract import Counters, select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.state.estimates import Estimates, Info
@@ -169,7 +173,7 @@ class DisparityFilter(ABC):
         )
         total = keep_surviving_weights(
             weights, moved.status, moved.inside, mixture.means, mixture.tracks, mixture.cameras, homes, motion.reach,
-            motion.drift, self.rig.views(event.time_s), event.camera, elapsed, self.settings.out_of_view_s,
+            motion.drift, self.rig.views(event.time_s), event.camera, elapsed, self.settings.out_of_view_s
         )  # fmt: skip
         if births is None:
             known = self.rig.cameras[event.camera].detector.p_detect * total

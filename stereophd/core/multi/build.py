@@ -5,8 +5,6 @@ code, so that they do not know their filters. The kernels of a filter are compil
 processes from the two ends of a step: one finds what the other made.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from importlib import import_module
 from typing import Any

@@ -4,8 +4,6 @@ A component does not know which cameras have detected it. `run_estimator` (`pipe
 therefore drops afterwards the tentative objects that two cameras have not detected, except at the start of a log.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -72,7 +70,7 @@ def select_objects(
     levels = (hysteresis.confirm, hysteresis.release, hysteresis.tentative)
     placed, confirmed, next_label, next_track = _place(
         mixture.weights, mixture.labels, levels, counters, split, mixture.means, mixture.covariances, homes, motion,
-        samples, changed,
+        samples, changed
     )  # fmt: skip
     return Selection(GaussianMixture(*mixture[:5], *changed), confirmed, *placed, next_label, next_track)
 

@@ -1,7 +1,5 @@
 """Cholesky factors of covariances, also of those that rounding has made indefinite."""
 
-from __future__ import annotations
-
 import contextlib
 
 import numpy as np

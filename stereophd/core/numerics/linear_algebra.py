@@ -1,7 +1,5 @@
 """Compiled linear algebra of small matrices: factors, ranks, and what keeps covariances positive definite."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

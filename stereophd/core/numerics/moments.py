@@ -1,7 +1,5 @@
 """Compiled moments of weighted samples."""
 
-from __future__ import annotations
-
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.compilation.compiled import compiled, compiled_fast
 

@@ -12,8 +12,6 @@ Streams of a fixed seed do not depend on the configuration: their numbers make a
 results whatever the seed is.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -4,8 +4,6 @@ Each draws n indices of which every one occurs n w_i times on average. Reference
 E. Moulines, "Comparison of resampling schemes for particle filtering", ISPA 2005; paper [3].
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

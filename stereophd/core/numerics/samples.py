@@ -4,8 +4,6 @@ A set for moving objects has twelve rows: six for the state and six for the moti
 static objects has three.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
@@ -89,11 +87,7 @@ class SampleSets:
 
 
 def draw_sample_sets(
-    method: Method,
-    samples: int,
-    rows: int,
-    seed: np.random.SeedSequence,
-    max_nonlinearity: float = MAX_NONLINEARITY,
+    method: Method, samples: int, rows: int, seed: np.random.SeedSequence, max_nonlinearity: float = MAX_NONLINEARITY
 ) -> SampleSets:
     """Draw the sample sets of a run: `samples` of `rows` dimensions each, a power of two for ``qmc``.
 

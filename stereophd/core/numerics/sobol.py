@@ -8,8 +8,6 @@ Sci. Comput. 30 (5), 2008 (primitive polynomials and initial directions); J. Mat
 for anchored boxes", J. Complexity 14 (4), 1998 (linear scramble).
 """
 
-from __future__ import annotations
-
 from functools import cache
 from statistics import NormalDist
 

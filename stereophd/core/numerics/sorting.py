@@ -4,8 +4,6 @@ NumPy's own functions and assignments of slices do the same in compiled code, bu
 anew at every place: half a second each.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

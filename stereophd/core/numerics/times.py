@@ -1,7 +1,5 @@
 """Which times are one time: all of the package holds times, s, to the nanosecond."""
 
-from __future__ import annotations
-
 import numpy as np
 
 # Times that the package computes (of simulated frames, of a grid of reports) are rounded to the nanosecond. Otherwise k

@@ -1,7 +1,5 @@
 """Weights of particles: normalisation, effective size, moments, random streams."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array

@@ -1,7 +1,5 @@
 """Detections of the cameras of a scene: with noise, misses and clutter."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from heapq import merge

@@ -137,11 +137,7 @@ def _stays_in_view_coarsely(
 
 
 def _stays_in_view(
-    stay_in_view: str,
-    cameras: Sequence[Camera],
-    grid: TimeGrid,
-    motion: Motion,
-    candidate: MovingObject,
+    stay_in_view: str, cameras: Sequence[Camera], grid: TimeGrid, motion: Motion, candidate: MovingObject
 ) -> bool:
     if stay_in_view == "none":
         return True

@@ -1,7 +1,5 @@
 """When frames are taken: schedules of cameras, and windows of time that keep memory bounded."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

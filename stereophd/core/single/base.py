@@ -6,8 +6,6 @@ in the world. Nothing is kept outside the state: the same state and event give t
 draw random numbers.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from typing import Any, Generic, TypeVar
@@ -53,6 +51,7 @@ class SingleInfo:
     log_likelihood: float
 
 
+@dataclass(frozen=True)
 class SingleEstimator(ABC, Generic[State]):
     """An estimator of the state of one object."""
 
@@ -70,10 +69,20 @@ class SingleEstimator(ABC, Generic[State]):
         """Return the state before the first detection."""
 
     def step(self, state: State, event: Event) -> tuple[State, SingleInfo]:
-        """Return the state after an event, which has at most one detection; without one it stays where it is."""
+        """Return the state after an event; without a detection it stays where it is.
+
+        Raises ValueError if the event has several detections, or its camera moves while a rolling shutter reads:
+        points of such events refer to the pose of the frame.
+        """
+        count = len(event.points)
+        if count > 1:
+            raise ValueError(f"expected at most one detection an event, found {count} at {event.time_s:g} s")
         log_likelihood, detected = 0.0, state
-        if only_detection(event) is not None:
-            time_s = detection_time(event)
+        if count:
+            if event.travels is not None:
+                raise ValueError("expected a camera at rest where a rolling shutter sees one object, found it moving")
+            # a rolling shutter reads the row of the detection later than the first
+            time_s = event.time_s + (0.0 if event.delays is None else float(event.delays[0]))
             detected, log_likelihood = self._detected(state, event, self.rig.space(event.camera, time_s), time_s)
         return replace(detected, time_s=event.time_s, n_events=state.n_events + 1), SingleInfo(log_likelihood)
 
@@ -91,26 +100,6 @@ class SingleEstimator(ABC, Generic[State]):
     def at(self, state: State, time_s: float) -> State:
         """Return the state that `estimate` describes at a time after the last event."""
         return replace(state, time_s=time_s)
-
-
-def only_detection(event: Event) -> int | None:
-    """Return 0, the index of the event's detection, or None if it has none.
-
-    Raises ValueError if the event has several: an estimator of one object cannot choose.
-    """
-    if len(event.points) > 1:
-        raise ValueError(f"expected at most one detection an event, found {len(event.points)} at {event.time_s:g} s")
-    return 0 if len(event.points) else None
-
-
-def detection_time(event: Event) -> float:
-    """Time of the event's only detection, s: a rolling shutter reads its row later than the first.
-
-    Raises ValueError if the camera moves while its shutter reads: points of such events refer to the pose of the frame.
-    """
-    if event.travels is not None:
-        raise ValueError("expected a camera at rest where a rolling shutter sees a single object, found a moving one")
-    return event.time_s if event.delays is None else event.time_s + float(event.delays[0])
 
 
 def first_density(rig: Rig, event: Event) -> float:

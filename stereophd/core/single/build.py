@@ -1,7 +1,5 @@
 """From settings to an estimator."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cache
 

@@ -5,23 +5,29 @@ is not. The first detection and the prior on disparity are carried to the world 
 by sigma points (unscented, without a centre point: all weights equal and positive); so are detections.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.prior import InitialPrior
+from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.layout import FX, FY
-from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.linear_algebra import condition
 from stereophd.core.numerics.samples import cubature_points
 from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
-from stereophd.core.single.first_order import center, inverse_depth_prior, project, ray, rotation, velocity_covariance
-from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
+from stereophd.core.single.gaussian import (
+    UNSEEN,
+    GaussianState,
+    center,
+    inverse_depth_prior,
+    linear_update,
+    project,
+    ray,
+    rotation,
+    unseen_state,
+    velocity_covariance,
+)
 from stereophd.core.single.settings import CartesianSettings
 
 # A sigma point beyond infinity has no place in the world: it is put this much further away than the mean.
@@ -30,11 +36,8 @@ FARTHEST = 10.0
 
 @dataclass(frozen=True)
 class CartesianEstimator(SingleEstimator[GaussianState]):
-    """The filters; see `SingleEstimator` for `rig`, `motion` and `prior`."""
+    """The filters; see `SingleEstimator` for their other fields."""
 
-    rig: Rig
-    motion: Motion
-    prior: InitialPrior
     settings: CartesianSettings
 
     def init(self) -> GaussianState:

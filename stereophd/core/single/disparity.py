@@ -7,8 +7,6 @@ into the disparity space of the next event's camera. With one object and no clut
 object, so that samples out of the camera's view are left out of the Gaussian (V-B).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 
@@ -18,7 +16,6 @@ from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import Sources, move, world_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW
-from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.layout import CX, CY, HEIGHT, LENS_CODE, LENS_NONE, WIDTH
 from stereophd.core.motion.base import Motion
@@ -45,9 +42,6 @@ def _sources(motion: Motion, state: GaussianState, home: Array, time_s: float) -
 class DisparityEstimator(SingleEstimator[GaussianState]):
     """Algorithm 2: any cameras, the state in the disparity space of the camera that saw the object last."""
 
-    rig: Rig
-    motion: Motion
-    prior: InitialPrior
     sets: SampleSets  # Samples of the moves, and with them the method
 
     def init(self) -> GaussianState:
@@ -100,7 +94,7 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
 
 
 @dataclass(frozen=True)
-class RectifiedEstimator(SingleEstimator[GaussianState]):
+class RectifiedEstimator(DisparityEstimator):
     """Algorithm 1: cameras that are rectified with one another share the disparity space of the first.
 
     Cameras are rectified if they have the same orientation and their centres lie in a plane perpendicular to the
@@ -109,11 +103,6 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
     Raises ValueError if the cameras are not rectified, or move.
     """
 
-    # `rig`, `motion`, `prior`, `sets`: The same as in `DisparityEstimator`.
-    rig: Rig
-    motion: Motion
-    prior: InitialPrior
-    sets: SampleSets
     # `matrices`, `offsets`: arrays (c, 3, 3), (c, 3): From the first camera's disparity space to each camera's: ``y_i
     # = matrix y + offset``.
     matrices: Array = field(init=False)
@@ -123,13 +112,9 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
         for name, maps in zip(("matrices", "offsets"), rectified_maps(self.rig), strict=True):
             object.__setattr__(self, name, maps)
 
-    def init(self) -> GaussianState:
-        """Return the state before the first detection."""
-        return unseen_state()
-
     def _detected(self, state: GaussianState, event: Event, space: Array, time_s: float) -> tuple[GaussianState, float]:
         """Predict the state in the shared space, and update it (Algorithm 1)."""
-        seen = replace(state, home_s=time_s, camera=0)
+        seen = replace(state, home_s=time_s, camera=0)  # the state's home is always the first camera
         size = self.state_size
         if state.camera == UNSEEN:
             means, covariances = self.prior.moments(event.points, event.covariances, space, size)
@@ -158,12 +143,6 @@ class RectifiedEstimator(SingleEstimator[GaussianState]):
         mean = moved.means[0]
         mean[:2] -= WIDE
         return mean, moved.covariances[0]
-
-    def estimate(self, state: GaussianState) -> SingleEstimate | None:
-        """Return the mean and covariance in the world by moments, and the mode in disparity space, mapped."""
-        if state.camera == UNSEEN:
-            return None
-        return world_estimate(state, self.rig.space(0, state.home_s), self.motion, self.sets)
 
 
 def rectified_maps(rig: Rig) -> tuple[Array, Array]:

@@ -12,20 +12,26 @@ b' = h_2 / h_3, rho' = rho / h_3.
 Rays by slopes and not by angles (as in [7]): the prior is then the Gaussian of disparity space, rescaled.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.prior import InitialPrior
+from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.layout import FX, FY
-from stereophd.core.motion.base import Motion
 from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
-from stereophd.core.single.first_order import center, inverse_depth_prior, project, ray, rotation, velocity_covariance
-from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, unseen_state
+from stereophd.core.single.gaussian import (
+    UNSEEN,
+    GaussianState,
+    center,
+    inverse_depth_prior,
+    linear_update,
+    project,
+    ray,
+    rotation,
+    unseen_state,
+    velocity_covariance,
+)
 
 
 @dataclass(frozen=True)
@@ -37,11 +43,7 @@ class InverseDepthState(GaussianState):
 
 @dataclass(frozen=True)
 class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
-    """The filter; see `SingleEstimator` for `rig`, `motion` and `prior`."""
-
-    rig: Rig
-    motion: Motion
-    prior: InitialPrior
+    """The filter; see `SingleEstimator` for its fields."""
 
     def init(self) -> InverseDepthState:
         """Return the state before the first detection."""

@@ -6,8 +6,6 @@ place in the world. Weights are logarithms, or plain numbers (``linear``). Plain
 prior are more than 38 standard deviations from a detection; the filter then keeps its earlier weights.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 
@@ -15,19 +13,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.prior import InitialPrior
+from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.resampling import SCHEMES
-from stereophd.core.single.base import (
-    SingleEstimate,
-    SingleEstimator,
-    SingleState,
-    first_density,
-)
+from stereophd.core.single.base import SingleEstimate, SingleEstimator, SingleState, first_density
 from stereophd.core.single.gaussian import states_in_world
 from stereophd.core.single.settings import ParticleSettings
 
@@ -117,9 +108,6 @@ def _moments(particles: Array, weights: Array) -> tuple[Array, Array]:
 class ParticleEstimator(SingleEstimator[ParticleState]):
     """The particle filter."""
 
-    rig: Rig
-    motion: Motion
-    prior: InitialPrior
     settings: ParticleSettings
     seed: int  # Seed of all random numbers: those of an event are drawn from the seed and the number of the event
 
@@ -162,7 +150,8 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         """Particles, weights and their logarithms at a time, resampled first if few particles carry the weight."""
         count = len(state.weights)
         dt = time_s - state.home_s
-        due = _effective(state.weights) < self.settings.resample_below * count
+        # the effective number of particles
+        due = 1.0 / np.dot(state.weights, state.weights) < self.settings.resample_below * count
         index = np.arange(count)
         weights, log_weights = state.weights, state.log_weights
         if due:
@@ -213,11 +202,6 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
             mean, covariance = transition.predict(mean, covariance)
             mode = transition.matrix @ mode + transition.drift
         return SingleEstimate(mean, mode, covariance)
-
-
-def _effective(weights: Array) -> float:
-    """Effective number of particles, 1 / sum of squared weights."""
-    return float(1.0 / np.dot(weights, weights))
 
 
 def _positive_normals(mean: float, std: float, count: int, rng: np.random.Generator) -> Array:

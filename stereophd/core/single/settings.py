@@ -30,20 +30,12 @@ class DisparityChoice:
 
     kind: Literal["disparity"] = parameter("the estimator", default="disparity")
 
-    def with_moments(self, moments: MomentsSettings) -> DisparitySettings:
-        """Return the settings of the estimator."""
-        return DisparitySettings(moments)
-
 
 @settings
 class RectifiedChoice:
     """The same for cameras that are rectified with one another (paper, Algorithm 1)."""
 
     kind: Literal["rectified"] = parameter("the estimator", default="rectified")
-
-    def with_moments(self, moments: MomentsSettings) -> DisparitySettings:
-        """Return the settings of the estimator."""
-        return DisparitySettings(moments, rectified=True)
 
 
 @settings
@@ -61,20 +53,12 @@ class ParticleSettings:
         "spread resampled particles by a Gaussian kernel of the optimal width (paper [37])", default=False
     )
 
-    def with_moments(self, moments: MomentsSettings) -> ParticleSettings:
-        """Return the settings of the estimator, which has particles instead of moments."""
-        return self
-
 
 @settings
 class InverseDepthSettings:
     """Extended Kalman filter on ray and inverse depth at the first camera (paper [7], [32])."""
 
     kind: Literal["inverse_depth"] = parameter("the estimator", default="inverse_depth")
-
-    def with_moments(self, moments: MomentsSettings) -> InverseDepthSettings:
-        """Return the settings of the estimator, which linearises."""
-        return self
 
 
 @settings
@@ -85,10 +69,6 @@ class CartesianSettings:
     rule: Literal["extended", "unscented"] = parameter(
         "how the observation is approximated: linearised, or by points", default="extended"
     )
-
-    def with_moments(self, moments: MomentsSettings) -> CartesianSettings:
-        """Return the settings of the estimator, which has a rule of its own."""
-        return self
 
 
 EstimatorSettings: TypeAlias = DisparitySettings | ParticleSettings | InverseDepthSettings | CartesianSettings

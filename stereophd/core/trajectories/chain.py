@@ -199,7 +199,7 @@ class Chain:
         known, pixels, jacobians, noises = self._measured
         measured = Measured(
             np.ascontiguousarray(known[::-1]), np.ascontiguousarray(pixels[::-1]),
-            np.ascontiguousarray(jacobians[::-1]), np.ascontiguousarray(noises[::-1]),
+            np.ascontiguousarray(jacobians[::-1]), np.ascontiguousarray(noises[::-1])
         )  # fmt: skip
         backward, _ = self._filtered(steps, measured, -1)
         return backward.states[::-1], backward.covariances[::-1]

@@ -4,8 +4,6 @@ The smoother is the form of Bryson and Frazier (1963), which inverts no covarian
 Reference: G. J. Bierman, "Fixed interval smoothing with discrete measurements", Int. J. Control 18 (1), 1973.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 

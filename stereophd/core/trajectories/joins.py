@@ -13,8 +13,6 @@ reports only one of the two counts as D. The probability of a pair is its margin
 pair that is more probable than not is joined.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import NamedTuple
 
@@ -65,7 +63,7 @@ def stitch(trajectories: Sequence[Trajectory], motion: Motion, max_gap_s: float)
         count = len(soon)
         means, spreads = predicted(
             motion, starts[soon] - end_s, np.tile(earlier.states[-1], (count, 1)),
-            np.tile(earlier.covariances[-1], (count, 1, 1)),
+            np.tile(earlier.covariances[-1], (count, 1, 1))
         )  # fmt: skip
         every = np.arange(count)
         squared = _squared((means, spreads), (states[soon], covariances[soon]), every, every, STITCH_DISTANCE)

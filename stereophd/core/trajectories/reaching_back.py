@@ -14,8 +14,6 @@ the events from m on, the factor of m without the miss (births are equally proba
 back to the events at which the object was more probable there than not.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 

@@ -33,7 +33,7 @@ class Trajectory:
         """Return a part of the track."""
         return Trajectory(
             self.track_id, self.events[places], self.times[places], self.states[places], self.covariances[places],
-            self.existence[places],
+            self.existence[places]
         )  # fmt: skip
 
 

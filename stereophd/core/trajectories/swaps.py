@@ -24,8 +24,6 @@ is repeated until nothing changes, for `ROUNDS` rounds at most. What was refused
 tracks has changed, and no group is longer than `MOST_CHANGES`: so the work grows with tracks times events.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -314,7 +312,7 @@ def _joined(before: Chain, place: int, after: Chain, since: int) -> Chain:
     trajectory = Trajectory(
         first.track_id, joined(first.events, last.events), joined(first.times, last.times),
         joined(first.states, last.states), joined(first.covariances, last.covariances),
-        joined(first.existence, last.existence),
+        joined(first.existence, last.existence)
     )  # fmt: skip
     return replace(before, trajectory=trajectory, detections=joined(before.detections, after.detections))
 

@@ -1,7 +1,5 @@
 """A kind of scenario: one run of it, and the bound that no method can beat."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager

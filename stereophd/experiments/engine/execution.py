@@ -1,7 +1,5 @@
 """Do all runs that are wanted and not there yet; a failed run is reported and tried again."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -92,7 +90,7 @@ def _work(ledger: _Ledger, store: PartStore, workers: Workers, progress: Progres
                 _take(ledger, store, result)
                 for outcome in result.outcomes:
                     if outcome.error is None:
-                        see(result.chunk.part.method, result.chunk.part.case, outcome.series)
+                        see(outcome.result.method, outcome.result.case, outcome.result.series)
                 if progress is not None:
                     progress(ledger.total - ledger.left, ledger.total)
         except WorkersLostError as error:
@@ -109,20 +107,19 @@ def _take(ledger: _Ledger, store: PartStore, result: ChunkResult) -> None:
     """Store the results of a chunk, report what failed, and do not repeat what fails again and again."""
     if result.version != stereophd.__version__:
         raise InputError(f"workers: expected stereophd {stereophd.__version__}, found {result.version}")
-    part = result.chunk.part
-    key = (part.method, part.case)
-    good = [outcome for outcome in result.outcomes if outcome.error is None]
+    good = [outcome.result for outcome in result.outcomes if outcome.error is None]
     if good:
-        store.add(result.chunk, good)
-        finished = {outcome.run for outcome in good}
-        ledger.missing[key] = [run for run in ledger.missing[key] if run not in finished]
+        store.add(good)
+        missing = ledger.missing[good[0].method, good[0].case]
+        missing[:] = sorted(set(missing) - {run.run for run in good})
     for outcome in result.outcomes:
         if outcome.error is None:
             continue
-        name = f"{part.method or 'bounds'}, {part.case}, run {outcome.run}"
+        method, case, run = key = outcome.result.method, outcome.result.case, outcome.result.run
+        name = f"{method or 'bounds'}, {case}, run {run}"
         if outcome.users:
             raise InputError(f"{name}: {outcome.error}")
-        count = ledger.failures[(*key, outcome.run)] = ledger.failures.get((*key, outcome.run), 0) + 1
+        count = ledger.failures[key] = ledger.failures.get(key, 0) + 1
         if count == ATTEMPTS:
             raise StereophdError(
                 f"{name}: failed {ATTEMPTS} times: {outcome.error}; finished runs are in {store.unfinished.folder}, "

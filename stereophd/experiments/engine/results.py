@@ -1,11 +1,9 @@
 """Results of an experiment: the summaries of every method in every case, gathered from runs, written and read."""
 
-from __future__ import annotations
-
 import json
 import logging
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +14,9 @@ from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series
-from stereophd.experiments.engine.parts import PartStore, RunResult, parquet_metadata
+from stereophd.experiments.engine.parts import PartStore, parquet_metadata
 from stereophd.experiments.engine.summary import Summary, summarise, with_windows
-from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part, cases_of
+from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part, RunResult, cases_of
 from stereophd.io.outputs.atomic import OutputFolder, output_folder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import from_metadata, provenance, to_metadata
@@ -27,6 +25,7 @@ from stereophd.io.tables.schemas import FLOAT, INTEGER, RUNS, STRING, SUMMARY
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 
+STATISTICS = ("mean", "std", "ci_low", "ci_high", "bound")
 RUNS_FILE, SUMMARY_FILE, TIMING_FILE = "runs.parquet", "summary.parquet", "timing.json"
 
 LOGGER = logging.getLogger("stereophd")
@@ -73,9 +72,7 @@ def gather_results(
         series = [with_windows(result.series, settings.windows) for result in done]
         summaries = summarise(series, bounds[part.case])
         cells.append(Cell(part.method, part.case, names[part.case], tuple(summaries)))
-        runs += [
-            RunResult(r.method, r.case, r.run, r.seed, tuple(s), r.cpu_s) for r, s in zip(done, series, strict=True)
-        ]
+        runs += [replace(result, series=tuple(of_run)) for result, of_run in zip(done, series, strict=True)]
         cpu.setdefault(part.method, []).extend(result.cpu_s for result in done)
     return Results(experiment_name(loaded), settings, tuple(cells), _timing(cpu)), runs
 
@@ -95,7 +92,7 @@ def report_of(results: Results) -> dict[str, Any]:
             "quantity": summary.quantity,
             "unit": summary.unit,
             "runs": int(summary.runs[0]),
-            **{name: float(getattr(summary, name)[0]) for name in ("mean", "std", "ci_low", "ci_high", "bound")},
+            **{name: float(getattr(summary, name)[0]) for name in STATISTICS},
         }
         for cell in results.cells
         for summary in cell.summaries
@@ -159,9 +156,6 @@ def is_finished(store: PartStore, loaded: LoadedConfig, resume: bool, force: boo
         LOGGER.info("%s: the experiment is finished: nothing to resume", out)
         return True
     return False
-
-
-STATISTICS = ("mean", "std", "ci_low", "ci_high", "bound")
 
 
 def columns_of(experiment: str, method: str, case: str, run: int, seed: int, series: Series) -> dict[str, Any]:

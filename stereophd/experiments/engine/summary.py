@@ -4,8 +4,6 @@ The interval of a mean is Student's, at 95 %. A root mean square R = sqrt(mean o
 the mean of e^2, through the root. The bound of a case is the same for every method.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 

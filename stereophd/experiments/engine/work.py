@@ -1,7 +1,5 @@
 """The plan of an experiment, and its unit of work: some runs of one method in one case, done by one process."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,6 +8,7 @@ from itertools import product
 import stereophd
 from stereophd.config.experiment import ExperimentConfig, Settings
 from stereophd.config.loading import LoadedConfig, variant
+from stereophd.core.numerics.random_streams import run_number
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series, find_kind, method_seconds
 from stereophd.pipeline.arithmetic import within_arithmetic
@@ -38,28 +37,37 @@ class Chunk:
 
 
 @dataclass(frozen=True)
-class RunOutcome:
-    """The outcome of one run: its series, or the error that ended it."""
+class RunResult:
+    """A run; without series where no bound is known, or it failed."""
 
+    method: str
+    case: str
     run: int
+    seed: int  # That of the table; 0 of bounds and of a run that gave nothing
     series: tuple[Series, ...]
+    cpu_s: float  # Processor time of the method, s
+
+
+@dataclass(frozen=True)
+class RunOutcome:
+    """A run, and the error that ended it, if there was one."""
+
+    result: RunResult
     error: str | None
     users: bool  # Whether the error is one of the configuration: the run would fail again
-    cpu_s: float  # Processor time of the method, s
 
 
 @dataclass(frozen=True)
 class ChunkResult:
     """Outcomes of a chunk, and the version of the package that made them."""
 
-    chunk: Chunk
     outcomes: tuple[RunOutcome, ...]
     version: str
 
 
 def run_chunk(chunk: Chunk) -> ChunkResult:
     """Do the runs of a chunk; an error of one run leaves the others."""
-    return ChunkResult(chunk, tuple(_run(chunk.part, run) for run in chunk.runs), stereophd.__version__)
+    return ChunkResult(tuple(_run(chunk.part, run) for run in chunk.runs), stereophd.__version__)
 
 
 def _run(part: Part, run: int) -> RunOutcome:
@@ -75,8 +83,9 @@ def _run(part: Part, run: int) -> RunOutcome:
         error, users = f"{type(failure).__name__}: {failure}", isinstance(failure, InputError)
         if users:
             error = str(failure)
-    whole = time.thread_time() - start
-    return RunOutcome(run, tuple(series), error, users, sum(seconds) if seconds else whole)
+    cpu_s = sum(seconds) if seconds else time.thread_time() - start
+    seed = run_number(part.config.config.seed, run) if series and run != BOUND_RUN else 0
+    return RunOutcome(RunResult(part.method, part.case, run, seed, tuple(series), cpu_s), error, users)
 
 
 def cases_of(settings: ExperimentConfig) -> list[tuple[str, tuple[str, ...], list[tuple[str, Settings]]]]:

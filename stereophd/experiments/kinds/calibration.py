@@ -4,8 +4,6 @@ Run k is the scene of run k of several runs of ``simulate``; the calibration beg
 ones are a draw from its prior, those of ``guess.yaml``. Errors are those of the estimate given the data up to a time.
 """
 
-from __future__ import annotations
-
 import math
 import tempfile
 from collections.abc import Sequence

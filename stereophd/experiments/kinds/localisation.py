@@ -1,7 +1,5 @@
 """A static object observed by one camera after another (paper VIII-A, Table II and Figure 10)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.config.experiment import LocalisationScenario

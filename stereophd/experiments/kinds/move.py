@@ -3,8 +3,6 @@
 The "bound" of a mean or covariance is its value in the reference.
 """
 
-from __future__ import annotations
-
 from functools import lru_cache
 
 import numpy as np

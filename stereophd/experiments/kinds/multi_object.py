@@ -4,8 +4,6 @@ Run k is the scene of run k of several runs of ``simulate``, tracked as ``track`
 without the files between.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -74,11 +72,7 @@ def scene_truth(scene: Scene) -> Truth:
 
 
 def filtered_points(
-    loaded: LoadedConfig,
-    cameras: Sequence[Camera],
-    frames: Sequence[Frame],
-    last: np.ndarray,
-    tentative: bool = False,
+    loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[Frame], last: np.ndarray, tentative: bool = False
 ) -> PointSets:
     """Track with the configuration's filter; return what it reports after the events `last`, also tentatively."""
     config = loaded.config
@@ -144,7 +138,7 @@ def _scores(loaded: LoadedConfig, times_s: Array, estimates: PointSets, truth: P
     for settings in scenario_of(loaded.config, MultiObjectScenario).ospa:
         mahalanobis = settings.base == "mahalanobis"
         scores = score_scans(estimates, truth, settings.order, settings.cutoff, mahalanobis=mahalanobis)
-        series.append(Series(settings.quantity, "1" if mahalanobis else unit, scores.ospa, times_s))
+        series.append(Series(settings.quantity, "1" if mahalanobis else unit, scores.ospa.distance, times_s))
     surplus = (estimates.counts - truth.counts).astype(np.float64)
     return [*series, Series("cardinality_bias", "1", surplus, times_s)]
 

@@ -5,8 +5,6 @@ the last view are scored: the number of points found, their accuracy relative to
 detections of each view to landmarks (one to one, of least squared Mahalanobis distance).
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -67,7 +65,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     start = count * np.arange(len(times) + 1)
     truth = PointSets(
         start, np.tile(views.positions, (len(times), 1)), np.zeros((count * len(times), 3)),
-        np.tile(views.labels, len(times)),
+        np.tile(views.labels, len(times))
     )  # fmt: skip
     scenario = scenario_of(loaded.config, StaticSceneScenario)
     scores = score_scans(points, truth, 2.0, scenario.cutoff)
@@ -76,7 +74,7 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     pairs = np.column_stack([scores.pair_estimate[last], scores.pair_truth[last] % max(count, 1)])
     bias = (points.counts - count).astype(np.float64)
     return [
-        Series("ospa", unit, scores.ospa, over),
+        Series("ospa", unit, scores.ospa.distance, over),
         Series("cardinality_bias", "1", bias, over),
         *_accuracy(points, views, pairs, unit),
         *_correspondence(points, views, pairs),

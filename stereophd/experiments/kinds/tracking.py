@@ -1,7 +1,5 @@
 """A moving object seen by all cameras at the same times (paper VIII-B, Figure 11)."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.config.experiment import TrackingScenario

@@ -4,8 +4,6 @@ The truth is the Gaussian of the same first two moments as a very large sample, 
 textbook. What a method loses is the Kullback-Leibler divergence of that Gaussian from its own.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,10 +123,7 @@ def compare_move(
     settings = MomentsSettings(method=method, samples=samples)
     moved = move(
         Sources(
-            case.mean[None],
-            case.covariance[None],
-            case.home.packed()[None],
-            case.motion.arrays(np.array([case.dt])),
+            case.mean[None], case.covariance[None], case.home.packed()[None], case.motion.arrays(np.array([case.dt]))
         ),
         case.destination.packed() if case.in_view else widened(case.destination.packed()),
         sample_sets(settings, case.motion, rng),

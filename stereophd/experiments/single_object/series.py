@@ -1,7 +1,5 @@
 """Shared parts of the scenarios of one object: the section they need, and errors and bounds as series."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.config.loading import LoadedConfig

@@ -15,7 +15,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
@@ -23,7 +22,7 @@ from stereophd.errors import InputError
 from stereophd.io.documents import check_instant
 from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, ImportOptions
 from stereophd.io.interchange.spool import FRAME, TIME, Spool, U, V, extra_columns, read_rows, spool_pieces
-from stereophd.io.tables.schemas import DETECTIONS, FLOAT, INTEGER
+from stereophd.io.logs.writing import log_schema
 from stereophd.io.tables.writing import TableWriter
 
 # A camera's log may grow by this factor and number when missing frames are filled in; more is a wrong column.
@@ -73,9 +72,7 @@ def write_native_log(
         order += sorted(name for name in spools if name not in recording.cameras)
         summaries = {name: CameraSummary() for name in order}
         cameras = [_Camera(name, spools[name], recording, options, summaries[name]) for name in order]
-        fields = [pa.field(name, INTEGER if name == "object_id" else FLOAT, nullable=True) for name in extra]
-        schema = pa.schema([*DETECTIONS, *fields])
-        with TableWriter(path, schema, metadata) as table:
+        with TableWriter(path, log_schema(extra), metadata) as table:
             for index, rows in _merged([camera.pieces() for camera in cameras]):
                 table.append(_columns(index, rows, order, extra))
     finally:

@@ -66,18 +66,23 @@ def is_left_handed(cameras: Sequence[Decomposed], points: Array | None) -> bool:
     the origin if they are parallel.
     """
     if points is None or not len(points):
-        points = _scene(cameras)
+        centers, axes = np.array([c.center for c in cameras]), np.array([c.rotation[2] for c in cameras])
+        scene = meeting_point(centers, axes, 1e3)
+        points = np.zeros((1, 3)) if scene is None else scene[None]
     behind = [float(np.median(np.sign(camera.depth(points)))) for camera in cameras]
     return sum(behind) < 0
 
 
-def _scene(cameras: Sequence[Decomposed]) -> Array:
-    across = [np.eye(3) - np.outer(camera.rotation[2], camera.rotation[2]) for camera in cameras]
-    total = np.sum(across, axis=0)
-    if np.linalg.cond(total) > 1e3:
-        return np.zeros((1, 3))
-    target = np.sum([a @ camera.center for a, camera in zip(across, cameras, strict=True)], axis=0)
-    return np.linalg.solve(total, target)[None]
+def meeting_point(centers: Array, axes: Array, parallel: float) -> Array | None:
+    """Return the point nearest to optical axes (k, 3) through centres (k, 3).
+
+    None where the condition number says that they are parallel.
+    """
+    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
+    total = across.sum(axis=0)
+    if len(centers) < 2 or np.linalg.cond(total) > parallel:
+        return None
+    return np.asarray(np.linalg.solve(total, np.einsum("kij,kj->i", across, centers)), dtype=np.float64)
 
 
 def triangulate(projections: Sequence[Array], pixels: Array) -> Array:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from stereophd.errors import InputError
-from stereophd.io.documents import MALFORMED, reason_of
+from stereophd.io.documents import expecting
 from stereophd.io.file_kinds import PARQUET, kind_of_file
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions, Piece
 from stereophd.io.interchange.registry import find, recognise_cameras
@@ -30,7 +30,7 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
                 f"{source}: expected a file of format {form}, found a Parquet file; a log needs no import (`stereophd "
                 "info` shows what a file holds)"
             )
-    with _malformed_is_input_error(form, sources):
+    with _reading(form, sources):
         recording = read(sources, options)
     if recording.pieces is not None:
         recording.pieces = _pieces(recording.pieces, form, sources)
@@ -39,10 +39,10 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
 
 def _pieces(pieces: Iterable[Piece], form: str, sources: Sequence[Path]) -> Iterator[Piece]:
     """Yield pieces; only errors of their reader are translated, not those of the consumer."""
-    with _malformed_is_input_error(form, sources):
+    with _reading(form, sources):
         iterator = iter(pieces)
     while True:
-        with _malformed_is_input_error(form, sources):
+        with _reading(form, sources):
             piece = next(iterator, None)
         if piece is None:
             return
@@ -50,20 +50,10 @@ def _pieces(pieces: Iterable[Piece], form: str, sources: Sequence[Path]) -> Iter
 
 
 @contextlib.contextmanager
-def _malformed_is_input_error(form: str, sources: Sequence[Path]) -> Iterator[None]:
-    try:
-        with np.errstate(all="ignore"):  # numbers are checked when they have arrived, whatever a reader makes of them
-            yield
-    except InputError:
-        raise
-    except RecursionError as error:
-        raise InputError(f"{_listed(sources)}: cannot be read as {form}: it is nested too deeply") from error
-    except MALFORMED as error:
-        raise InputError(f"{_listed(sources)}: cannot be read as {form}: {reason_of(error)}") from error
-
-
-def _listed(sources: Sequence[Path]) -> str:
-    return ", ".join(map(str, sources))
+def _reading(form: str, sources: Sequence[Path]) -> Iterator[None]:
+    # numbers are checked when they have arrived, whatever a reader makes of them
+    with np.errstate(all="ignore"), expecting(f"files of the format {form}", ", ".join(map(str, sources))):
+        yield
 
 
 def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tuple[str, ForeignRecording] | None:

@@ -6,7 +6,6 @@ import contextlib
 from pathlib import Path
 
 from stereophd.errors import InputError, nearest
-from stereophd.io.documents import MALFORMED
 from stereophd.io.interchange.base import Format
 from stereophd.plugins import import_member, module_names
 
@@ -38,11 +37,11 @@ def _suggestion(name: str, known: list[str]) -> str:
 
 def recognise_cameras(path: Path) -> str | None:
     """Return the name of the format of a foreign camera file, by its content, or None if there is none."""
-    return next((name for name in names() if _recognises(find(name), path)), None)
+    return next((name for name in names() if recognises(find(name), path)), None)
 
 
-def _recognises(form: Format, path: Path) -> bool:
+def recognises(form: Format, path: Path) -> bool:
     """Whether a file is of a format; one that its reader cannot parse is not."""
-    with contextlib.suppress(*MALFORMED, OSError):  # InputError is among them
+    with contextlib.suppress(Exception):
         return form.recognises_cameras is not None and form.recognises_cameras(path)
     return False

@@ -44,7 +44,7 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
     Raises InputError when it is not a table of tracks, or the chosen identities are not in it.
     """
     kinds = {name: TRACKS.field(name).type for name in COLUMNS}
-    wanted = None if options.tracks is None else np.asarray(list(options.tracks), dtype=np.int64)
+    wanted = None if options.tracks is None else [track for track in options.tracks if abs(track) < 1 << 63]
     seen: set[int] = set()
     with open_parquet(path, "table of tracks") as parquet:
         present = check_columns(parquet.schema_arrow, kinds, OPTIONAL, path)
@@ -71,7 +71,7 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
                 seen.update(np.unique(rows["track_id"]).tolist())
                 if len(rows["time_s"]):
                     yield rows
-    if wanted is not None and (missing := set(wanted.tolist()) - seen):
+    if wanted is not None and (missing := set(options.tracks or ()) - seen):
         raise InputError(f"{path}: expected the tracks {sorted(missing)}, found none of that identity")
 
 
@@ -119,6 +119,8 @@ def on_grid(path: Path, options: ExportOptions) -> tuple[float, Array, dict[int,
     every = np.unique(np.concatenate([time for time, _ in tracks.values()]))
     if options.rate_hz is not None:
         rate = options.rate_hz
+        if not 0 < rate < np.inf:
+            raise InputError(f"rate: expected a rate above 0, found {rate:g} Hz")
         first, last = np.ceil(every[0] * rate - REGULAR), np.floor(every[-1] * rate + REGULAR)
         _check_count(last - first, path)
         times = (np.arange(first, last + 1) + 0.0) / rate

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
@@ -106,7 +105,7 @@ def _two_columns(columns: Mapping[str, pa.Array], first: str, second: str) -> Ar
 
 def _camera_index(column: pa.Array, cameras: Mapping[str, int]) -> Integers:
     """Return each row's index of the camera, -1 if null or unknown."""
-    encoded = pc.dictionary_encode(column)
+    encoded = column.dictionary_encode()
     index = np.array([cameras.get(name, -1) for name in encoded.dictionary.to_pylist()] + [-1])
     codes = values_of(encoded.indices, np.int32, len(index) - 1)
     cameras_of_rows: Integers = index[codes]

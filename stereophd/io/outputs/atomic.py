@@ -59,6 +59,8 @@ def atomic_write(path: Path | str, replace: bool = True) -> Iterator[Path]:
     it, or it is there already and must not be replaced.
     """
     target = Path(path)
+    if not replace and os.path.lexists(target):
+        raise _exists(target)
     temporary: Path | None = None
     descriptor: int | None = None
     try:
@@ -94,7 +96,11 @@ def _put(temporary: Path, target: Path) -> None:
         if not os.path.lexists(target):
             os.replace(temporary, target)
             return
-    raise InputError(f"{target}: the file exists; use `force=True` to replace it")
+    raise _exists(target)
+
+
+def _exists(target: Path) -> InputError:
+    return InputError(f"{target}: the file exists; use `force=True` to replace it")
 
 
 def _matches(relative: Path, names: Iterable[str]) -> bool:

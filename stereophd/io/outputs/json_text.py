@@ -8,6 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from stereophd.errors import InputError
+
 
 def json_text(value: Any, ascii_only: bool = False) -> str:
     """Return a value as indented JSON; NaN and infinity become null, arrays become lists."""
@@ -17,6 +19,24 @@ def json_text(value: Any, ascii_only: bool = False) -> str:
 def write_json(path: Path | str, value: Any) -> None:
     """Write a value as JSON, in UTF-8."""
     Path(path).write_text(json_text(value) + "\n", encoding="utf-8")
+
+
+def read_report(path: Path) -> dict[str, Any] | None:
+    """Return the report in a file, which names its provenance; None if there is no file.
+
+    Raises InputError when it cannot be read, or is no report of stereophd.
+    """
+    try:
+        document = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        return None
+    except RecursionError:
+        raise InputError(f"{path}: expected a report of stereophd, found JSON nested too deeply") from None
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: cannot be read: {error}") from error
+    if not isinstance(document, dict) or not isinstance(document.get("provenance"), dict):
+        raise InputError(f"{path}: expected a report of stereophd, found none of its keys")
+    return document
 
 
 def plain(value: Any) -> Any:

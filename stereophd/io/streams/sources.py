@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Literal, cast
 
 from stereophd.errors import InputError
+from stereophd.io.streams.mcap import MARK, read_mcap
 from stereophd.io.streams.messages import Message, messages_of_rows, parse_line
 
 # Longest time between two looks at a source, s.
@@ -86,11 +87,11 @@ def _arrow(stream: Any, name: str) -> Arrivals:
 
 
 def follow(path: Path) -> Arrivals:
-    """Yield the frames of a file of JSON lines or an Arrow stream that grows, or of a folder of Parquet parts.
+    """Yield the frames of JSON lines or an Arrow stream that grows, of an MCAP file, or of a folder of Parquet parts.
 
     A folder is read in the order of the names of its files; a part must come into it whole (written elsewhere and
-    renamed). A file or folder is followed until an interrupt. Raises InputError when it is not there, or holds
-    something else.
+    renamed). A file or folder is followed until an interrupt, an MCAP file read to its end. Raises InputError when it
+    is not there, or holds something else.
     """
     if path.is_dir():
         return _parts(path)
@@ -100,6 +101,9 @@ def follow(path: Path) -> Arrivals:
         raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     head = stream.read(4)
     stream.seek(0)
+    if head == MARK[:4]:
+        stream.close()
+        return read_mcap(path)
     if head == _ARROW_HEAD:
         return _arrow(io.BufferedReader(_Growing(stream)), str(path))
     return _lines(_growing_chunks(stream), str(path))

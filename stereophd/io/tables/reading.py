@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
@@ -191,6 +192,15 @@ def read_pieces(
         yield from parquet.iter_batches(batch_size=rows or ROW_GROUP_ROWS, columns=columns, use_threads=False)
 
 
+def finite_column(table: pa.Table, name: str, path: Path | str) -> NDArray[np.float64]:
+    """Return a column of a whole table as numbers; InputError, with its row, where one is none."""
+    values: NDArray[np.float64] = np.array(table[name], dtype=np.float64)
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise InputError(f"{path}: row {bad[0]}: column {name}: expected a finite number, found {values[bad[0]]}")
+    return values
+
+
 def arrays_of(table: pa.Table | pa.RecordBatch) -> dict[str, NDArray[Any]]:
     """Return the columns of a table as arrays; those of lists of n numbers are (rows, n)."""
     arrays = {}
@@ -198,7 +208,7 @@ def arrays_of(table: pa.Table | pa.RecordBatch) -> dict[str, NDArray[Any]]:
         column = column.combine_chunks() if isinstance(column, pa.ChunkedArray) else column
         lists = pa.types.is_fixed_size_list(column.type)
         values = (column.flatten() if lists else column).to_numpy(zero_copy_only=False)
-        arrays[name] = values.reshape(len(column), -1) if lists else values
+        arrays[name] = values.reshape(len(column), column.type.list_size) if lists else values
     return arrays
 
 
@@ -213,7 +223,7 @@ def read_table(
     Narrower numbers are widened, any kind of text becomes a string, and other columns are not read. Returns the
     required columns in their order, then the optional ones that are there; the file's key-value metadata are its
     ``schema.metadata``. Raises InputError when the table is not there, not Parquet, or damaged, or a column is missing,
-    of another type, or (required) with nulls.
+    of another type, or (required) with nulls; or a required ``time_s`` is not finite.
     """
     optional = optional or {}
     with open_parquet(path, what) as parquet:
@@ -244,6 +254,8 @@ def checked_table(
         for field in fields:
             if pa.types.is_string(field.type):
                 check_texts(table.column(field.name), field.name, path)
+        if "time_s" in required:
+            finite_column(table, "time_s", path)
         return table
     except pa.ArrowException as error:
         raise InputError(f"{path}: {_first_line(error)}") from error

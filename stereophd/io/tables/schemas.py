@@ -25,10 +25,6 @@ VELOCITY = {"vx": FLOAT, "vy": FLOAT, "vz": FLOAT}
 
 #: One row a detection; a frame without detections is one row with null u_px, v_px.
 DETECTIONS = _schema({**KEY, "u_px": FLOAT, "v_px": FLOAT}, nullable=("u_px", "v_px"))
-#: Optional column of a detection log: the true object (-1 clutter); null in a row without detection.
-OBJECT_ID = pa.field("object_id", INTEGER, nullable=True)
-#: Optional columns of a detection log: the box, whose middle u_px, v_px is; null in a row without detection.
-BOX = tuple(pa.field(name, FLOAT, nullable=True) for name in ("width_px", "height_px"))
 #: One row a true object and time.
 TRUTH = _schema({"time_s": FLOAT, "object_id": INTEGER, **POSITION, **VELOCITY})
 #: One row a reported object and event; the covariance is 6x6, row-major, in the world frame; status is one of the two.

@@ -10,7 +10,7 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, Self
 
 import numpy as np
 import pyarrow as pa
@@ -66,9 +66,9 @@ def _with_nulls(value: Any, rows: int) -> tuple[NDArray[Any], NDArray[np.bool_]]
         items = [None] * rows if value is None else value
         nulls = np.array([item is None for item in items], dtype=bool)
         value = np.array([0 if item is None else item for item in items])
-    elif isinstance(value, np.ma.MaskedArray):
-        nulls = np.ma.getmaskarray(value)
-    return np.broadcast_to(np.asarray(np.ma.getdata(value)), rows), nulls
+    elif hasattr(value, "mask"):  # a masked array: `numpy.ma` is costly to import
+        nulls, value = np.broadcast_to(value.mask, rows), value.data
+    return np.broadcast_to(np.asarray(value), rows), nulls
 
 
 def _buffered(values: NDArray[Any], kind: pa.DataType, nulls: NDArray[np.bool_] | None = None) -> pa.Array:
@@ -192,7 +192,7 @@ class TableWriter:
             with contextlib.suppress(OSError):
                 stream.close()
 
-    def __enter__(self) -> TableWriter:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(

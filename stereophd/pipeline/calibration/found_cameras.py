@@ -52,9 +52,9 @@ class FoundCameras:
     """What was found where poses or clocks are unknown: the rig, or the reason why there is none."""
 
     names: tuple[str, ...]  # of the cameras that were unknown
-    rig: RigHypothesis | None
+    rig: RigHypothesis | None  # not adjusted where it is doubted
     others: tuple[RigHypothesis, ...]  # with the next optimum of the pair that is least sure
-    reason: str
+    reason: str  # why nothing was found that is believed; empty if something was
     has_scale: bool
     intervals: dict[str, float]  # of each camera, s
 
@@ -81,20 +81,19 @@ class FoundCameras:
         return out
 
     def outcome_of_none(self, problem: CalibrationProblem) -> Outcome | None:
-        """Return the outcome where no cameras were found; None where some were."""
-        if self.rig is not None:
+        """Return the outcome where no cameras were found that are believed; None where some were."""
+        if not self.reason:
             return None
         size = problem.parameters.size
         nan = np.full((size, size), np.nan)
         return Outcome(problem.parameters, nan[0], nan, np.empty((0, size)), np.empty(0), (), self.reason)
 
     def judged(self, problem: CalibrationProblem, outcome: Outcome) -> Outcome:
-        """Return an outcome with the doubts of the search, and what is known too badly to be called determined."""
+        """Return an outcome with the report of the search, and what is known too badly to be called determined."""
         details = {**outcome.details, "found_from_nothing": self.report()}
-        if outcome.reason or self.rig is None:
+        if outcome.reason:
             return replace(outcome, details=details)
-        doubts = [*self.rig.doubts, *self._left_open(problem, outcome)]
-        return replace(outcome, doubt=outcome.doubt or "; ".join(doubts), details=details)
+        return replace(outcome, doubt=outcome.doubt or "; ".join(self._left_open(problem, outcome)), details=details)
 
     def _left_open(self, problem: CalibrationProblem, outcome: Outcome) -> list[str]:
         """Values whose absolute deviations are too large."""
@@ -164,10 +163,9 @@ def with_found_cameras(
         if np.count_nonzero(recording.cameras == number) > 1
     }
     rig = _in_frame(loaded, section, discovery.rigs[0]) if discovery.rigs else None
-    found = FoundCameras(
-        names, rig, discovery.rigs[1:], discovery.reason, not isinstance(section.scale, NoScale), intervals
-    )
-    if rig is None:
+    reason = discovery.reason if rig is None else "; ".join(rig.doubts)
+    found = FoundCameras(names, rig, discovery.rigs[1:], reason, not isinstance(section.scale, NoScale), intervals)
+    if rig is None or reason:
         return _placed(loaded, cameras, section), found
     placed = _placed(loaded, rig.cameras, section, _priors(loaded, section, views, rig, intervals))
     if found.has_scale:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal
@@ -14,16 +13,13 @@ from stereophd.errors import GateError, InputError
 Side = Literal["above", "below"]
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Limits of figures by dotted key, such as ``{"ospa.mean": 0.8}``."""
+#: Limits of figures by dotted key, such as ``{"ospa.mean": 0.8}``, of each side: a figure beyond its limit fails.
+Limits = Mapping[Side, Mapping[str, float]]
 
-    above: Mapping[str, float] = field(default_factory=dict)  # A figure above its limit fails
-    below: Mapping[str, float] = field(default_factory=dict)  # A figure below its limit fails
 
-    def sides(self) -> tuple[tuple[Side, Mapping[str, float]], ...]:
-        """Return the limits of each side."""
-        return ("above", self.above), ("below", self.below)
+def limits_of(above: Mapping[str, float] | None, below: Mapping[str, float] | None) -> Limits:
+    """Return the limits that options state."""
+    return {"above": above or {}, "below": below or {}}
 
 
 def figures_by_key(figures: Mapping[str, Any]) -> dict[str, float | None]:
@@ -40,7 +36,7 @@ def figures_by_key(figures: Mapping[str, Any]) -> dict[str, float | None]:
 def check_limits(limits: Limits, figures: Mapping[str, Any]) -> None:
     """Raise InputError for a limit that is not a number, or of something that is not a figure of the run."""
     known = figures_by_key(figures)
-    for side, chosen in limits.sides():
+    for side, chosen in limits.items():
         for key, limit in chosen.items():
             if key not in known:
                 near = get_close_matches(key, known, n=1, cutoff=0.0)[0]
@@ -53,7 +49,7 @@ def gates(limits: Limits, figures: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return a record of every limit: ``name, value, limit, fails, passed``; a figure that is null fails."""
     values = figures_by_key(figures)
     found = []
-    for side, chosen in limits.sides():
+    for side, chosen in limits.items():
         for name, limit in chosen.items():
             value = values[name]
             passed = value is not None and (value <= limit if side == "above" else value >= limit)

@@ -16,11 +16,11 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.events import EventKeys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import Events, Truth
-from stereophd.core.metrics.truth.visibility import Sightings
+from stereophd.core.metrics.truth.scored import Sightings
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
 from stereophd.io.outputs.provenance import from_metadata, length_unit
-from stereophd.io.tables.reading import check_columns, open_parquet, read_pieces, read_table
+from stereophd.io.tables.reading import check_columns, finite_column, open_parquet, read_pieces, read_table
 from stereophd.io.tables.schemas import (
     CAMERAS_PART,
     CONFIRMED,
@@ -113,7 +113,7 @@ def read_truth(path: Path) -> tuple[Truth, str | None]:
     given = [name for name in VELOCITY if name in table.column_names]
     if given and len(given) < len(VELOCITY):
         raise InputError(f"{path}: expected all or none of the columns vx, vy, vz, found {', '.join(given)}")
-    time_s, object_id = _finite(table, "time_s", path), _integers(table, "object_id")
+    time_s, object_id = finite_column(table, "time_s", path), _integers(table, "object_id")
     position = _vectors(table, POSITION, path)
     velocity = _vectors(table, VELOCITY, path) if given else None
     order = np.lexsort((time_s, object_id))
@@ -140,7 +140,7 @@ def read_sightings(path: Path, cameras: Sequence[Camera] | None) -> Sightings:
         raise InputError(f"{path}: missing column u_px; expected a detection log")
     # A null pixel is an empty frame, which is not a sighting.
     table = table.filter(pc.is_valid(table["u_px"]))
-    time_s = _finite(table, "time_s", path)
+    time_s = finite_column(table, "time_s", path)
     camera, names = _names(table)
     if cameras is not None:
         clocks = {one.name: one.clock for one in cameras}
@@ -174,7 +174,7 @@ def cameras_of_record(record: Mapping[str, Any] | None) -> list[Camera] | None:
 
 def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> EventKeys:
     """Return the keys of the rows; `cameras` numbers the names, and grows by new ones."""
-    time_s = _finite(table, "time_s", path)
+    time_s = finite_column(table, "time_s", path)
     backwards = np.flatnonzero(np.diff(time_s) < 0)
     if backwards.size:
         row = int(backwards[0]) + 1
@@ -233,16 +233,8 @@ def _names(table: pa.Table) -> tuple[Integers, list[str]]:
     return np.asarray(encoded.indices, dtype=np.int64), encoded.dictionary.to_pylist()
 
 
-def _finite(table: pa.Table, name: str, path: Path) -> Array:
-    values = np.array(table[name], dtype=np.float64)
-    bad = np.flatnonzero(~np.isfinite(values))
-    if bad.size:
-        raise InputError(f"{path}: row {bad[0]}: column {name}: expected a finite number, found {values[bad[0]]}")
-    return values
-
-
 def _vectors(table: pa.Table, names: Mapping[str, Any], path: Path) -> Array:
-    return np.stack([_finite(table, name, path) for name in names], axis=1)
+    return np.stack([finite_column(table, name, path) for name in names], axis=1)
 
 
 def _position_covariances(path: Path, name: str) -> Array:

@@ -12,7 +12,7 @@ import numpy as np
 from stereophd.core.geometry.pose import rotation_to_vector
 from stereophd.core.metrics.truth.interpolation import Truth, in_window
 from stereophd.core.metrics.truth.registration import Freedom, Registration, register
-from stereophd.core.metrics.truth.visibility import Sightings
+from stereophd.core.metrics.truth.scored import Sightings
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks
 from stereophd.pipeline.evaluation.options import ScoreOptions

@@ -25,9 +25,14 @@ from stereophd.core.metrics.truth.interpolation import (
     in_window,
     last_event_of_each_time,
 )
-from stereophd.core.metrics.truth.places import leave_out_outside, on_plane
 from stereophd.core.metrics.truth.registration import Registration
-from stereophd.core.metrics.truth.visibility import Sightings, cameras_that_saw, leave_out_unseen
+from stereophd.core.metrics.truth.scored import (
+    Sightings,
+    cameras_that_saw,
+    leave_out_outside,
+    leave_out_unseen,
+    on_plane,
+)
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks
 from stereophd.pipeline.evaluation.options import ScoreOptions

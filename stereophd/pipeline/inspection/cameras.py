@@ -13,6 +13,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import Pose
 from stereophd.io.cameras.models import CameraConfig
+from stereophd.io.interchange.projection import meeting_point
 
 # Optical axes whose directions all lie this close together have no point that they look at, condition number.
 PARALLEL = 1e4
@@ -26,7 +27,7 @@ def summarise_cameras(cameras: Mapping[str, CameraConfig], length_unit: str) -> 
     centers = np.array([row["center"] for row in rows.values()])
     axes = np.array([row["looks_along"] for row in rows.values()])
     distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)[np.triu_indices(len(centers), 1)]
-    target = meeting_point(centers, axes)
+    target = meeting_point(centers, axes, PARALLEL)
     return {
         "length_unit": length_unit,
         "distances": {"nearest": float(distances.min()), "farthest": float(distances.max())}
@@ -84,15 +85,6 @@ def _trajectory(pose: Pose) -> dict[str, Any] | None:
         "longest_gap_s": float(np.diff(poses[:, 0]).max()),
         "length": float(steps.sum()),
     }
-
-
-def meeting_point(centers: Array, axes: Array) -> Array | None:
-    """Return the point nearest to all optical axes, or None where they are parallel."""
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    total = across.sum(axis=0)
-    if len(centers) < 2 or np.linalg.cond(total) > PARALLEL:
-        return None
-    return np.asarray(np.linalg.solve(total, np.einsum("kij,kj->i", across, centers)), dtype=np.float64)
 
 
 def _distance_rms(centers: Array, axes: Array, point: Array) -> float:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow.compute as pc
 from numpy.typing import NDArray
@@ -15,11 +15,14 @@ from numpy.typing import NDArray
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.outputs.commit import refuse_unsettled
+from stereophd.io.outputs.json_text import read_report
 from stereophd.io.outputs.provenance import file_sha256
 from stereophd.io.tables.reading import arrays_of, open_parquet, read_table
 from stereophd.io.tables.schemas import ASSOCIATIONS, CONFIRMED, FLOAT, INTEGER, SCANS, TRACKS, kinds_of
 from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
+from stereophd.pipeline.inspection.shapes import SHAPES
 from stereophd.pipeline.inspection.tables import kind_of
 
 Columns = Mapping[str, NDArray[Any]]
@@ -29,12 +32,6 @@ SCORES = dict.fromkeys(("time_s", "ospa", "ospa_localisation", "ospa_cardinality
 COUNTS = dict.fromkeys(("n_truth", "n_estimates", "n_matched"), INTEGER)
 
 REPORT = "report.json"
-# What a report page takes from the origin of a run, and from the report by command: keys that must be there.
-RECORD = ("config", "inputs", "seed")
-SHOWN = {
-    "evaluate": ("ospa", "gospa", "rmse", "nees", "identity_switches"),
-    "calibrate": ("parameters", "status"),
-}
 
 
 @dataclass(frozen=True)
@@ -151,23 +148,10 @@ def _read_folder(folder: Path, found: _Found) -> None:
 
 
 def _report(path: Path) -> dict[str, Any] | None:
-    try:
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if (document := read_report(path)) is None:
         return None
-    except RecursionError:
-        raise InputError(f"{path}: expected a report of stereophd, found JSON nested too deeply") from None
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: cannot be read: {error}") from error
-    if not isinstance(document, dict) or not isinstance(document.get("provenance"), dict):
-        raise InputError(f"{path}: expected a report of stereophd, found none of its keys")
-    record = document["provenance"]
-    command = record.get("command")
-    missing = [f"provenance.{key}" for key in RECORD if key not in record]
-    missing += [f"provenance.{key}" for key in ("config", "inputs") if not isinstance(record.get(key, {}), dict)]
-    missing += [key for key in SHOWN.get(command if isinstance(command, str) else "", ()) if key not in document]
-    if missing:
-        raise InputError(f"{path}: {missing[0]}: expected this key of a report of {command}, found none")
+    with expecting("a report of stereophd", path):
+        msgspec.convert(document, SHAPES.get(str(document["provenance"].get("command")), dict))
     return document
 
 

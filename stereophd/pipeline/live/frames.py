@@ -69,7 +69,8 @@ class FrameChecks:
         pixels, limits = message.pixels, self._sizes[camera] - 0.5 + self._margin
         if not ((pixels >= -0.5 - self._margin) & (pixels <= limits)).all():
             return False
-        return len(set(map(tuple, pixels.tolist()))) == len(pixels)
+        ordered = np.sort(pixels.view(np.complex128), axis=0)  # by u, then by v
+        return not (ordered[1:] == ordered[:-1]).any()
 
     def _good(self, message: Message, camera: int, sigma: Array | None, sizes: Array | None, where: str) -> Booleans:
         """Return which detections of a frame, or whether one without any, can be used; count the others, or raise."""

@@ -2,26 +2,19 @@
 
 from __future__ import annotations
 
-import functools
 import heapq
 import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-import pyarrow as pa
+from typing import TYPE_CHECKING
 
 from stereophd.io.logs.rows import OPTIONAL
+from stereophd.io.logs.writing import LogWriter
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.streams.messages import Message, parse_line
-from stereophd.io.tables.schemas import DETECTIONS
-from stereophd.io.tables.writing import TableWriter
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
-
-# Optional columns of a log, as the filters read them.
-FIELDS = {name: pa.field(name, kind, nullable=True) for name, kind in OPTIONAL.items()}
 
 
 def write_log(loaded: LoadedConfig, recording: Path, log: Path) -> None:
@@ -31,20 +24,9 @@ def write_log(loaded: LoadedConfig, recording: Path, log: Path) -> None:
     InputError if a line is no frame; a last line that a killed run left incomplete is passed over.
     """
     columns = _columns_of(recording)
-    schema = functools.reduce(lambda schema, name: schema.append(FIELDS[name]), columns, DETECTIONS)
-    with TableWriter(log, schema, to_metadata(provenance("track", loaded.record))) as table:
+    with LogWriter(log, to_metadata(provenance("track", loaded.record)), columns) as table:
         for message in _in_order(loaded, read_recording(recording)):
-            row: dict[str, Any] = {"time_s": message.time_s, "camera": message.camera, "frame": message.frame}
-            empty = not len(message.pixels)
-            row |= (
-                {"u_px": [None], "v_px": [None]}
-                if empty
-                else {"u_px": message.pixels[:, 0], "v_px": message.pixels[:, 1]}
-            )
-            for name in columns:
-                values = message.columns.get(name)
-                row[name] = [None] * max(len(message.pixels), 1) if values is None or empty else values
-            table.append(row)
+            table.write(message.time_s, message.camera, message.frame, message.pixels, message.columns)
 
 
 def read_recording(recording: Path) -> Iterator[Message]:
@@ -58,7 +40,7 @@ def read_recording(recording: Path) -> Iterator[Message]:
 def _columns_of(recording: Path) -> list[str]:
     """Return the optional columns that some frame has, in the order of the schema."""
     present = {name for message in read_recording(recording) for name in message.columns}
-    return [name for name in FIELDS if name in present]
+    return [name for name in OPTIONAL if name in present]
 
 
 def _in_order(loaded: LoadedConfig, messages: Iterable[Message]) -> Iterator[Message]:

@@ -8,6 +8,7 @@ Memory is bounded by the span, and a frame older than that is too late.
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +16,16 @@ from typing import Any
 
 from stereophd.core.disparity.events import Event
 from stereophd.pipeline.tracking.knocked import KnockTest
-from stereophd.pipeline.tracking.loop import Attribution, Estimator, Record, ReportTimes, RunState, finish, work_event
+from stereophd.pipeline.tracking.loop import (
+    Attribution,
+    Estimator,
+    Record,
+    ReportTimes,
+    RunState,
+    finish,
+    forecasts,
+    work_event,
+)
 
 
 @dataclass(frozen=True)
@@ -36,6 +46,8 @@ class RewindingRun:
         self._run: RunState[Any] = RunState(estimator.init())
         self._steps: list[Step] = []
         self._settled: tuple[float, int, int] | None = None
+        #: Until when `forecasts` has predicted, s.
+        self.forecast_s = -math.inf
 
     def is_too_late(self, event: Event) -> bool:
         """Whether an event comes before one whose state is no longer kept."""
@@ -64,6 +76,15 @@ class RewindingRun:
         """Go on with an estimator whose cameras have other poses; cameras may be knocked again."""
         self._estimator = estimator
         self._run.knocks = KnockTest()
+
+    def forecasts(self, until_s: float) -> Iterator[Record]:
+        """Yield predictions to the times of the grid before `until_s`; they come again, exact, with the next event."""
+        grid_s, from_s = self._times.grid_s, max(self.forecast_s, self._run.forecast_from_s)
+        if grid_s is None or self._run.last is None or math.floor(until_s / grid_s) <= math.floor(from_s / grid_s):
+            return
+        run, self.forecast_s = copy_of(self._run), until_s
+        run.forecast_from_s = from_s
+        yield from forecasts(self._estimator, run, self._times, until_s)
 
     def finish(self) -> Iterator[Record]:
         """Yield what is reported after the last event."""

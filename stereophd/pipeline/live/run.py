@@ -94,6 +94,7 @@ class LiveRun:
         self._run = RewindingRun(estimator, times, settings.span_s)
         self._waiting: list[tuple[float, int, int, Frame, float]] = []
         self._newest = np.full(len(self._cameras), -np.inf)
+        self._newest_arrived_s, self._on_grid = 0.0, times.grid_s is not None
         self._passed_over: set[int] = set()
 
     @property
@@ -121,14 +122,25 @@ class LiveRun:
                 self._take(message, f"{source}: frame {message.frame} of camera {message.camera} (message {number})")
             # while messages come, only their own times count: a backlog is no wait
             yield from self._release(-np.inf if message is not None else time.perf_counter())
+            if self._on_grid and message is None:
+                yield from self._predict()
         yield from self._release(np.inf)
         now = time.perf_counter()
         yield from (LiveRecord(record, False, now) for record in self._run.finish())
+
+    def _predict(self) -> Iterator[LiveRecord]:
+        """Yield predictions to the times of a grid that have come: now is as long after the newest frame as it came."""
+        newest_s, now = float(self._newest.max()), time.perf_counter()
+        if math.isfinite(newest_s):
+            for record in self._run.forecasts(newest_s + min(now - self._newest_arrived_s, self._settings.span_s)):
+                yield LiveRecord(record, False, now)
 
     def _take(self, message: Message, where: str) -> None:
         frame = self._checks.frame(message, where)
         if frame is not None:
             self._keep(message)
+            if frame.time_s > self._newest.max():
+                self._newest_arrived_s = message.arrived_s
             self._newest[frame.camera] = max(self._newest[frame.camera], frame.time_s)
             heapq.heappush(self._waiting, (frame.time_s, frame.camera, frame.frame, frame, message.arrived_s))
 
@@ -160,7 +172,8 @@ class LiveRun:
         self.counts.revised += len(steps) - 1
         for place, step in enumerate(steps):
             for record in step.records:
-                yield LiveRecord(record, place > 0, arrived_s)
+                is_revised = place > 0 or (not record.is_event and record.time_s < self._run.forecast_s)
+                yield LiveRecord(record, is_revised, arrived_s)
 
 
 def warm_up_messages(cameras: Sequence[Camera]) -> Iterator[Message]:

@@ -3,11 +3,11 @@
 At a look, the confirmed tracks are predicted into the image. For each track and each of a set of *turns* of the camera
 (to any side by 0.15 to 12 degrees, about its axis, or nearer), the likelihood of the frame is compared with that
 without a turn. A detection is any one of the track's neighbours, or false, or missed: nothing is gated, so a turn of a
-hundred standard deviations is as visible as one of three. The log-likelihood ratios of a track add up to a CUSUM, which
-never falls below 0. Without a knock it exceeds c with a probability of at most exp(-c) (Wald), and the sum over T
-tracks has the tail of a gamma distribution of shape T. A camera is knocked when the sum is beyond the quantile that is
-exceeded once in `FALSE_ALARM_S` by chance, over all looks, turns and cameras. A single track adds no more than its
-share, so a wrong track alone is no knock.
+hundred standard deviations is as visible as one of three. The log-likelihood ratios of the tracks add up to one of the
+frame, and those of the frames to a CUSUM for each turn, which never falls below 0. Without a knock a CUSUM exceeds c
+with a probability of at most exp(-c) (Wald). A camera is knocked when one is beyond the value that is exceeded once in
+`FALSE_ALARM_S` by chance, over all looks, turns and cameras. In a frame a track speaks for a turn no louder than the
+others can bear, and half of the tracks, two at least, must speak for it: a wrong track is no knock.
 
 A small steady misfit of lens, pose or motion is no knock either: the spread of the residuals, which follows their
 median within a minute, widens all likelihoods. Objects that move as one, such as the corners of a board, may be off
@@ -17,7 +17,6 @@ together: the ratios are divided by the factor by which the sum of their residua
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cache
 
@@ -37,12 +36,12 @@ LOOK_S, MOST_TRACKS, FEWEST_TRACKS = 0.1, 10, 2
 MOST_PAIRS = 20_000
 # Age from which a track counts, s: a new one may be wrong.
 LEAST_AGE_S = 1.0
-# Tracks that were not looked at for this long count no more, s.
+# After so long without a look the sums begin anew, s.
 FORGET_S = 5.0
 # Part of the threshold from which a camera may be the one that was knocked, if another is beyond it.
 SUSPICIOUS = 0.4
-# Part of the tracks that must agree, if it is more than the fewest.
-AGREEING = 0.5
+# Part of the tracks that must agree, if it is more than the fewest; most that one adds in a look, in thresholds.
+AGREEING, LOUDEST = 0.5, 0.25
 # A frame whose median squared residual is below this, in variances, is passed over while no CUSUM is above 0.
 CALM = 3.0
 # Factor of the variances in the test: an object may turn or brake harder than the motion model leads to expect.
@@ -68,15 +67,6 @@ class Knock:
 
 
 @dataclass(frozen=True)
-class TrackSums:
-    """CUSUMs of one track in one camera, one for each turn (h,), and since when each is above 0, s."""
-
-    seen_s: float
-    sums: Array
-    since_s: Array
-
-
-@dataclass(frozen=True)
 class SuspectedTurn:
     """A sum of CUSUMs that is large, but may still be chance."""
 
@@ -93,7 +83,8 @@ class CameraLooks:
     looks: int = 0
     spread: float = 1.0  # Factor of the variances
     coherence: float = 1.0  # Factor of the variance of the sum of the residuals of a frame
-    tracks: dict[int, TrackSums] = field(default_factory=dict)
+    sums: Array | None = None  # CUSUM of each turn (h,); None: all are 0
+    since_s: Array | None = None  # Since when each is above 0, s
     suspicion: SuspectedTurn | None = None
 
 
@@ -137,32 +128,24 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     ids, points, noise, residuals, squares = (
         ids[chosen], points[chosen], noise[chosen], residuals[chosen, nearest], squares[chosen, nearest]
     )  # fmt: skip
-    tracks = {track: sums for track, sums in known.tracks.items() if sums.seen_s >= event.time_s - FORGET_S}
-    if tracks or np.median(squares) > CALM * known.spread:
-        most = _threshold(len(cameras), max(len(ids), len(tracks))).share
+    sums, rising_s = (None, None) if event.time_s > known.looked_s + FORGET_S else (known.sums, known.since_s)
+    threshold = _threshold(len(cameras))
+    if sums is not None or np.median(squares) > CALM * known.spread:
         turns, p_detect = all_turns(), camera.detector.p_detect
         ratios = turn_ratios(
             points, noise * (MISFIT * known.spread), detections, (camera.fx, camera.fy, camera.cx, camera.cy),
             (turns.shifts, turns.linear, turns.spread), max(1.0 - p_detect, MISSED),
             p_detect * camera.width * camera.height / len(event.points),
         )  # fmt: skip
-        # neighbours hide together, and a turn may bring others into their places: those speak against it
-        ratios = np.where(ratios.sum(axis=0) > 0.0, ratios, np.minimum(ratios, 0.0)) / known.coherence
-        for track, ratio in zip(ids.tolist(), ratios, strict=True):
-            old = tracks.get(track)
-            sums = np.zeros(len(ratio)) if old is None else old.sums
-            since = np.where(sums > 0.0, math.inf if old is None else old.since_s, event.time_s)
-            tracks[track] = TrackSums(event.time_s, np.clip(sums + ratio, 0.0, most), since)
-        if not any(sums.sums.any() for sums in tracks.values()):
-            tracks = {}
+        sums, rising_s = _added(sums, rising_s, ratios, known.coherence, threshold, event.time_s)
     spread = _followed(known.spread, squares / known.spread, known.looks)
     good = squares < TAKEN * known.spread
     mean, variance = residuals[good].sum(axis=0), noise[good].sum(axis=0) * known.spread
     together = np.array([mean @ np.linalg.solve(variance, mean)]) if good.any() else np.empty(0)
     coherence = _followed(known.coherence, together / known.coherence, known.looks)
-    looks = CameraLooks(event.time_s, known.looks + 1, spread, coherence, tracks)
-    ratio, suspicion = _suspicion(tracks, len(cameras), event.time_s, known.suspicion)
-    test = replace(test, cameras={**test.cameras, name: replace(looks, suspicion=suspicion)})
+    ratio, suspicion = _suspicion(sums, rising_s, threshold, event.time_s, known.suspicion)
+    looks = CameraLooks(event.time_s, known.looks + 1, spread, coherence, sums, rising_s, suspicion)
+    test = replace(test, cameras={**test.cameras, name: looks})
     if known.looks < FIRST_LOOKS or ratio < 1.0:
         return test, None
     # the tracks follow a camera that is wrong, and then others seem to be: it was the first
@@ -180,19 +163,38 @@ def _followed(factor: float, squares: Array, looks: int) -> float:
     return max(factor * math.exp(min(max(step, -FIRST_RATE), FIRST_RATE)), 1.0)
 
 
+def _added(
+    sums: Array | None, since_s: Array | None, ratios: Array, coherence: float, threshold: float, time_s: float
+) -> tuple[Array | None, Array | None]:
+    """Return CUSUMs, and since when they are above 0, with the ratios (n, h) of the tracks of a look."""
+    loud = np.minimum(ratios, LOUDEST * threshold)
+    agreeing = (ratios > 0.0).sum(axis=0) >= max(FEWEST_TRACKS, AGREEING * len(ratios))
+    # neighbours hide together, and a turn may bring others into their places: those speak against it
+    total = np.where(agreeing, loud.sum(axis=0), np.minimum(ratios, 0.0).sum(axis=0)) / coherence
+    before = np.zeros(len(total)) if sums is None else sums
+    after = np.maximum(before + total, 0.0)
+    if not after.any():
+        return None, None
+    return after, np.where(before > 0.0, time_s if since_s is None else since_s, time_s)
+
+
 def _suspicion(
-    tracks: Mapping[int, TrackSums], cameras: int, time_s: float, before: SuspectedTurn | None
+    sums: Array | None, since_s: Array | None, threshold: float, time_s: float, before: SuspectedTurn | None
 ) -> tuple[float, SuspectedTurn | None]:
-    """Return how far the sum of the CUSUMs has come, in thresholds, and whether the camera is suspected."""
-    if len(tracks) < FEWEST_TRACKS:
+    """Return how far the largest CUSUM has come, in thresholds, and whether the camera is suspected."""
+    if sums is None or since_s is None:
         return 0.0, before if before is not None and time_s < before.first_s + FORGET_S else None
-    total = np.sum([track.sums for track in tracks.values()], axis=0)
-    turn = int(total.argmax())
-    ratio = float(total[turn]) / _threshold(cameras, len(tracks)).total
+    turn = int(sums.argmax())
+    ratio = float(sums[turn]) / threshold
     if ratio < SUSPICIOUS:
         return ratio, before if ratio > 0.5 * SUSPICIOUS else None
-    since_s = float(np.median([track.since_s[turn] for track in tracks.values() if track.sums[turn] > 0.0]))
-    return ratio, SuspectedTurn(time_s if before is None else before.first_s, since_s, turn)
+    return ratio, SuspectedTurn(time_s if before is None else before.first_s, float(since_s[turn]), turn)
+
+
+@cache
+def _threshold(cameras: int) -> float:
+    """CUSUM that is exceeded once in `FALSE_ALARM_S` in so many cameras."""
+    return math.log(cameras * len(all_turns().spread) * FALSE_ALARM_S / LOOK_S)
 
 
 def _predict(camera: Camera, before: Estimates, elapsed_s: float) -> tuple[Integers, Array, Array] | None:
@@ -216,22 +218,3 @@ def _predict(camera: Camera, before: Estimates, elapsed_s: float) -> tuple[Integ
     order = np.argsort(np.trace(spread, axis1=1, axis2=2), kind="stable")
     points = scale * local[:, :2] + (camera.cx, camera.cy)
     return before.track_ids[seen[order]], np.asarray(points[order]), np.asarray(spread[order])
-
-
-@dataclass(frozen=True)
-class _Threshold:
-    total: float  # Of the sum over the tracks
-    share: float  # Of one track
-
-
-@cache
-def _threshold(cameras: int, tracks: int) -> _Threshold:
-    """Sum of the CUSUMs of tracks that is exceeded once in `FALSE_ALARM_S` in so many cameras, by bisection."""
-    chance = LOOK_S / (FALSE_ALARM_S * cameras * len(all_turns().spread))
-    low, high = 0.0, 50.0 + 5.0 * tracks
-    for _ in range(60):
-        middle = 0.5 * (low + high)
-        terms = np.cumsum(np.log(middle / np.arange(1.0, tracks))) if tracks > 1 else np.empty(0)
-        tail = math.exp(-middle) * (1.0 + float(np.exp(terms).sum()))
-        low, high = (middle, high) if tail > chance else (low, middle)
-    return _Threshold(high, high / max(FEWEST_TRACKS - 0.5, AGREEING * tracks))

@@ -151,8 +151,11 @@ class Attribution:
     def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, dict[str, int]]:
         """Count the labels that an event of a camera detected; return what falls to the reported tracks."""
         for label in detected.tolist():
-            counts = self.pending.setdefault(label, {})
-            counts[camera] = counts.get(camera, 0) + 1
+            counts = self.pending.get(label)
+            if counts is None:
+                self.pending[label] = {camera: 1}
+            else:
+                counts[camera] = counts.get(camera, 0) + 1
         tracks = zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True)
         return {track_id: self.pending.pop(label) for track_id, label in tracks if label in self.pending}
 
@@ -202,7 +205,7 @@ def work_event(
     """Work one event of `run_estimator`: yield the predictions before it, and its own record."""
     cameras = estimator.rig.cameras
     if times.grid_s is not None:
-        yield from _forecasts(estimator, run, times, event.time_s - same_time(event.time_s))
+        yield from forecasts(estimator, run, times, event.time_s - same_time(event.time_s))
     name = cameras[event.camera].name
     knock = None
     if run.last is not None:
@@ -229,7 +232,7 @@ def work_event(
 def finish(estimator: Estimator[State], run: RunState[State], times: ReportTimes) -> Iterator[Record]:
     """Yield the predictions of `run_estimator` after the last event."""
     if times.grid_s is not None and run.last is not None:
-        yield from _forecasts(estimator, run, times, run.last.time_s + same_time(run.last.time_s))
+        yield from forecasts(estimator, run, times, run.last.time_s + same_time(run.last.time_s))
 
 
 def _supported(estimates: Estimates, run: RunState[State], cameras: int) -> Estimates:
@@ -247,7 +250,7 @@ def _supported(estimates: Estimates, run: RunState[State], cameras: int) -> Esti
     return replace(estimates, tentative=tentative.take(kept) if kept.any() else None)
 
 
-def _forecasts(
+def forecasts(
     estimator: Estimator[State], run: RunState[State], times: ReportTimes, until_s: float
 ) -> Iterator[Record]:
     """Yield objects after the last event at grid times before `until_s`; InputError if too many have an object."""

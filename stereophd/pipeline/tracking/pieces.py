@@ -10,7 +10,6 @@ A piece is finished when its whole file is there; what a piece holds does not de
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -21,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig
-from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.trajectories.joins import PROBABLE, join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
@@ -32,6 +30,7 @@ from stereophd.pipeline.stream import EventStream, open_log
 from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.piece_plan import LogPiece
 from stereophd.pipeline.tracking.run import build_tracking
+from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
 from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.tracking.unfinished import RecordFile, RecordPart, read_records
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
@@ -94,13 +93,14 @@ def track_piece(work: PieceWork, piece: LogPiece, tick: Progress | None = None) 
     reader = open_log(config.input, work.cameras, work.log, piece.begin_s)
     # without what the records of other pieces decide
     tracking = replace(tracking, report=config.report.model_copy(update={"min_track_length": 0.0}))
-    stream = _PieceStream(work.cameras, reader, tick, piece.begin_s, piece.end_s)
+    # what is left out in the overlaps is counted by the pieces whose they are
+    stream = EventStream(work.cameras, reader, tick, piece.begin_s, piece.end_s, (piece.from_s, piece.to_s))
     count, kept = 0, RecordFile(work.unfinished.grow(_name(piece)))
     run = RunState(_numbered(tracking.estimator.init(), piece.events_before))
-    for record in tracking.records(stream.of(piece), run=run):
+    for record in tracking.records(stream, run=run):
         kept.add(record)
         count += 1
-    work.unfinished.write(_name(piece), PieceDone(kept.flush(), kept.parts, stream.left_out))
+    work.unfinished.write(_name(piece), PieceDone(kept.flush(), kept.parts, stream.not_invertible))
     kept.close()
     return count
 
@@ -115,24 +115,6 @@ def _numbered(state: Any, events: int) -> Any:
         return replace(state, estimator=replace(state.estimator, n_events=events))
     # a filter that draws no samples counts no events
     return replace(state, n_events=events) if hasattr(state, "n_events") else state
-
-
-class _PieceStream(EventStream):
-    """Counts what is left out in the span of the piece: the overlaps are those of others."""
-
-    span = (-math.inf, math.inf)
-    left_out = 0
-
-    def of(self, piece: LogPiece) -> _PieceStream:
-        """Set the span."""
-        self.span = piece.from_s, piece.to_s
-        return self
-
-    def __iter__(self) -> Iterator[Event]:
-        for event in super().__iter__():
-            if self.span[0] <= event.time_s < self.span[1]:
-                self.left_out += event.not_invertible
-            yield event
 
 
 def _done(work: PieceWork, piece: LogPiece) -> PieceDone | None:
@@ -162,6 +144,11 @@ class JoinedPieces:
                 names = self._names(self.pieces[piece.number - 1], piece, names)
             for record in self._records(piece, piece.from_s, piece.to_s):
                 yield record if self.one_object else self._renamed(record, names, piece.number == 0)
+
+    def lasting_records(self) -> Iterator[Record]:
+        """Yield the records without tracks shorter than ``report.min_track_length``."""
+        least = self.work.loaded.config.report.min_track_length
+        return lasting(self.records(), least) if least > 0.0 else self.records()
 
     @property
     def not_invertible(self) -> int:

@@ -56,10 +56,7 @@ class TrackingRun:
     boxes: bool = False  # Whether detections are boxes, and tracks have a height and a width
 
     def records(
-        self,
-        stream: EventStream,
-        kept: UnfinishedTracking | None = None,
-        run: RunState[Any] | None = None,
+        self, stream: EventStream, kept: UnfinishedTracking | None = None, run: RunState[Any] | None = None
     ) -> Iterator[Record]:
         """Yield the records of a log, smoothed if the configuration states it; see `reported_records`."""
         single = isinstance(self.estimator, SingleTracker)
@@ -97,6 +94,32 @@ class TrackingRun:
             started, priors, lambda used: build_labelled_filter(config, used, path, self.threads), stretches(stream)
         )
         return replace(build_tracking(self.loaded, self.threads, cameras), detectors=detectors)
+
+    def write(
+        self, records: Iterable[Record], out: OutputFolder, metadata: Mapping[bytes, bytes],
+        kept: UnfinishedTracking | None = None, uncertainty: CameraUncertainty | None = None,
+    ) -> dict[str, Any]:  # fmt: skip
+        """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
+
+        With `kept` that keeps tables and gives the `records`, the tables begin with those of a killed run. The
+        covariances count the `uncertainty` of the cameras. Returns the figures of the run for ``report.json``.
+        """
+        columns = (*(EXTENTS if self.boxes else ()), *(STD if self.report.std_columns else ()))
+        columns += () if uncertainty is None else (CAMERAS_PART,)
+        schema = functools.reduce(lambda schema, column: schema.append(column), columns, TRACKS)
+        with contextlib.ExitStack() as files:
+
+            def table(name: str, schema: pa.Schema) -> TableWriter:
+                make = TableWriter if kept is None or kept.keeps_records else kept.table
+                return files.enter_context(make(out.path(name), schema, metadata))
+
+            third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if self.report.associations else None
+            tables = Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third)
+            figures = None if kept is None else kept.figures
+            writer = RecordWriter(tables, self.cameras, self.report, figures, uncertainty)
+            for record in records:
+                writer.add(record)
+        return writer.summary()
 
 
 def reported_records(
@@ -187,38 +210,3 @@ def estimated_cameras(loaded: LoadedConfig) -> list[str]:
     """Return the names of the cameras whose detectors are to be estimated from the log."""
     everything = loaded.config.detector == "estimate"
     return [name for name, camera in loaded.cameras.items() if camera.detector.estimate or everything]
-
-
-def write_tracks(
-    records: Iterable[Record],
-    out: OutputFolder,
-    metadata: Mapping[bytes, bytes],
-    cameras: Sequence[Camera],
-    report: ReportConfig,
-    kept: UnfinishedTracking | None = None,
-    extents: bool = False,
-    uncertainty: CameraUncertainty | None = None,
-) -> dict[str, Any]:
-    """Write ``tracks.parquet``, ``scans.parquet`` and, with ``report.associations``, ``associations.parquet``.
-
-    With `extents` the tracks are those of bodies. With `kept` that keeps tables and gives the `records`, the tables
-    begin with those of a killed run. The covariances count the `uncertainty` of the cameras. Returns the figures of the
-    run for ``report.json``.
-    """
-    columns = (*(EXTENTS if extents else ()), *(STD if report.std_columns else ()))
-    columns += () if uncertainty is None else (CAMERAS_PART,)
-    schema = functools.reduce(lambda schema, column: schema.append(column), columns, TRACKS)
-    with contextlib.ExitStack() as files:
-
-        def table(name: str, schema: pa.Schema) -> TableWriter:
-            make = TableWriter if kept is None or kept.keeps_records else kept.table
-            return files.enter_context(make(out.path(name), schema, metadata))
-
-        third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if report.associations else None
-        writer = RecordWriter(
-            Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third),
-            cameras, report, None if kept is None else kept.figures, uncertainty,
-        )  # fmt: skip
-        for record in records:
-            writer.add(record)
-    return writer.summary()

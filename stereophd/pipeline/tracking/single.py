@@ -19,7 +19,13 @@ from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.numerics.random_streams import SINGLE_ESTIMATOR
 from stereophd.core.single.base import AnyEstimator, SingleEstimate, SingleState
 from stereophd.core.single.build import build_estimator
-from stereophd.core.single.settings import EstimatorSettings, SingleSettings
+from stereophd.core.single.settings import (
+    DisparityChoice,
+    DisparitySettings,
+    EstimatorSettings,
+    RectifiedChoice,
+    SingleSettings,
+)
 from stereophd.errors import InputError
 from stereophd.pipeline.stream import EventStream
 
@@ -31,7 +37,10 @@ NOTHING = Estimates(TRACK[:0], np.empty((0, 6)), np.empty((0, 6, 6)), np.empty(0
 def estimator_settings(config: Config) -> EstimatorSettings:
     """Return the settings of the single-object estimator that a configuration (``filter.kind: single``) names."""
     assert isinstance(config.filter, SingleSettings)
-    return config.filter.estimator.with_moments(config.moments)
+    choice = config.filter.estimator
+    if isinstance(choice, DisparityChoice | RectifiedChoice):
+        return DisparitySettings(config.moments, rectified=choice.kind == "rectified")
+    return choice
 
 
 def build_single(config: Config, motion: Motion, cameras: tuple[Camera, ...], path: Path | str) -> AnyEstimator:

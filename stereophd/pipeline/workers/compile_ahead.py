@@ -14,6 +14,8 @@ from collections.abc import Iterator
 
 from stereophd.core.numerics.compilation.kernel_cache import is_kept, place_to_keep
 from stereophd.core.numerics.compilation.trusted_folders import make_folder
+from stereophd.errors import InputError
+from stereophd.io.outputs.locks import lock_file
 
 # Longest wait for the process at the end of a run, s.
 _PATIENCE_S = 5.0
@@ -66,25 +68,10 @@ def main(kind: str, parent: int) -> None:
     place = place_to_keep()
     if place is None:
         return
-    with contextlib.suppress(OSError):
-        if not make_folder(place):
-            return
-        with open(place / f"compiling-{kind}.lock", "w") as lock:
-            if _locked(lock.fileno()):
-                prepare_last_first(kind)
-
-
-def _locked(descriptor: int) -> bool:
-    """Whether no other process has locked a file; it is locked from now on where the system has locks."""
-    try:
-        import fcntl
-
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except ImportError:
-        return True
-    except OSError:
-        return False
-    return True
+    with contextlib.suppress(OSError, InputError):  # InputError: another process has the lock
+        if make_folder(place):
+            lock_file(place / f"compiling-{kind}.lock", f"kernels of {kind}", "wait")
+            prepare_last_first(kind)
 
 
 if __name__ == "__main__":

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, Protocol, TypeVar
@@ -68,6 +67,8 @@ class Cores:
 
     def __call__(self, function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> Iterator[Result]:
         """Do the calls."""
+        from concurrent.futures.process import BrokenProcessPool  # costly to import
+
         try:
             yield from on_processes(function, arguments, self.count, ordered=False)
         except BrokenProcessPool as error:

@@ -10,10 +10,11 @@ from __future__ import annotations
 import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from itertools import islice
 from queue import SimpleQueue
-from typing import Any, Generic, TypeVar
+from typing import Any, TypeVar
 
 from stereophd.pipeline.workers.worker_process import WorkerProcess
 
@@ -26,88 +27,49 @@ def on_processes(
 ) -> Generator[Result]:
     """Call a function of a module for each argument, on several processes (-1: as many as cores); yield the results.
 
-    They come in the order of the arguments, or as they are ready. No more calls are begun ahead than there are
-    processes: what is not needed any more, when the iterator is closed, is not begun. Raises BrokenProcessPool when a
-    process died.
+    They come in the order of the arguments, or as they are ready. A thread for each process waits for its call, and
+    only as many calls are taken ahead: what is not needed any more, when the iterator is closed, is not begun. Raises
+    BrokenProcessPool when a process died.
     """
     from joblib import cpu_count, effective_n_jobs
 
-    calls = _Calls(function, arguments)
-    first = calls.first(effective_n_jobs(jobs))
+    numbered = enumerate(arguments)
+    first = list(islice(numbered, effective_n_jobs(jobs)))
+    if not first:
+        return
     workers: list[WorkerProcess] = []
-    threads: list[threading.Thread] = []
+    idle: SimpleQueue[WorkerProcess] = SimpleQueue()
+
+    def call(argument: Argument) -> Any:
+        worker = idle.get()
+        try:
+            return worker.call(function, argument)
+        finally:
+            idle.put(worker)
+
+    pool = ThreadPoolExecutor(len(first))
     try:
         with _without_interrupts():
             workers.extend(WorkerProcess(max(cpu_count() // len(first), 1)) for _ in first)
-        for worker, call in zip(workers, first, strict=True):
-            threads.append(threading.Thread(target=calls.feed, args=(worker, call), daemon=True))
-            threads[-1].start()
-        results = calls.results(len(workers))
-        yield from _in_order(results) if ordered else (result for _, result in results)
+        for worker in workers:
+            idle.put(worker)
+        # one call more for each worker waits for it
+        pending = {pool.submit(call, one): number for number, one in [*first, *islice(numbered, len(first))]}
+        ready: dict[int, Result] = {}
+        following = 0
+        while pending:
+            for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                ready[pending.pop(future)] = future.result()
+                pending |= {pool.submit(call, one): number for number, one in islice(numbered, 1)}
+            while ready and (following in ready or not ordered):
+                yield ready.pop(following if ordered else next(iter(ready)))
+                following += 1
     finally:
-        calls.stop()
         for worker in workers:
             worker.kill()
-        for thread in threads:
-            thread.join()
+        pool.shutdown(cancel_futures=True)
         for worker in workers:
             worker.close()
-
-
-class _Calls(Generic[Argument, Result]):
-    """The calls that are left, and the results that have come from all workers."""
-
-    def __init__(self, function: Callable[[Argument], Result], arguments: Iterable[Argument]) -> None:
-        self._function = function
-        self._left = iter(enumerate(arguments))
-        self._next = threading.Lock()
-        self._stopped = False
-        # number of a call, its result, and the error of a worker or None; None alone: a worker has nothing left to do
-        self._come: SimpleQueue[tuple[int, Any, BaseException | None] | None] = SimpleQueue()
-
-    def first(self, count: int) -> list[tuple[int, Argument]]:
-        """Take up to that many calls."""
-        return list(islice(self._left, count))
-
-    def feed(self, worker: WorkerProcess, call: tuple[int, Argument] | None) -> None:
-        """Let a worker do one call after the other until none is left. Each worker has a thread for this."""
-        try:
-            while call is not None:
-                number, argument = call
-                self._come.put((number, worker.call(self._function, argument), None))
-                with self._next:
-                    call = None if self._stopped else next(self._left, None)
-        except BaseException as error:  # raised where the results are taken
-            self._come.put((-1, None, error))
-        else:
-            self._come.put(None)
-
-    def results(self, workers: int) -> Iterator[tuple[int, Result]]:
-        """Yield numbers of calls and their results, until that many workers have nothing left to do."""
-        while workers:
-            come = self._come.get()
-            if come is None:
-                workers -= 1
-                continue
-            number, result, error = come
-            if error is not None:
-                raise error
-            yield number, result
-
-    def stop(self) -> None:
-        """Begin no more calls."""
-        with self._next:
-            self._stopped = True
-
-
-def _in_order(results: Iterator[tuple[int, Result]]) -> Iterator[Result]:
-    waiting: dict[int, Result] = {}
-    following = 0
-    for number, result in results:
-        waiting[number] = result
-        while following in waiting:
-            yield waiting.pop(following)
-            following += 1
 
 
 @contextmanager

@@ -16,7 +16,7 @@ from stereophd.errors import InputError
 from stereophd.io.outputs.json_text import plain
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.data import run_data
-from stereophd.report.summaries import number, run_tables, share, tracking_part, verdict
+from stereophd.report.summaries import fit_totals, number, run_tables, share, tracking_part, verdict
 from stereophd.report.tables import SummaryTable
 
 # Tracks that the page lists, a page of the table at a time.
@@ -94,18 +94,15 @@ def _figures(run: Run) -> Iterator[str | None]:
     tracking = tracking_part(run.report)
     config, unit = run.provenance["config"], run.length_unit
     score = None if run.evaluation is None else run.evaluation.report
-    cameras = (tracking.get("cameras") or {}).values()
-    detections = sum(camera["detections"] for camera in cameras)
-    residuals = sum(camera["residuals"] for camera in cameras)
-    squares = sum(camera["residuals"] * (camera["residual_rms_px"] or 0.0) ** 2 for camera in cameras)
+    totals = fit_totals(tracking)
     yield run.command
     yield None if run.provenance["seed"] is None else str(run.provenance["seed"])
     yield (config.get("filter") or {}).get("kind")
     yield str(len(tracking["tracks"])) if "tracks" in tracking else None
     yield str(tracking["estimates"]) if "estimates" in tracking else None
-    yield str(detections) if cameras else None
-    yield share(sum(camera["explained_detections"] for camera in cameras) / detections) if detections else None
-    yield f"{number((squares / residuals) ** 0.5, 2)} px" if residuals else None
+    yield str(totals.detections) if tracking.get("cameras") else None
+    yield None if totals.explained is None else share(totals.explained)
+    yield None if totals.residual_px is None else f"{number(totals.residual_px, 2)} px"
     yield f"{tracking['log_likelihood']:.1f}" if "log_likelihood" in tracking else None
     yield str(sum(c["status"] == "warning" for c in run.report["checks"])) if "checks" in run.report else None
     yield f"{number(score['ospa']['mean'])} {unit}" if score else None

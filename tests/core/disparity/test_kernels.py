@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.disparity import linear_move, sample_move, trips
+from stereophd.core.disparity import rule_move, sample_move, trips
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.numerics.linear_algebra import cholesky, condition
@@ -293,30 +293,27 @@ def test_linear_move_is_the_jacobian_of_the_trip(kind: str, dt: float, max_speed
     motion = ConstantVelocity(ACCELERATION, None if max_speed == np.inf else max_speed)
     mean = state_in(source, WORLD)
     covariance = random_covariance(np.random.default_rng(9), [4.0, 3.0, 0.3, 2.0, 2.0, 0.05])
-    # the scaling of a speed above the limit is taken at the mean
-    speed = np.linalg.norm(WORLD[3:])
-    slow = min(1.0, max_speed / speed)
 
     def trip(states: np.ndarray) -> np.ndarray:
-        world = source.to_world(states) * ([1.0] * 3 + [slow] * 3)
+        world = limit_speed(source.to_world(states), max_speed)
         return destination.from_world(world @ motion.transition(dt)[0].T)
 
     steps = 1e-5 * np.sqrt(np.diag(covariance))
     jacobian = (trip(mean + np.diag(steps)) - trip(mean - np.diag(steps))).T / (2.0 * steps)
-    moved = source.to_world(mean[None]) * ([1.0] * 3 + [slow] * 3) @ motion.transition(dt)[0].T
+    moved = limit_speed(source.to_world(mean[None]), max_speed) @ motion.transition(dt)[0].T
     h = 1e-4 * np.eye(6)
     landing = (destination.from_world(moved + h) - destination.from_world(moved - h)).T / 2e-4
     expected = jacobian @ covariance @ jacobian.T + landing @ motion.transition(dt)[1] @ landing.T
 
-    found_mean, found = np.empty(6), np.empty((6, 6))
+    found_means, found = np.empty((1, 6)), np.empty((1, 6, 6))
     axes = destination.camera.pose.rotation * ACCELERATION
-    linear_move.linear_move(
-        mean, np.linalg.cholesky(covariance), axes, source.packed(), destination.packed(),
-        motion.arrays(np.array([dt])), 0, found_mean, found,
+    rule_move.linear_components(
+        mean[None], covariance[None], source.packed()[None], motion.arrays(np.array([dt])), axes, destination.packed(),
+        found_means, found,
     )  # fmt: skip
-    np.testing.assert_allclose(found_mean, destination.from_world(moved)[0], rtol=1e-10)
+    np.testing.assert_allclose(found_means, destination.from_world(moved), rtol=1e-10)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    np.testing.assert_allclose(found / scale, expected / scale, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found[0] / scale, expected / scale, rtol=0, atol=1e-6)
 
 
 def test_limit_speed_oracle() -> None:

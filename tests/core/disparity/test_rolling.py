@@ -15,7 +15,7 @@ from stereophd.core.disparity.rolling import turned_to_frame
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
-from stereophd.core.multi.births.birth import birth_moments
+from stereophd.core.multi.births.undetected import birth_moments
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from tests.core.disparity.cases import LENSES, make_camera, make_space
 

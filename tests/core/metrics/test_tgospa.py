@@ -65,7 +65,7 @@ def test_without_a_cost_of_switches_it_is_gospa() -> None:
 
     scores = score_scans(estimates, truth, 2.0, 2.0, mahalanobis=False)
     found = distance(tracks, objects, 1e-9)
-    assert found.mean(2.0) ** 2 == pytest.approx(np.mean(scores.gospa**2))
+    assert found.mean(2.0) ** 2 == pytest.approx(np.mean(scores.gospa.distance**2))
 
 
 @pytest.mark.parametrize(("seed", "switch_cost", "expected"), EXPECTED)

@@ -14,7 +14,7 @@ from scipy.stats import multivariate_normal
 from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.multi.association.likelihoods import REACH_SIGMAS, kalman_updates, pair_likelihoods
-from stereophd.core.multi.births.birth import birth_moments
+from stereophd.core.multi.births.undetected import birth_moments
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from tests.core.disparity.cases import LENSES, make_camera, make_space
 from tests.core.multi.association.test_likelihoods import pairs_of

@@ -403,10 +403,10 @@ class TestBadLog:
 
 def test_writer_and_reader_agree(tmp_path: Path, cameras: list[Camera]) -> None:
     pixels = np.array([[1.5, 2.5], [3.5, 4.5]])
-    with LogWriter(tmp_path / "log.parquet", {b"length_unit": b"cm"}, object_id=True) as writer:
-        writer.write(0.0, "left", 0, pixels, np.array([3, -1]))
-        writer.write(0.0, "right", 0, np.empty((0, 2)), np.empty(0, int))
-        writer.write(1.0, "left", 1, np.array([[1.0, 1.0], [2.0, 2.0]]), np.array([5, 5]))
+    with LogWriter(tmp_path / "log.parquet", {b"length_unit": b"cm"}, ["object_id"]) as writer:
+        writer.write(0.0, "left", 0, pixels, {"object_id": np.array([3, -1])})
+        writer.write(0.0, "right", 0, np.empty((0, 2)))
+        writer.write(1.0, "left", 1, np.array([[1.0, 1.0], [2.0, 2.0]]), {"object_id": np.array([5, 5])})
     reader = LogReader(tmp_path / "log.parquet", cameras)
     frames = list(reader)
     assert [plain(f) for f in frames] == [
@@ -417,14 +417,6 @@ def test_writer_and_reader_agree(tmp_path: Path, cameras: list[Camera]) -> None:
     assert [f.object_id.tolist() for f in frames if f.object_id is not None] == [[3, -1], [], [5, 5]]
     assert reader.metadata[b"length_unit"] == b"cm"
     assert reader.num_rows == 5
-
-
-def test_object_ids_are_required_where_announced(tmp_path: Path) -> None:
-    with (
-        LogWriter(tmp_path / "log.parquet", object_id=True) as writer,
-        pytest.raises(ValueError, match="object_id"),
-    ):
-        writer.write(0.0, "left", 0, np.zeros((1, 2)))
 
 
 @pytest.mark.parametrize(("head", "offset", "words"), [(3, 300.0, "found 300 before"), (3, -300.0, None)])

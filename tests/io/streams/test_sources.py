@@ -15,6 +15,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from stereophd.errors import InputError
+from stereophd.io.streams.documents import Checkpoint, RecordDocument
+from stereophd.io.streams.mcap import McapRows
 from stereophd.io.streams.messages import Message
 from stereophd.io.streams.sources import Arrivals, follow, from_stream, listen
 
@@ -126,3 +128,33 @@ def test_a_source_that_is_none_is_refused(tmp_path: Path) -> None:
     pytest.importorskip("zmq")
     with pytest.raises(InputError, match="expected an address such as tcp"):
         listen("nowhere")
+
+
+def test_frames_and_rows_are_mcap(tmp_path: Path) -> None:
+    writer = pytest.importorskip("mcap.writer", reason="MCAP needs mcap (the extra mcap)")
+    reader = pytest.importorskip("mcap.reader")
+    log = tmp_path / "log.mcap"
+    with log.open("wb") as stream:
+        recording = writer.Writer(stream)
+        recording.start()
+        schema = recording.register_schema(name="stereophd.Frame", encoding="jsonschema", data=b"{}")
+        channel = recording.register_channel(topic="/left", message_encoding="json", schema_id=schema)
+        for frame in FRAMES:
+            recording.add_message(channel, round(1e9 * frame.time_s), frame.to_line().encode(), 0)
+        recording.finish()
+    assert_same([message for message in follow(log) if message is not None])
+    damaged = tmp_path / "damaged.mcap"
+    damaged.write_bytes(log.read_bytes()[:100])
+    with pytest.raises(InputError, match="expected an MCAP file, found it damaged"):
+        list(follow(damaged))
+    rows = McapRows(tmp_path / "rows.mcap")
+    rows.tell(Checkpoint(3))
+    rows.add(RecordDocument(1.5, "left", 3, False, []))
+    rows.close()
+    with pytest.raises(InputError, match=r"expected messages of the schema stereophd.Frame \(JSON\), found none"):
+        list(follow(tmp_path / "rows.mcap"))
+    with (tmp_path / "rows.mcap").open("rb") as stream:
+        written = [
+            (channel.topic, message.log_time) for _, channel, message in reader.make_reader(stream).iter_messages()
+        ]
+    assert written == [("/stereophd/events", 0), ("/stereophd/tracks", 1_500_000_000)]

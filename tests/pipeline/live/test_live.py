@@ -6,7 +6,9 @@ import io
 import json
 import random
 import threading
+import time
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -120,6 +122,28 @@ def test_a_bad_frame_is_refused_with_its_place(
     content = (frames[0].to_line() + "\n" + bad + "\n").encode()
     with pytest.raises(InputError, match=f"frames: frame .* of camera .*(message 2).*({expected})"):
         track_live(loaded, from_stream(io.BytesIO(content)), "frames", LiveOutputs())
+
+
+def test_rows_of_a_grid_are_predicted_to_now(loaded: LoadedConfig, frames: list[Message]) -> None:
+    gridded = load_config(loaded.path, ["report.times=grid 0.1"], cameras_path=HALL / "hall" / "cameras.yaml")
+    lines, end_s = io.StringIO(), max(frame.time_s for frame in frames[:60])
+
+    def arrivals() -> Iterator[Message | None]:
+        yield from (replace(frame, arrived_s=time.perf_counter()) for frame in frames[:60])
+        before = len(lines.getvalue().splitlines())
+        until_s = time.perf_counter() + 0.3
+        while time.perf_counter() < until_s:
+            yield None
+        ahead = [json.loads(line)["time_s"] for line in lines.getvalue().splitlines()[before:]]
+        assert any(end_s < time_s <= end_s + 0.4 for time_s in ahead)
+        yield from (replace(frame, arrived_s=time.perf_counter()) for frame in frames[60:])
+
+    track_live(gridded, arrivals(), "frames", LiveOutputs([JsonLines(lines)]))
+    rows = [json.loads(line) for line in lines.getvalue().splitlines()]
+    # what came early comes once more, and the last row of each time is that of a run that nobody waited for
+    assert any(row["revised"] for row in rows if row["time_s"] > end_s)
+    last = {row["time_s"]: row["tracks"] for row in rows}
+    assert last == {row["time_s"]: row["tracks"] for row in run(gridded, frames)[1]}
 
 
 def test_a_camera_that_stops_does_not_stop_the_others(loaded: LoadedConfig, frames: list[Message]) -> None:

@@ -79,8 +79,6 @@ KNOT_STEPS, KNOTS_SETTLED = 15, 1e-8
 # Step of differences by the knots, in standard deviations of all together; part of the residual at which equations of
 # their second derivatives are solved, and most products with these.
 KNOT_DIFFERENCE, KNOTS_SOLVED, MOST_PRODUCTS = 0.1, 1e-3, 12
-# Longest move of the logarithm of the noise, in prior standard deviations, that is believed.
-LONGEST_MOVE_OF_NOISE = 3.0
 
 
 @dataclass(frozen=True)
@@ -91,10 +89,6 @@ class MarginalOptimum:
     # by more than `LONGEST_LEFT` posterior standard deviations too early.
     adjustment: Adjustment
     noise_factor: float  # Noise of the motion, in units of the scene's scale, over what is stated
-    # Whether that is within `LONGEST_MOVE_OF_NOISE` prior standard deviations of 1. Objects that move together, as
-    # the corners of a board, count as independent; where their motion is smoother than stated as well, the posterior
-    # is far too sure of itself.
-    believed: bool
 
 
 def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
@@ -116,14 +110,13 @@ def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
                 break
         covariance = posterior.covariance(at)[:size, :size]
     except LinAlgError:
-        return MarginalOptimum(replace(found, converged=False), 1.0, True)
+        return MarginalOptimum(replace(found, converged=False), 1.0)
     moved = replace(
         found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
         distances=at.equations.distances, converged=left <= LONGEST_LEFT,
     )  # fmt: skip
     log_noise = float(at.unknowns[size:].sum())
-    believed = abs(log_noise) <= LONGEST_MOVE_OF_NOISE * float(posterior.prior_std[-1])
-    return MarginalOptimum(moved, float(np.exp(log_noise)), believed)
+    return MarginalOptimum(moved, float(np.exp(log_noise)))
 
 
 @dataclass(frozen=True)

@@ -55,8 +55,8 @@ TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
 FITTED_PASSES = 3
 # Frames by which a trajectory may go on before its first detection and after its last one, in a pass.
 PADDED_FRAMES = 2.0
-# Times at most that trajectories of marginal optima choose their detections.
-MOST_CHOICES = 2
+# Times at most that trajectories of marginal optima choose their detections, and the change of a weight that counts.
+MOST_CHOICES, SAME_WEIGHT = 2, 0.1
 # Passes are weighted from this one on.
 FIRST_WEIGHTED = 2
 
@@ -260,11 +260,11 @@ def adjusted_to(
 
 def with_all_members(problem: Problem, values: Array, states: Array) -> Array:
     """Move the knots (k, 2, 3) of trajectories one linear step to all their detections, whatever the loss says."""
-    ones = np.ones(len(problem.observations))
-    _, bands, vector = Linearisation.of(
-        problem.weighted(ones if (given := problem.observations.weights) is None else given)
-    ).of_knots(values, states)
-    return np.asarray(states + solveh_banded(damped_bands(bands, 0.0), vector, lower=True).reshape(states.shape))
+    given = problem.observations.weights
+    weights = np.ones(len(problem.observations)) if given is None else given
+    _, bands, vector = Linearisation.of(problem.weighted(weights)).of_knots(values, states)
+    step: Array = solveh_banded(damped_bands(bands, 0.0), vector, lower=True)
+    return states + step.reshape(states.shape)
 
 
 def _collapsed(task: Task, fit: Fit) -> Booleans:
@@ -308,71 +308,58 @@ def _with_held_unknown(task: Task, fit: Fit) -> Fit:
     return replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
 
 
-def marginal_fit(task: Task, fit: Fit, any_noise: bool = False) -> tuple[Fit, float, str]:
+def marginal_fit(task: Task, fit: Fit) -> tuple[Fit, float]:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
-    Values that are held stay. Not where detections share errors: what the trajectories absorb of those is no volume of
-    the motion model. The joint optimum of objects that manoeuvre is biased, and its residuals look like shared errors:
-    only those count that the marginal optimum of independent errors shows too. Not for objects of one knot each, which
-    stand still: the volume counts a velocity with every knot, and would take the scene for too small. Not where that
-    noise is not believed (`MarginalOptimum.believed`), unless `any_noise`, and not where the maximum disagrees with the
-    prior although the fit does not.
-
-    Returns the fit, the noise of the motion that the log shows over what is stated (1 where it was not estimated), and
-    why neither optimum is trusted, whether the search for it converged or not (empty if there is no reason).
+    Values that are held stay. Not for objects of one knot each, which stand still: the volume counts a velocity with
+    every knot, and would take the scene for too small. Also returns the noise of the motion over what is stated.
     """
     if not len(fit.knots.links()):
-        return fit, 1.0, ""
-    if fit.observations.weights is None:
-        return _at_marginal(task, fit, any_noise)
-    seen = replace(fit.observations, weights=None)
-    independent = adjusted_to(task, fit, seen, seen.trajectories, fit.detections)
-    found, noise_factor, doubt = _at_marginal(task, independent, any_noise)
-    sure = found is not independent and found.adjustment.converged and not doubt
-    if sure and _weights(task, found, found.observations, found.detections) is None:
-        return found, noise_factor, ""
-    return fit, 1.0, ""
-
-
-def _at_marginal(task: Task, fit: Fit, any_noise: bool) -> tuple[Fit, float, str]:
-    """`marginal_fit` of a fit whose detections have independent errors."""
+        return fit, 1.0
     found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment)
-    if not (found.believed or any_noise):
-        return fit, found.noise_factor, ""
-    parameters = task.parameters
-    against = parameters.prior_disagreement(found.adjustment.values)
-    if against is not None and parameters.prior_disagreement(fit.adjustment.values) is None:
-        return fit, 1.0, f"with the trajectories integrated out {against}"
-    cameras = parameters.build(found.adjustment.values)
+    cameras = task.parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
     moved = replace(fit, adjustment=found.adjustment, knots=knots, observations=observations)
-    return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor, ""
+    return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor
 
 
-def chosen_at_marginal(task: Task, joint: Fit, any_noise: bool = False) -> tuple[Fit, float, str]:
-    """`marginal_fit`, whose trajectories choose their detections anew: those of joint optima choose what is as biased.
+def stated_fit(task: Task, joint: Fit) -> tuple[Fit, float]:
+    """`marginal_fit` of detections that its own trajectories choose, weighed by the errors that they share there.
 
-    Where that is not to be had the detections stay.
+    The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
+    residuals look like shared errors.
     """
-    stated, noise_factor, doubt = marginal_fit(task, joint, any_noise)
-    for _ in range(MOST_CHOICES):
-        if stated is joint or not stated.adjustment.converged:
+    if joint.observations.weights is not None:
+        seen = replace(joint.observations, weights=None)
+        joint = adjusted_to(task, joint, seen, seen.trajectories, joint.detections)
+    stated, factor = marginal_fit(task, joint)
+    for _ in range(MOST_CHOICES if stated is not joint and stated.adjustment.converged else 0):
+        begin = replace(stated, knots=replace(stated.knots, noise_std=joint.knots.noise_std))
+        again = refitted(task, begin, weighted=True, still=True)
+        if again is None or _same_members(again, stated):
             break
-        again = refitted(task, replace(stated, knots=joint.knots), still=True)
-        if again is None or np.array_equal(again.detections, stated.detections):
+        better, new_factor = marginal_fit(task, replace(again, held=joint.held))
+        if not better.adjustment.converged:
             break
-        again = replace(again, held=joint.held)
-        better, factor, why = marginal_fit(task, again, any_noise)
-        if better is again or not better.adjustment.converged:
-            break
-        joint, stated, noise_factor, doubt = again, better, factor, why
-    return stated, noise_factor, doubt
+        stated, factor = better, new_factor
+    return stated, factor
+
+
+def _same_members(one: Fit, other: Fit) -> bool:
+    """Whether two fits have the same detections, which count alike."""
+    if not np.array_equal(one.detections, other.detections):
+        return False
+    first, second = (
+        np.ones(len(fit.detections)) if fit.observations.weights is None else fit.observations.weights
+        for fit in (one, other)
+    )
+    return bool(np.allclose(first, second, rtol=SAME_WEIGHT))
 
 
 def at_marginal_optimum(task: Task, fit: Fit) -> Fit:
     """Move a fit to the maximum of the marginal posterior, and keep the stated noise of the motion."""
-    found, _, _ = marginal_fit(task, fit)
+    found, _ = marginal_fit(task, fit)
     return replace(found, knots=fit.knots)
 
 

@@ -23,11 +23,11 @@ from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
     adjusted_to,
-    chosen_at_marginal,
     fit_until,
     problem_of,
     refitted,
     restricted_fit,
+    stated_fit,
 )
 from stereophd.core.calibration.annealing.known_lengths import with_lengths
 from stereophd.core.calibration.annealing.known_scale import measured_scale, rescaled
@@ -50,8 +50,9 @@ LEAST_KEPT = 0.8
 AS_STATED, LENSES, FREE = "as_stated", "lenses", "free"
 # An answer whose expected move by what is held exceeds this many of its own standard deviations is not determined.
 LARGEST_MOVE = 1.0
-# A value this many standard deviations from its prior is reported, and noise or deviations that change by this factor.
-FAR_FROM_PRIOR, SAID_FACTOR = 3.0, 1.5
+# A value this many standard deviations from its prior is reported, and by these factors a noise of detections and of
+# the motion.
+FAR_FROM_PRIOR, SAID_FACTOR, MOTION_FACTOR = 3.0, 1.5, 4.0
 # An answer whose stated deviations are widened by more than this is not determined.
 LARGEST_WIDENING = 3.0
 
@@ -100,15 +101,9 @@ class Answer:
     """What is stated of a fit."""
 
     joint: Fit  # The optimum of cameras and trajectories together, with the selected unknowns.
-    fit: Fit  # What is stated: the marginal optimum, or the joint one where that is not to be had.
+    fit: Fit  # What is stated: the marginal optimum; the joint one of objects that stand still.
     noise_factor: float  # Noise of the motion over what is stated.
-    doubt: str  # Why neither optimum is trusted; empty if there is no reason.
     comparison: Comparison | None  # Of sets of unknowns.
-
-    @property
-    def is_marginal(self) -> bool:
-        """Whether the trajectories are integrated out."""
-        return self.fit is not self.joint
 
 
 @dataclass(frozen=True)
@@ -155,7 +150,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
             remarks += (Remark("control", f"the control was not used: {error}", is_reservation=True),)
     values = fit.adjustment.values
     early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
-    doubt = doubt or answer.doubt or early
+    doubt = doubt or early
     if (against := task.parameters.prior_disagreement(values)) is not None:
         by = choices.known.kind if choices.known is not None else "baseline" if task.scale is not None else ""
         doubt = f"with the known {by} {against}" if by else against
@@ -230,9 +225,8 @@ def has_known_length(task: Task, choices: Choices) -> bool:
 def state(task: Task, fit: Fit, choices: Choices) -> Answer:
     """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
     joint, comparison = selected(task, fit, choices)
-    any_noise = has_known_length(task, choices) and joint.held is None
-    stated, noise_factor, doubt = chosen_at_marginal(task, joint, any_noise)
-    return Answer(joint, stated, noise_factor, doubt, comparison)
+    stated, noise_factor = stated_fit(task, joint)
+    return Answer(joint, stated, noise_factor, comparison)
 
 
 def selected(task: Task, fit: Fit, choices: Choices) -> tuple[Fit, Comparison | None]:
@@ -268,13 +262,12 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and doubted: these cameras are the best so far"
             remarks = (Remark("time", text, is_reservation=True), *noise_remarks(task, noise), *freed_remarks(given_up))
-            return Believed(task, Answer(fit, fit, 1.0, "", None), noise, tuple(given_up), freed, remarks)
+            return Believed(task, Answer(fit, fit, 1.0, None), noise, tuple(given_up), freed, remarks)
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
         basis = replace(answer.fit, knots=replace(answer.fit.knots, noise_std=answer.joint.knots.noise_std))
-        # joint optima with little noise follow the detections, and show still less
-        shown = answer.fit if answer.is_marginal else with_independent_errors(task, fit)
-        estimate = noise_factors(problem_of(task, shown), shown.adjustment, np.random.default_rng(NOISE_SEED))
+        rng = np.random.default_rng(NOISE_SEED)
+        estimate = noise_factors(problem_of(task, answer.fit), answer.fit.adjustment, rng)
         hides = estimate.hides & (loosened < MOST_LOOSENED)
         if (estimate.differs | hides).any() and not last:
             factors = np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
@@ -304,7 +297,7 @@ def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]
 def problem_of_answer(task: Task, answer: Answer) -> tuple[Problem, float | None]:
     """Return the problem that an answer solves, and the logarithm of its noise of the motion if that is an unknown."""
     problem = replace(problem_of(task, answer.fit), held=answer.fit.held)
-    if not answer.is_marginal:
+    if answer.fit is answer.joint:
         return problem, None
     # the knots of the answer have the noise that was found
     knots = replace(answer.fit.knots, noise_std=answer.fit.knots.noise_std / answer.noise_factor)
@@ -322,8 +315,7 @@ def widened(task: Task, answer: Answer) -> tuple[Answer, tuple[Remark, ...]]:
         "deviations were widened; something of what is stated is wrong"
     )
     remark = Remark("stretches", text, factor > LARGEST_WIDENING)
-    joint = answer.joint if answer.is_marginal else fit
-    return replace(answer, joint=joint, fit=fit), (remark,) if factor > SAID_FACTOR else ()
+    return replace(answer, fit=fit), (remark,) if factor > SAID_FACTOR else ()
 
 
 def may_be_freed(suspicion: Suspicion, choices: Choices) -> bool:
@@ -350,14 +342,6 @@ def adjusted_anew(task: Task, fit: Fit) -> Fit:
     return adjusted if chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections) else chosen
 
 
-def with_independent_errors(task: Task, fit: Fit) -> Fit:
-    """Adjust again where errors that detections share were taken out of the residuals: these tell the noise."""
-    if fit.observations.weights is None:
-        return fit
-    observations = replace(fit.observations, weights=None)
-    return adjusted_to(task, fit, observations, observations.trajectories, fit.detections)
-
-
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     """Return the posterior over time: joint optima of the log so far, and the result as the last row.
 
@@ -374,13 +358,13 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
 
 
 def motion_remarks(answer: Answer) -> tuple[Remark, ...]:
-    """Say where the noise of the motion is not believed."""
-    if answer.is_marginal or answer.noise_factor == 1.0:
+    """Say where the noise of the motion is far from what is stated."""
+    if abs(np.log(answer.noise_factor)) <= np.log(MOTION_FACTOR):
         return ()
     text = (
-        f"the motion of the objects shows {answer.noise_factor:.2g} times the noise that the configuration states: the "
-        "trajectories are not integrated out. motion.acceleration_std is wrong, or objects move together (corners of a "
-        "board: state their known distance, calibration.scale.kind: length)"
+        f"the motion of the objects shows {answer.noise_factor:.2g} times the noise that the configuration states, "
+        "which was used: motion.acceleration_std is wrong, or objects move together (corners of a board: state their "
+        "known distance, calibration.scale.kind: length)"
     )
     return (Remark("motion", text),)
 

@@ -145,7 +145,7 @@ class PairProblem:
         return float(np.sqrt((self.found.sigma[list(self.cameras)] ** 2).mean()))
 
     def fitted(self, state: PairState, tolerances: tuple[float, ...] = TOLERANCES) -> PairFit | None:
-        """Refine a state at tolerances that fall; the fit of the greatest gain, None where nothing pairs."""
+        """Refine a state at tolerances that fall; the fit of the greatest gain, None where nothing pairs in front."""
         best: PairFit | None = None
         start = state
         for tolerance in tolerances:
@@ -155,7 +155,8 @@ class PairProblem:
             state, covariance = self._minimised(state, start, paired, tolerance)
             judged = self._paired(state, tolerance)
             if len(judged.pairs) and (best is None or judged.gain >= best.gain):
-                best = self._judged(state, judged, covariance, tolerance)
+                fit = self._judged(state, judged, covariance, tolerance)
+                best = fit if len(fit.depths) else best
         return best
 
     def _rows(self, state: PairState) -> _Rows:
@@ -178,12 +179,8 @@ class PairProblem:
             entry[row], of_a[row], j, b[j], raw.pixels[entry[row]], slopes, np.bincount(of_a, minlength=len(a))
         )
 
-    def _squared(self, state: PairState, rows: _Rows) -> Array:
-        return self._distances(state, rows, rows.slopes_b) ** 2
-
-    def _distances(self, state: PairState, rows: _Rows, slopes_b: Array) -> Array:
-        """Signed distances (n,), px."""
-        a, b = state.rays(rows.slopes_a, 0), state.rays(slopes_b, 1)
+    def _distances(self, state: PairState, a: Array, b: Array) -> Array:
+        """Signed distances (n,), px, of rays (n, 3) of both cameras."""
         matrix = essential_of(state.rotation, state.direction)
         line_b, line_a = a @ matrix.T, b @ matrix
         focal_a, focal_b = self.focal_px * state.focal
@@ -198,7 +195,8 @@ class PairProblem:
         shape = (len(a), len(b))
         pair = rows.i * len(b) + rows.j
         count = np.bincount(pair, minlength=len(a) * len(b)).reshape(shape)
-        gains = log_gains(self._squared(state, rows), tolerance)
+        squared = self._distances(state, state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)) ** 2
+        gains = log_gains(squared, tolerance)
         mean = np.bincount(pair, weights=gains, minlength=len(a) * len(b)).reshape(shape) / np.maximum(count, 1)
         weight = common_pieces(self.found, a[:, None], b[None], count / rows.counts[:, None], count >= LEAST_SAMPLES)
         table = mean * weight
@@ -253,7 +251,8 @@ class PairProblem:
 
     def _linearised(self, state: PairState, rows: _Rows, free: Integers) -> tuple[Array, Array]:
         """Distances (n,) and their derivatives (n, f); those by the clock from the velocities of the tracks of b."""
-        distances = self._distances(state, rows, rows.slopes_b)
+        rays = [state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)]
+        distances = self._distances(state, *rays)
         jacobian = np.empty((len(distances), len(free)))
         times = self.found.tracks.log_times[rows.entry]
         interval = VELOCITY_FRAMES * float(self.found.intervals[self.cameras[1]])
@@ -262,7 +261,8 @@ class PairProblem:
             at = state.times_of_second(times)
             later, seen_later = self.found.tracks.at(rows.track_b, at + interval)
             sooner, seen_sooner = self.found.tracks.at(rows.track_b, at - interval)
-            change = self._distances(state, rows, later) - self._distances(state, rows, sooner)
+            change = self._distances(state, rays[0], state.rays(later, 1))
+            change -= self._distances(state, rays[0], state.rays(sooner, 1))
             clock = np.where(seen_later & seen_sooner, change / (2.0 * interval), 0.0) / state.rate
         for column, k in enumerate(free.tolist()):
             if k == OFFSET:
@@ -272,14 +272,18 @@ class PairProblem:
             else:
                 step = np.zeros(SIZE)
                 step[k] = STEP
-                jacobian[:, column] = (self._distances(state.moved(step), rows, rows.slopes_b) - distances) / STEP
+                moved, changed = state.moved(step), list(rays)
+                if k >= FOCAL:
+                    side = (k - FOCAL) % 2
+                    changed[side] = moved.rays(rows.slopes_b if side else rows.slopes_a, side)
+                jacobian[:, column] = (self._distances(moved, *changed) - distances) / STEP
         return distances, jacobian
 
     def _judged(self, state: PairState, paired: _Paired, covariance: Array, tolerance: float) -> PairFit:
         """Choose the pose with the most points in front of both cameras, and return how well the tracks fit it."""
         rows = paired.rows
         a, b = state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)
-        distances = np.abs(self._distances(state, rows, rows.slopes_b))
+        distances = np.abs(self._distances(state, a, b))
         inlying = distances <= 3.0 * tolerance
         options = []
         for rotation, direction in poses_of(essential_of(state.rotation, state.direction)):

@@ -45,7 +45,7 @@ def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool, i
     """
     fit = pair.best
     two = " and ".join(names[number] for number in pair.cameras)
-    doubts = []
+    doubts: list[str] = []
     if fit.parallax < LEAST_PARALLAX:
         doubts.append(
             f"rays of {two} meet at {np.rad2deg(fit.parallax):.1f} degrees: the cameras stand at one place, or the "
@@ -56,8 +56,13 @@ def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool, i
             f"the tracks that {two} share are too few or too straight ({fit.pieces:.1f} pieces of a curve, "
             f"{LEAST_PIECES:g} are needed): record objects that turn, or more of them"
         )
+    if doubts:
+        return doubts  # what follows from them says no more
     if fit.front < LEAST_FRONT:
-        doubts.append(f"only {100.0 * fit.front:.0f} % of the points lie in front of {two}")
+        doubts.append(
+            f"only {100.0 * fit.front:.0f} % of the points lie in front of {two}: their tracks agree by chance; record "
+            "the same moving objects with both, at one time, and state the lenses"
+        )
     if fit.residual > MOST_RESIDUAL:
         doubts.append(
             f"rays of {two} miss each other by {fit.residual:.1f} times the noise: a lens, a focal length or a clock "

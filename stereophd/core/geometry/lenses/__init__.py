@@ -6,8 +6,6 @@ A module holds the settings of its model, its code and its largest radius (`LENS
 terms and the inverse are there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from functools import cache
 

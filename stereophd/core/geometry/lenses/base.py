@@ -1,7 +1,5 @@
 """Lens models: their common interface and shared functions. `stereophd.core.geometry.compiled_lenses` inverts them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, fields

@@ -9,8 +9,6 @@ evaluating multi-object tracking", International Journal of Computer Vision 129,
 prefers pairs of tracks that agree over the whole run).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -11,9 +11,8 @@ All sums are formed with distances divided by the cutoff, so that a large order 
 underflows.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,8 +21,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.matching.assignment import euclidean_distances, optimal_assignment
 
 
-@dataclass(frozen=True)
-class Ospa:
+class Ospa(NamedTuple):
     """OSPA distances and their parts, arrays (k,) over scans.
 
     ``distance**order == localisation**order + cardinality**order``; all in the unit of the base distance,
@@ -35,8 +33,7 @@ class Ospa:
     cardinality: Array
 
 
-@dataclass(frozen=True)
-class Gospa:
+class Gospa(NamedTuple):
     """GOSPA distances (alpha = 2) and their parts, arrays (k,) over scans.
 
     ``distance**order == localisation**order + missed**order + false**order``; all in the unit of the base
@@ -106,10 +103,7 @@ def gospa_of_matching(matching: Matching, n_truth: int, order: float, cutoff: fl
     false = 0.5 * (n_estimates - pairs)
     root = 1.0 / order
     return Gospa(
-        cutoff * (located + missed + false) ** root,
-        cutoff * located**root,
-        cutoff * missed**root,
-        cutoff * false**root,
+        cutoff * (located + missed + false) ** root, cutoff * located**root, cutoff * missed**root, cutoff * false**root
     )
 
 
@@ -143,8 +137,7 @@ def ospa(x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: Arr
     Raises ValueError for an order or cutoff out of range, a wrong shape, or a distance that is not finite.
     """
     matching, n_truth = _match_two_sets(x, y, order, cutoff, distances)
-    result = ospa_of_matching(matching, n_truth, order, cutoff)
-    return Ospa(result.distance[0], result.localisation[0], result.cardinality[0])
+    return Ospa(*(part[0] for part in ospa_of_matching(matching, n_truth, order, cutoff)))
 
 
 def gospa(x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: ArrayLike | None = None) -> Gospa:
@@ -153,5 +146,4 @@ def gospa(x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: Ar
     Parameters and errors are those of `ospa`; the result holds zero-dimensional arrays.
     """
     matching, n_truth = _match_two_sets(x, y, order, cutoff, distances)
-    result = gospa_of_matching(matching, n_truth, order, cutoff)
-    return Gospa(result.distance[0], result.localisation[0], result.missed[0], result.false[0])
+    return Gospa(*(part[0] for part in gospa_of_matching(matching, n_truth, order, cutoff)))

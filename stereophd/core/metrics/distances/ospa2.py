@@ -12,8 +12,6 @@ performance", ICCAIS 2017, and "A solution for large-scale multi-object tracking
 Processing 68, 2020 (section V).
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -99,7 +97,7 @@ def ospa2_of_windows(
         _number_tracks(truth, np.zeros(len(truth.label), dtype=bool)),
         _inverse_covariances(estimates) if mahalanobis else None,
         cutoff,
-        window,
+        min(window, max(estimates.scans, 1)),
     )
     values = np.zeros((3, estimates.scans))
     for chunk in _chunks(run):
@@ -107,8 +105,7 @@ def ospa2_of_windows(
         for scans, m, n in batches_of_one_size(track_there.sum(axis=1), target_there.sum(axis=1)):
             rows, columns = _first_marked(track_there[scans], m), _first_marked(target_there[scans], n)
             distances = cutoff * ratio[scans[:, None, None], rows[:, :, None], columns[:, None, :]]
-            ospa = ospa_of_matching(match(distances, order, cutoff), n, order, cutoff)
-            values[:, chunk.first + scans] = ospa.distance, ospa.localisation, ospa.cardinality
+            values[:, chunk.first + scans] = ospa_of_matching(match(distances, order, cutoff), n, order, cutoff)
     return Ospa(*values)
 
 

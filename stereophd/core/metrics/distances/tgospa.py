@@ -10,8 +10,6 @@ Reference: A. F. Garcia-Fernandez, A. S. Rahmathullah, L. Svensson, "A metric on
 trajectories for evaluation of multi-target tracking algorithms", IEEE Trans. Signal Processing 68, 2020.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ from the same assignment (paper VIII-C; Schuhmacher, Vo and Vo 2008). Sets of eq
 as one batch; only a set whose nearest neighbours clash goes through the assignment solver.
 """
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

@@ -91,14 +91,7 @@ def match_within(
         return follow(estimates, truth, scores, near, order), near
     optimal = score_scans(estimates, truth, order, distance, mahalanobis=mahalanobis)
     followed = follow(estimates, truth, optimal, near, order)
-    pairs = replace(
-        scores,
-        n_matched=followed.n_matched,
-        pair_scan=followed.pair_scan,
-        pair_estimate=followed.pair_estimate,
-        pair_truth=followed.pair_truth,
-    )
-    return pairs, near
+    return replace(followed, ospa=scores.ospa, gospa=scores.gospa), near
 
 
 def beside_another(estimates: PointSets, truth: PointSets, scores: ScanScores, matchable: NearPairs) -> int:

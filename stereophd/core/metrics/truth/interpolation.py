@@ -87,11 +87,7 @@ def add_truth_times(events: Events, truth_time_s: Array) -> Events:
     none = np.zeros(len(missing), dtype=np.int64)
     time_s = np.concatenate([events.time_s, missing])
     order = np.argsort(time_s, kind="stable")
-    joined = Events(
-        time_s,
-        np.concatenate([events.row_start, none]),
-        np.concatenate([events.row_end, none]),
-    )
+    joined = Events(time_s, np.concatenate([events.row_start, none]), np.concatenate([events.row_end, none]))
     return joined.take(order.astype(np.int64))
 
 

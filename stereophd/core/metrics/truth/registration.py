@@ -11,8 +11,6 @@ true object nearest to it at its time. The frames must agree well enough for the
 object needs no such start.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -93,12 +91,7 @@ class Residuals:
 
 
 def register(
-    time_s: Array,
-    positions: Array,
-    truth: Truth,
-    max_gap_s: float,
-    freedom: Freedom,
-    start: Registration | None = None,
+    time_s: Array, positions: Array, truth: Truth, max_gap_s: float, freedom: Freedom, start: Registration | None = None
 ) -> Registration:
     """Find the motion and the map of time that bring estimates nearest to the truth, within what `freedom` allows.
 
@@ -192,5 +185,5 @@ def stepped(found: Registration, step: Array, center: Array, estimates: int) -> 
         raise ValueError(f"expected clocks of nearly one rate, found a ratio of {rate:.3g}")
     return Registration(
         turn @ found.rotation, translation, factor * found.scale, found.at_s, found.shift_s + float(step[7]), rate,
-        estimates,
+        estimates
     )  # fmt: skip

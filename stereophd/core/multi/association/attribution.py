@@ -1,7 +1,5 @@
 """The labels that an event detected, and the detections of each."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -29,15 +27,8 @@ class Claims(NamedTuple):
 def claims_of(labels: Integers, weights: Array, n_missed: int, updated: Integers) -> Claims:
     """Return the claims of an update, before reduction.
 
-    Parameters
-    ----------
-    labels, weights : arrays (n,)
-        Components after the update: those that it missed, those `updated` by a detection each, and one newborn a
-        detection.
-    n_missed : int
-        Number of those missed.
-    updated : array (k,) of int
-        Detection of each of those updated.
+    Labels and weights (n,) are those of the components after the update: `n_missed` that it missed, those updated by a
+    detection each (`updated` (k,) has the detections), and one newborn a detection.
     """
     n_detected = len(labels) - n_missed
     detections = np.empty(n_detected, dtype=np.int64)
@@ -55,17 +46,9 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: In
     made a detection" (in a PHD, expected numbers), so given existence the object was detected with
     probability D / (D + M), where D and M are the sums of these weights. A newborn was detected for certain.
 
-    Parameters
-    ----------
-    labels, weights, n_missed, updated
-        The same as in `claims_of`; negative labels stand for objects never detected, and are left out.
-
-    Returns
-    -------
-    labels : array (k,) of int
-        Labels with D > M, in rising order.
-    detections : array (k,) of int
-        The detection that each made more probably than not; `UNDECIDED` where several share the probability.
+    Parameters are those of `claims_of`; negative labels stand for objects never detected, and are left out. Returns the
+    labels (k,) with D > M, in rising order, and the detection (k,) that each made more probably than not; `UNDECIDED`
+    where several share the probability.
     """
     order = stable_order(labels)
     found, made = np.empty(len(labels), dtype=np.int64), np.empty(len(labels), dtype=np.int64)

@@ -13,8 +13,6 @@ belief propagation", IEEE Trans. AES 50 (4), 2014; P. O. Vontobel, "The Bethe pe
 matrix", IEEE Trans. IT 59 (3), 2013.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -35,27 +33,10 @@ LEAST_SWEEPS = 10
 def propagate_beliefs(
     tracks: Integers, detections: Integers, odds: Array, n_tracks: int, n_detections: int
 ) -> tuple[Array, Array, Array, float]:
-    """Marginal association probabilities of sparse pairs.
+    """Marginal association probabilities of sparse pairs (p,) of tracks and detections with odds ``psi_ij`` (p,).
 
-    Parameters
-    ----------
-    tracks, detections : arrays (p,) of int
-        Pairs.
-    odds : array (p,)
-        ``psi_ij``.
-    n_tracks, n_detections : int
-        Numbers of tracks and detections.
-
-    Returns
-    -------
-    pair : array (p,)
-        Probability that the track made the detection.
-    missed : array (n_tracks,)
-        Probability that a track made none.
-    unclaimed : array (n_detections,)
-        Probability that no track made a detection.
-    log_evidence : float
-        Logarithm of the Bethe value Z.
+    Returns the probability of each pair (p,), that a track made no detection (n_tracks,), that no track made a
+    detection (n_detections,), and the logarithm of the Bethe value Z.
     """
     count = len(tracks)
     to_detection = odds.copy()

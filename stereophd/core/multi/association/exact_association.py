@@ -11,8 +11,6 @@ Belief propagation is overconfident where associations are ambiguous: for two tr
 3:1 and single odds 1000 it returns 0.997 instead of 0.75, and it loses up to ln 2 of the evidence per pair.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -15,8 +15,6 @@ Reference: M. Horridge and S. Maskell, "Real-time tracking of hundreds of target
 implementation", 9th International Conference on Information Fusion, 2006.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -138,25 +136,10 @@ def _bring_forward(table: Table, order: Integers, step: int, left: Integers, act
 
 @compiled
 def eliminate(table: Table, plan: Plan) -> tuple[Array, Array, Array, float]:
-    """Exact marginals of a cluster.
+    """Exact marginals of a cluster, by a plan of finite cost.
 
-    Parameters
-    ----------
-    table : Table
-        Pairs.
-    plan : Plan
-        A plan of finite cost.
-
-    Returns
-    -------
-    pair : array (p,)
-        Probability of each pair, in the order of the table.
-    idle : array (n_rows,)
-        Probability that a row takes no column.
-    free : array (n_columns,)
-        Probability that no row takes a column.
-    log_evidence : float
-        Logarithm of the sum over all choices.
+    Returns the probabilities of the pairs (p,) in the order of the table, that a row takes no column (n_rows,), that no
+    row takes a column (n_columns,), and the logarithm of the sum over all choices.
     """
     n_rows, size = len(table.starts) - 1, 1 << plan.width
     messages = np.empty(plan.room)

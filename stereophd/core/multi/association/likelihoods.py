@@ -15,8 +15,6 @@ s_j d with a vector s_j that follows from the detection (`stereophd.core.dispari
 I_2 0]. Delays and the vectors s_j are the readings (m, 3) of the detections.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -53,25 +51,10 @@ def pair_likelihoods(
 ) -> tuple[Integers, Integers, Array]:
     """Predicted density N(z; H m, H P H^T + R) of every pair within reach, eq. (4) and (5).
 
-    Parameters
-    ----------
-    means, covariances : arrays (n, d), (n, d, d)
-        Components in the disparity space of the camera.
-    seen : array (n,) of bool
-        Components to consider.
-    points, noises, areas : arrays (m, 2), (m, 2, 2), (m,)
-        Detections of an `Event`, ordered by u.
-    readings : array (m, 3), optional
-        Time of each detection after that of the components, s, and the change of its u and v with the disparity.
-    most : int
-        Pairs of one component: those of the largest densities are kept.
-
-    Returns
-    -------
-    components, detections : arrays (p,) of int
-        Pairs, ordered by component and then by detection.
-    densities : array (p,)
-        Per distorted pixel area.
+    Components (n, d), (n, d, d) are in the disparity space of the camera; those `seen` (n,) are considered. Points,
+    noises and areas are those of an `Event`, ordered by u, and readings (m, 3) theirs. Of one component, the pairs of
+    the largest densities are kept, at most so many. Returns components and detections (p,) of the pairs, ordered by
+    component and then by detection, and their densities (p,) per distorted pixel area.
     """
     # the second factor: some more for rounding
     sigmas = REACH_SIGMAS if most == ALL_PAIRS or len(means) <= FEW_COMPONENTS else SHORT_REACH_SIGMAS

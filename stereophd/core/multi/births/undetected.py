@@ -17,8 +17,6 @@ A frame with far more detections than objects can make (`burst_of`) is no eviden
 clutter.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -29,6 +27,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.initial import FirstSight, initial_moments
 from stereophd.core.geometry.camera import Detector
 from stereophd.core.multi.filter_settings.common import BirthPrior
 
@@ -205,3 +204,23 @@ def _objects_in_view(width: int, height: int, disparity: Sequence[float]) -> Arr
     d = disparity[0] + disparity[1] * np.array([NormalDist().inv_cdf(float(q)) for q in quantiles])
     grid = np.stack(np.meshgrid(u, v, d[d > 0.0], indexing="ij"), axis=-1)
     return np.asarray(grid.reshape(-1, 3))
+
+
+def newborn_prior(space: Array, prior: BirthPrior, region: Array | None) -> FirstSight:
+    """Return the prior of the objects that the camera of a packed space (30,) sees for the first time."""
+    mean, std = prior.disparity_moments(space)
+    limits = np.empty(0) if region is None else region
+    return FirstSight(space, float(mean), float(std), float(prior.velocity_std), limits)
+
+
+def birth_moments(
+    event: Event, space: Array, prior: BirthPrior, size: int, region: Array | None = None
+) -> tuple[Array, Array]:
+    """Gaussians of the objects that the detections of an event may have given birth to, given the detection.
+
+    Means (m, d) and covariances (m, d, d) are in the camera's packed disparity space (30,); `size`, their d, is 6, or 3
+    for static objects. In a `region` (8,) (`stereophd.core.disparity.events.Rig.region`), where objects can be, depths
+    along a ray are those inside it.
+    """
+    first = newborn_prior(space, prior, region)
+    return initial_moments(event.points, event.covariances, first, size, event.readings(space))

@@ -4,8 +4,6 @@ Hypothesis by hypothesis, with no state shared between them: results do not depe
 out over threads. The update and the reduction of a hypothesis are those of the filter itself.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +13,7 @@ from stereophd.core.disparity.moved import Moved, allocate_moved, slice_moved
 from stereophd.core.disparity.sample_move import Look, carry_components
 from stereophd.core.disparity.space import PACKED_SIZE
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.multi.births.predicted_weights import IMPORTANT_WEIGHT, keep_surviving_weights
+from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.pmb.hypotheses import PmbReduction, choose_hypotheses, make_hypotheses
 from stereophd.core.multi.pmb.reduction import reduce_tracks
@@ -52,7 +50,7 @@ def slice_motion(motion: MotionArrays, first: int, last: int) -> MotionArrays:
     return MotionArrays(
         motion.reach[first:last], motion.keep[first:last], motion.position_noise[first:last],
         motion.velocity_noise[first:last], motion.with_velocity[first:last], motion.alone[first:last],
-        motion.drift[first:last], motion.noise_std, motion.max_speed,
+        motion.drift[first:last], motion.noise_std, motion.max_speed
     )  # fmt: skip
 
 
@@ -69,28 +67,11 @@ def predict(
 ) -> tuple[Array, Moved]:
     """Carry the components of some hypotheses into the event's spaces: `DisparityFilter.predict`.
 
-    Parameters
-    ----------
-    begins, ends : arrays (k,)
-        Where each hypothesis' components begin and end in `mixture`.
-    mixture : GaussianMixture
-        Components.
-    spaces : array (k, c, 30)
-        Packed disparity spaces of each hypothesis' cameras.
-    looks : Looks
-    motion : MotionArrays
-        With an interval for each of the components in `mixture`.
-    numbers : PredictionNumbers
-    region : array (8,) or empty
-        Where objects can be (`stereophd.core.disparity.trips.region_mask`).
-
-    Returns
-    -------
-    weights : array (n,)
-        Weights of the components of these hypotheses, one hypothesis after the other, if they survive and are not
-        forgotten.
-    moved : Moved
-        The same components in the event's space.
+    The components of hypothesis h are those from ``begins[h]`` to ``ends[h]`` of the mixture, and `spaces` (k, c, 30)
+    has the packed disparity spaces of its cameras; the motion has an interval for each component of the mixture, and
+    the region is that of `stereophd.core.disparity.trips.region_mask`, or empty. Returns the weights (n,) of the
+    components of these hypotheses, one hypothesis after the other, if they survive and are not forgotten; and the same
+    in the event's space.
     """
     total = (ends - begins).sum()
     all_weights, all_moved = np.empty(total), allocate_moved(total, mixture.means.shape[1])
@@ -108,11 +89,11 @@ def predict(
         carry_components(
             np.arange(len(weights)), means, covariances, homes, travel,
             weights >= IMPORTANT_WEIGHT, looks.first, looks.second, spaces[h, numbers.camera],
-            numbers.shape_p_detect, region, moved,
+            numbers.shape_p_detect, region, moved
         )  # fmt: skip
         keep_surviving_weights(
             weights, moved.status, moved.inside, means, components.tracks, cameras, homes, travel.reach, travel.drift,
-            spaces[h], numbers.camera, numbers.elapsed, numbers.out_of_view_s,
+            spaces[h], numbers.camera, numbers.elapsed, numbers.out_of_view_s
         )  # fmt: skip
         all_weights[first:last] = weights
         first = last
@@ -130,25 +111,10 @@ def update_intensities(
     numbers: EventNumbers,
     reduction: PhdReduction,
 ) -> tuple[Integers, GaussianMixture, Array]:
-    """Update and reduce the intensities of some hypotheses.
+    """Update and reduce the intensities of some hypotheses, with the result of `predict`, as the filter itself does.
 
-    Parameters
-    ----------
-    begins, ends, mixture
-        The same as in `predict`.
-    weights, moved
-        The result of `predict`.
-    event, numbers, reduction
-        The same as in the filter's own update.
-
-    Returns
-    -------
-    counts : array (k,)
-        Components of each hypothesis after the event.
-    mixture : GaussianMixture
-        Components after the event, one hypothesis after the other.
-    log_likelihoods : array (k,)
-        Log-likelihoods of the event.
+    Returns the number of components (k,) of each hypothesis after the event, all components, one hypothesis after the
+    other, and the log-likelihoods (k,) of the event.
     """
     counts, log_likelihoods = np.empty(len(begins), dtype=np.int64), np.empty(len(begins))
     out = allocate_mixture(len(begins) * ROOM, mixture.means.shape[1])

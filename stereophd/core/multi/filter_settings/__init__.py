@@ -4,8 +4,6 @@ A module holds the settings of its filter (`SETTINGS`); the filter of the same w
 holds what all of them share.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 from stereophd.core.multi.filter_settings.common import FilterSettings

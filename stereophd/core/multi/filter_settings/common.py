@@ -1,7 +1,5 @@
 """Settings that the filters for many objects share: births, extraction, and what every filter must declare."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import numpy as np
@@ -118,9 +116,7 @@ class ExistenceHysteresis(Hysteresis):
     """Thresholds of existence between which a track is reported."""
 
     confirm: PositiveFraction = parameter(
-        "reported from this existence on",
-        default=0.98,
-        advice="higher: fewer false tracks, later starts.",
+        "reported from this existence on", default=0.98, advice="higher: fewer false tracks, later starts."
     )
     release: PositiveFraction = parameter(
         "a reported track stays reported until its existence falls below this",

@@ -7,15 +7,7 @@ from typing import Annotated, Literal
 from annotated_types import Interval
 
 from stereophd.core.multi.filter_settings.common import MISSED, ExistenceHysteresis, FilterSettings, Missed
-from stereophd.core.settings import (
-    FINITE,
-    NOT_NAN,
-    Count,
-    NonNegative,
-    Positive,
-    parameter,
-    settings,
-)
+from stereophd.core.settings import FINITE, NOT_NAN, Count, NonNegative, Positive, parameter, settings
 
 
 @settings

@@ -5,8 +5,6 @@ Prediction is the particle move of every component into the disparity space of t
 log-likelihood of an event is that of the conditional filter of VII-B.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
@@ -42,7 +40,7 @@ class PhdFilter(DisparityFilter):
         settings = self.settings
         return PhdReduction(
             float(settings.prune_weight), float(settings.merge_distance), most_components(settings.max_components),
-            settings.merge_rule == "mutual", settings.merge_moments == "label",
+            settings.merge_rule == "mutual", settings.merge_moments == "label"
         )  # fmt: skip
 
     @property
@@ -61,7 +59,7 @@ class PhdFilter(DisparityFilter):
         reduction = reduction_for_births(self.reduction, prediction.births, detector)
         reduced, log_likelihood, labels, claims, left_out = _update(
             prediction.mixture, prediction.moved, *self.detections(event),
-            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
+            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims
         )  # fmt: skip
         label = state.next_label + len(event.points)
         return (

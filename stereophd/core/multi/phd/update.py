@@ -1,7 +1,5 @@
 """Compiled update of the PHD filter with the detections of an event (paper VI, eq. 5), with ln L^c of VII-B."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np
@@ -10,8 +8,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association.likelihoods import kalman_updates, pair_likelihoods
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
-from stereophd.core.multi.state.outcomes import allocate_outcomes, fill_missed
+from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allocate_outcomes, fill_missed
 from stereophd.core.multi.state.reduction import reduce_mixture
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import places, stable_order
@@ -34,28 +31,12 @@ class PhdReduction(NamedTuple):
 def update_intensity(
     mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, reduction: PhdReduction
 ) -> tuple[GaussianMixture, float, Integers, Array]:
-    """Update an intensity; no reduction.
+    """Update an intensity as predicted, each component at home, which `moved` has in the event's space; no reduction.
 
-    Parameters
-    ----------
-    mixture : GaussianMixture
-        As predicted, each component at home.
-    moved : Moved
-        The same components in the event's space.
-    event, numbers : EventArrays, EventNumbers
-    reduction : PhdReduction
-        Of which `prune_weight` (pairs of a component and a detection below it are not made) and `by_label`.
-
-    Returns
-    -------
-    mixture : GaussianMixture
-        Missed components, detected ones, and one newborn a detection, in this order.
-    log_likelihood : float
-        Log-likelihood of the event's detections, per distorted pixel.
-    updated : array of int
-        Detection of each detected component.
-    shares : array
-        What each component of the mixture counts for the moments when it is merged: `label_shares`, or its weight.
+    Of the settings, `prune_weight` (pairs of a component and a detection below it are not made) and `by_label` count.
+    Returns missed components, detected ones and one newborn a detection, in this order; the log-likelihood of the
+    event's detections, per distorted pixel; the detection of each detected component; and what each component counts
+    for the moments when it is merged: `label_shares`, or its weight.
     """
     points, noises, areas, readings, birth_means, birth_covariances = event
     detected = numbers.p_detect * moved.fraction * mixture.weights
@@ -88,7 +69,7 @@ def update_intensity(
     if reduction.by_label:
         shares = label_shares(
             mixture.labels, out.weights, components, detections, joint[kept], totals,
-            (numbers.clutter + born) * per_area,
+            (numbers.clutter + born) * per_area
         )  # fmt: skip
     return out, log_likelihood, detections, shares
 

@@ -11,8 +11,6 @@ Reference: J. L. Williams, "Marginal multi-Bernoulli filters: RFS derivation of 
 association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -106,7 +104,7 @@ class PmbFilter(DisparityFilter):
         detected, prior = self.detections(event)
         reduced, log_likelihood, expected, labels, detections, claims, fewer = _update(
             prediction.mixture, prediction.moved, detected, prior,
-            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims,
+            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims
         )  # fmt: skip
         history = state.history
         if math.isfinite(self.settings.exchange_above):

@@ -5,8 +5,6 @@ track a detection. With many objects most of them are negligible. Their weights 
 computed, so that only those are made that the reduction keeps.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -16,8 +14,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.association.likelihoods import kalman_updates
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allocate_mixture
-from stereophd.core.multi.state.outcomes import fill_missed
+from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allocate_mixture, fill_missed
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian, largest, picked, places, stable_order
 
@@ -180,15 +177,7 @@ def make_hypotheses(
     outcomes: Outcomes,
     choice: ChosenOutcomes,
 ) -> GaussianMixture:
-    """Return the chosen outcomes as components.
-
-    Parameters
-    ----------
-    mixture, moved, event, numbers
-        The same as in `stereophd.core.multi.pmb.update.associate_tracks`.
-    outcomes : Outcomes
-    choice : ChosenOutcomes
-    """
+    """Return the chosen outcomes as components; the other parameters are those of `associate_tracks`."""
     chosen = choice.chosen
     out = allocate_mixture(len(chosen), mixture.means.shape[1])
     to_weights, to_means, to_covariances, cameras, times, labels, tracks, reported = out

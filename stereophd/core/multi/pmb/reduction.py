@@ -4,8 +4,6 @@ Negligible hypotheses are dropped, those of one track that agree are merged, two
 and improbable tracks are recycled into the intensity of undetected objects.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -35,12 +33,8 @@ LAST = np.iinfo(np.int64).max
 def reduce_tracks(mixture: GaussianMixture, known: Existences, settings: PmbReduction) -> tuple[GaussianMixture, float]:
     """Reduce a mixture after an update, of tracks of a known existence.
 
-    Returns
-    -------
-    mixture : GaussianMixture
-        Tracks, ordered by label and then by falling weight, then the intensity of undetected objects.
-    expected : float
-        Sum of the existences of the tracks.
+    Returns tracks, ordered by label and then by falling weight, then the intensity of undetected objects; and the sum
+    of the existences of the tracks.
     """
     prune_weight, hypothesis_distance = settings.prune_weight, settings.hypothesis_distance
     weights, labels = mixture.weights, mixture.labels
@@ -114,7 +108,7 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
             # what is written lies before what is still to be read
             w, m, c, heaviest = merge_sorted(
                 weights[start:end], weights[start:end], means[start:end], covariances[start:end], cameras[start:end],
-                times[start:end], distance, True,
+                times[start:end], distance, True
             )  # fmt: skip
             for i in range(len(w)):
                 weights[merged] = w[i]
@@ -125,7 +119,7 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
     chosen = leaders[:merged]
     return GaussianMixture(
         weights[:merged], means[:merged], covariances[:merged], picked(cameras, chosen), picked(times, chosen),
-        picked(labels, chosen), picked(tracks, chosen), picked(reported, chosen),
+        picked(labels, chosen), picked(tracks, chosen), picked(reported, chosen)
     )  # fmt: skip
 
 

@@ -10,8 +10,6 @@ are the odds of the association problem that `association_marginals` solves: its
 detection out among the alternatives, w_hj = m_ij p_h l_hj / sum_h p_h l_hj.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -44,22 +42,9 @@ def associate_tracks(
 ) -> tuple[Outcomes, float]:
     """Share the detections of an event out among tracks, the intensity of undetected objects, clutter and new objects.
 
-    Parameters
-    ----------
-    mixture : GaussianMixture
-        As predicted, each component at home.
-    moved : Moved
-        The same components in the event's space.
-    event, numbers : EventArrays, EventNumbers
-    prune_weight : float
-        Pairs far below this weight are left out.
-
-    Returns
-    -------
-    outcomes : Outcomes
-        Missed components, detected ones, and one new track a detection.
-    log_likelihood : float
-        Log-likelihood of the event's detections, per distorted pixel: the value of the association problem.
+    The mixture is as predicted, each component at home; `moved` has the same components in the event's space. Pairs far
+    below the pruning weight are left out. Returns missed components, detected ones, and one new track a detection; and
+    the log-likelihood of the event's detections, per distorted pixel: the value of the association problem.
     """
     weights, labels = mixture.weights, mixture.labels
     points, noises, areas, readings, _, _ = event

@@ -1,7 +1,5 @@
 """What the compiled filters take of an event: its detections and its numbers, as named tuples."""
 
-from __future__ import annotations
-
 from typing import NamedTuple, TypeVar, get_type_hints
 
 from stereophd.core.arrays import Array

@@ -1,7 +1,5 @@
 """Mixture reduction: pruning, merging (Vo and Ma 2006, Table II) and a cap on the components."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
@@ -48,7 +46,7 @@ def merge_sorted(
         begin = leader + 1
         _mark_candidates(
             cameras[leader], times[leader], first[leader], reaches[leader] if mutual else np.inf,
-            cameras[begin:], times[begin:], first[begin:], reaches[begin:], candidates[begin:],
+            cameras[begin:], times[begin:], first[begin:], reaches[begin:], candidates[begin:]
         )  # fmt: skip
         for k in range(begin, count):
             if candidates[k] == 0 or used[k]:
@@ -142,32 +140,15 @@ def reduce_mixture(
     max_components: int,
     mutual: bool = True,
 ) -> tuple[GaussianMixture, int]:
-    """Drop light components, merge near ones, and keep the heaviest.
+    """Drop components below a weight, merge near ones, and keep the heaviest.
 
-    Parameters
-    ----------
-    mixture : GaussianMixture
-        Components are compared only with those at home in the same camera at the same time.
-    shares : array (n,)
-        What each component counts for the mean and the covariance of a merged one; the weights for its moments as a
-        part of the intensity.
-    prune_weight : float
-        Components below this weight are dropped.
-    merge_distance : float
-        Squared Mahalanobis distance, in the covariance of the lighter component, below which a
-        component is merged into a heavier one.
-    max_components : int
-        The heaviest are kept.
-    mutual : bool
-        Require the distance in the covariance of the heavier component as well. Without it, as in the textbook, a
-        component of known depth absorbs every light one of unknown depth, and its own depth is then unknown too.
-
-    Returns
-    -------
-    mixture : GaussianMixture
-        In order of falling weight of the heaviest part; a merged component keeps the identity of its heaviest part.
-    left_out : int
-        Number of components that `max_components` left out.
+    Components are compared only with those at home in the same camera at the same time. One is merged into a heavier
+    one below a squared Mahalanobis distance in the covariance of the lighter; if `mutual`, in that of the heavier as
+    well. Otherwise, as in the textbook, a component of known depth absorbs every light one of unknown depth, and its
+    own depth is then unknown too. `shares` (n,) are what each component counts for the mean and the covariance of a
+    merged one; the weights for its moments as a part of the intensity. Returns the mixture in order of falling weight
+    of the heaviest part, whose identity a merged component keeps, and the number of components that `max_components`
+    left out.
     """
     heavy = places(mixture.weights >= prune_weight)
     order = picked(heavy, stable_order(-picked(mixture.weights, heavy)))
@@ -175,11 +156,11 @@ def reduce_mixture(
     if merge_distance > 0.0 and len(found.weights) > 1:
         weights, means, covariances, leaders = merge_sorted(
             found.weights, picked(shares, order), found.means, found.covariances, found.cameras, found.times,
-            merge_distance, mutual,
+            merge_distance, mutual
         )  # fmt: skip
         found = GaussianMixture(
             weights, means, covariances, found.cameras[leaders], found.times[leaders], found.labels[leaders],
-            found.tracks[leaders], found.reported[leaders],
+            found.tracks[leaders], found.reported[leaders]
         )  # fmt: skip
     left_out = max(len(found.weights) - max_components, 0)
     if left_out > 0:

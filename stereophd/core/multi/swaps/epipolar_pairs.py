@@ -4,8 +4,6 @@ Two objects in one epipolar plane of two cameras have a second explanation if th
 of the other crosswise, before both cameras and at depths at which objects appear.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -72,27 +70,12 @@ def swap_candidates(
     event: int,
     most: int,
 ) -> Integers:
-    """Labels (n, 2) of the first pairs of reported tracks that two cameras may have paired crosswise.
+    """Labels (n, 2) of the first pairs of reported tracks that two cameras may have paired crosswise, at most so many.
 
-    Parameters
-    ----------
-    mixture : GaussianMixture
-        Tracks ordered by label and then by falling weight.
-    homes, views : arrays (n, 30), (c, 30)
-        Packed spaces of the components, and of all cameras.
-    cameras : (int, int)
-        The two cameras.
-    prior : NewObjects
-    tolerance : float
-        Distance of two epipolar lines, px, up to which they may be one.
-    past : Past
-        Two tracks that have come into one plane since were not paired crosswise before.
-    deferred : DeferredPairs
-        Pairs of tracks and the second camera that are left out, until an event.
-    event : int
-        Number of the event.
-    most : int
-        Largest number of pairs to return.
+    Tracks are ordered by label and then by falling weight; `homes` (n, 30) and `views` (c, 30) are the packed spaces of
+    the components, and of all cameras. Two epipolar lines up to `tolerance` px apart may be one. Two tracks that have
+    come into one plane since the `past` were not paired crosswise before. Deferred are pairs of tracks and the second
+    camera that are left out, until an event; `event` is the number of this one.
     """
     labels, first, second = mixture.labels, views[cameras[0]], views[cameras[1]]
     heads, places, before, errors = _reported_places(mixture, homes, past)

@@ -4,8 +4,6 @@ An explanation gives each detection to one of the two tracks. The tracks of ever
 first row on, row by row. After a row, all explanations have explained the same detections.
 """
 
-from __future__ import annotations
-
 import math
 from typing import NamedTuple
 
@@ -44,7 +42,7 @@ def room_for_explained(explanations: int, rows: int, size: int) -> ExplainedRows
     """Room for what `explain_rows` fills in."""
     return ExplainedRows(
         np.zeros((explanations, 2)), np.zeros((explanations, rows), dtype=bool), np.zeros((explanations, 2, size)),
-        np.zeros((explanations, 2, size, size)),
+        np.zeros((explanations, 2, size, size))
     )  # fmt: skip
 
 
@@ -90,25 +88,11 @@ def explain_rows(
     most_behind: float,
     out: ExplainedRows,
 ) -> None:
-    """Filter the detections of two tracks again under h explanations.
+    """Filter the detections of two tracks, forwards or backwards in time, again under h explanations.
 
-    Parameters
-    ----------
-    rows : ClaimedRows
-        Detections of both tracks, forwards or backwards in time.
-    spaces : array (n, 30)
-        Packed space of each detection.
-    prior : NewObjects
-        Prior of the tracks at their first detections.
-    paths : DetectionPaths
-    motion : MotionArrays
-        Over the intervals of the paths.
-    look : Look
-        Samples of the moves.
-    most_behind : float
-        Where the second explanation is further behind the first one after the same rows, nats, the rest is left out.
-    out : ExplainedRows
-        Filled in: zeros before.
+    `spaces` (n, 30) has the packed space of each detection, the motion is that over the intervals of the paths, and
+    `prior` that of the tracks at their first detections. Where the second explanation is more than `most_behind` nats
+    behind the first one after the same rows, the rest is left out. Fills in `out`, which is zero before.
     """
     explanations, count = paths.owners.shape
     size = out.means.shape[2]
@@ -166,13 +150,7 @@ def _reading(readings: Array | None, row: int) -> Array | None:
 
 @compiled
 def _follow(
-    rows: ClaimedRows,
-    row: int,
-    moved: Moved,
-    k: int,
-    means: Array,
-    covariances: Array,
-    track: int,
+    rows: ClaimedRows, row: int, moved: Moved, k: int, means: Array, covariances: Array, track: int
 ) -> tuple[float, bool]:
     """Update a moved track with its next detection; return its log-likelihood, and whether the detection fits."""
     point, noise = rows.points[row : row + 1], rows.noises[row : row + 1]

@@ -137,5 +137,5 @@ class ClaimedRows(NamedTuple):
         """Return some of the rows."""
         return ClaimedRows(
             self.cameras[index], self.times[index], self.labels[index], self.points[index], self.noises[index],
-            None if self.readings is None else self.readings[index],
+            None if self.readings is None else self.readings[index]
         )  # fmt: skip

@@ -181,7 +181,7 @@ class SwapTest:
         found = self._explain(rows, np.zeros((1, len(rows.times)), dtype=np.int64), prior)
         return Track(
             float(found.log_likelihoods[0, 0]), found.fits[0], found.means[0, 0], found.covariances[0, 0],
-            int(rows.cameras[-1]), float(rows.times[-1]),
+            int(rows.cameras[-1]), float(rows.times[-1])
         )  # fmt: skip
 
     def _explain(self, rows: ClaimedRows, owners: Integers, prior: NewObjects) -> ExplainedRows:

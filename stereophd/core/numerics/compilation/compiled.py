@@ -1,7 +1,5 @@
 """How the package's hot loops are compiled (numba)."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cached_property
 from typing import Any, TypeVar, cast

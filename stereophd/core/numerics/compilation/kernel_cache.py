@@ -30,7 +30,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataC
 from numba.core.runtime import rtsys
 
 from stereophd.core.numerics.compilation import kernel_units
-from stereophd.core.numerics.compilation.kernel_digest import PACKAGE_PARENT, source_digest
+from stereophd.core.numerics.compilation.kernel_units import PACKAGE_PARENT, source_digest
 from stereophd.core.numerics.compilation.trusted_folders import can_make, is_trusted, make_folder
 
 FOLDER_NAME = "stereophd-kernels"
@@ -83,7 +83,7 @@ def kernel_folders() -> tuple[Path, ...]:
             LOGGER.warning(
                 "%s=%s: expected a folder that only this user or root can write to, as to all that lead to it, found "
                 "another: no kernels are read from it or kept there",
-                name, stated,
+                name, stated
             )  # fmt: skip
     return folders
 
@@ -199,6 +199,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         (`target_context.refresh`): that waits until a kernel is compiled. It needs the runtime that counts references
         to arrays; without it the process ends at the first array that a kernel makes.
         """
+        _import_array_functions()  # before a kept form, or numba's compiler, does
         rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
         for folder in kernel_folders():
@@ -216,7 +217,6 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
                     return form
             except Exception:  # a damaged file may raise anything
                 continue
-        _import_array_functions()  # before numba's compiler does
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:

@@ -1,25 +1,63 @@
-"""Large kernels are compiled once, apart from their callers.
+"""Large kernels are compiled once, apart from their callers, and numba is made quicker while it compiles.
 
 numba links the code of every kernel into each of its callers, and optimises all of it again there: the cost of a deep
 tree of calls grows with its depth. A kernel that is too large to be inlined gains nothing by that. Such a kernel is an
 `apart` unit here: its callers hold only its symbol, and the machine code of a caller is linked against the one compiled
 form. For this, the symbol of a kernel must be the same in every process that compiles it (numba numbers them in order
 of compilation), and a process that finds a compiled caller must load its units first.
+
+numba is Python for the greater part. While it compiles, two costs are avoided, which changes nothing of what it
+compiles: the search for garbage (little of what a compiler makes becomes garbage before it ends), and the repeated
+choice of the form of a built-in function (the operators, `math.sqrt`, `len`, ...) for the same types of arguments, for
+which numba tries all forms that it knows at every place.
 """
 
-from __future__ import annotations
-
+import contextlib
+import gc
 import hashlib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
 from numba.core.compiler import Compiler
+from numba.core.types import functions
 
-from stereophd.core.numerics.compilation.kernel_digest import source_digest
-from stereophd.core.numerics.compilation.quick_compilation import quick_compilation
+# The folder that holds the package.
+PACKAGE_PARENT = Path(__file__).resolve().parents[4]
+
+_IMPORT = re.compile(r"^\s*from (stereophd(?:\.\w+)*) import ([^\n#]+)", re.MULTILINE)
+
+
+@cache
+def _imported_files(file: Path) -> frozenset[Path]:
+    """Return the files of the package that a file imports directly."""
+    found = set()
+    for module, names in _IMPORT.findall(file.read_text(encoding="utf-8")):
+        path = PACKAGE_PARENT.joinpath(*module.split("."))
+        if path.with_suffix(".py").is_file():
+            found.add(path.with_suffix(".py"))
+        for name in re.findall(r"\w+", names):
+            if (path / f"{name}.py").is_file():
+                found.add(path / f"{name}.py")
+    return frozenset(found)
+
+
+@cache
+def source_digest(file: Path) -> str:
+    """Return the hash of the contents of a source file and of all files of the package that it imports, in turn."""
+    files, waiting = {file}, [file]
+    while waiting:
+        new = _imported_files(waiting.pop()) - files
+        files |= new
+        waiting += new
+    digest = hashlib.sha256()
+    for path in sorted(files):
+        digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()
+
 
 # Instructions (after optimisation) from which on a kernel is a unit of its own. LLVM inlines functions of some 50.
 APART_INSTRUCTIONS = 200
@@ -99,3 +137,37 @@ def load_units(units: Iterable[Unit], target_context: Any) -> bool:
         if not target_context.codegen()._engine.is_symbol_defined(unit.symbol):
             return False
     return True
+
+
+# Types of calls of built-in functions, by function, context and types of arguments.
+_CALL_TYPES: dict[tuple[Any, ...], Any] = {}
+
+# numba's class of built-in functions, untyped: one of its methods is exchanged for a while
+_FUNCTION: Any = functions.Function
+_get_call_type = _FUNCTION.get_call_type
+
+
+@contextlib.contextmanager
+def quick_compilation() -> Iterator[None]:
+    """Compile kernels in the block; blocks may be nested, and only one thread compiles (numba has one lock)."""
+    if _FUNCTION.get_call_type is not _get_call_type:
+        yield
+        return
+    collects = gc.isenabled()
+    gc.disable()
+    _FUNCTION.get_call_type = _remembered_call_type
+    try:
+        yield
+    finally:
+        _FUNCTION.get_call_type = _get_call_type
+        if collects:
+            gc.enable()
+
+
+def _remembered_call_type(self: Any, context: Any, args: Any, kws: Any) -> Any:
+    """Return the signature of a call, as numba finds it at the first of the same kind."""
+    key = self, context, tuple(args), tuple(sorted(kws.items()))
+    found = _CALL_TYPES.get(key)
+    if found is None:
+        found = _CALL_TYPES[key] = _get_call_type(self, context, args, kws)
+    return found

@@ -6,8 +6,6 @@ temporary one, may lead to it if entries there can be renamed by their owners al
 the time of the look nobody else can exchange a part of the path, so that what is opened next is what was looked at.
 """
 
-from __future__ import annotations
-
 import os
 import stat
 from functools import cache

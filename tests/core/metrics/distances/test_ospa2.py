@@ -87,7 +87,7 @@ def test_identities_that_are_swapped():
     # Scan 2: both tracks are right in 2 of 3 scans. OSPA sees nothing of it.
     assert distances(track, truth) == pytest.approx([0.0, 0.0, 10 / 3, 10 / 3])
     scores = score_scans(point_sets(track), point_sets(truth), 1.0, 10.0)
-    assert scores.ospa.tolist() == [0.0] * 4
+    assert scores.ospa.distance.tolist() == [0.0] * 4
 
 
 def test_scans_at_which_neither_exists_do_not_count():
@@ -227,7 +227,7 @@ def test_it_is_a_metric(x, y, z, window, order):
 @settings(max_examples=100)
 @given(x=TRACKS, y=TRACKS, order=st.floats(1, 4))
 def test_one_scan_is_ospa_and_names_do_not_matter(x, y, order):
-    ospa = score_scans(point_sets(x), point_sets(y), order, 12.0).ospa
+    ospa = score_scans(point_sets(x), point_sets(y), order, 12.0).ospa.distance
     assert distances(x, y, 1, order, 12.0) == pytest.approx(ospa.tolist(), abs=1e-9)
     renamed = [{50 - 7 * name: value for name, value in reversed(scan.items())} for scan in x]
     assert distances(renamed, y, 3, order) == pytest.approx(distances(x, y, 3, order), abs=1e-9)

@@ -9,9 +9,8 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from stereophd.core.metrics.distances.hota import THRESHOLDS, hota
-from stereophd.core.metrics.identities import identity_score
+from stereophd.core.metrics.identities import identity_score, identity_switches
 from stereophd.core.metrics.matching.clear_mot import beside_another, follow, match_within
-from stereophd.core.metrics.matching.identity import identity_switches
 from stereophd.core.metrics.matching.near_pairs import NearPairs, most_gain, near_pairs
 from stereophd.core.metrics.scans import PointSets, ScanScores, score_scans
 
@@ -97,7 +96,7 @@ def test_perfect_tracks_nearer_than_their_errors_never_switch():
     assert switches(estimates, truth, scores) == 0
     assert (scores.n_matched == 2).all()
     assert (estimates.label[scores.pair_estimate] == truth.label[scores.pair_truth] + 7).all()
-    assert (scores.ospa == optimal.ospa).all()
+    assert (scores.ospa.distance == optimal.ospa.distance).all()
     assert beside_another(estimates, truth, scores, near_pairs(estimates, truth, 20.0)) == 0
 
 
@@ -114,7 +113,7 @@ def test_a_match_that_is_wrong_from_the_first_scan_on_is_kept_within_the_distanc
     narrow, pairs = match_within(estimates, truth, optimal, 2.0, 20.0, 5.0)
     assert beside_another(estimates, truth, narrow, pairs) == 0
     assert narrow.n_matched.tolist() == [1] + [2] * 49
-    assert (narrow.ospa == optimal.ospa).all()
+    assert (narrow.ospa.distance == optimal.ospa.distance).all()
     assert switches(estimates, truth, narrow) == 1
 
 
@@ -165,9 +164,9 @@ def test_switches_and_idf1_are_those_of_motmetrics(seed):
     assert len(truth.label) - scores.n_matched.sum() == expected["num_misses"]
     assert len(estimates.label) - scores.n_matched.sum() == expected["num_false_positives"]
     identity = identity_score(estimates, truth, near_pairs(estimates, truth, CUTOFF))
-    assert identity.f1 == pytest.approx(expected["idf1"])
-    assert identity.precision == pytest.approx(expected["idp"])
-    assert identity.recall == pytest.approx(expected["idr"])
+    assert identity["idf1"] == pytest.approx(expected["idf1"])
+    assert identity["id_precision"] == pytest.approx(expected["idp"])
+    assert identity["id_recall"] == pytest.approx(expected["idr"])
 
 
 def hota_by_hand(estimates: PointSets, truth: PointSets) -> np.ndarray:
@@ -216,19 +215,19 @@ def test_hota_is_that_of_its_definition(seed):
 def test_perfect_tracks_and_runs_without_estimates_or_pairs():
     _, truth = crowded_run(1)
     near = near_pairs(truth, truth, CUTOFF)
-    assert identity_score(truth, truth, near).f1 == 1.0
+    assert identity_score(truth, truth, near)["idf1"] == 1.0
     assert hota(truth, truth, near).hota == pytest.approx(np.ones(19))
     nothing = truth.keep_points(np.zeros(len(truth.label), dtype=bool))
     far = PointSets(truth.start, truth.position + 1000.0, truth.velocity, truth.label)
     for estimates in (nothing, far):
         near = near_pairs(estimates, truth, CUTOFF)
         assert len(near.scan) == 0
-        assert identity_score(estimates, truth, near).recall == 0.0
+        assert identity_score(estimates, truth, near)["id_recall"] == 0.0
         assert (hota(estimates, truth, near).hota == 0.0).all()
         assert followed(estimates, truth).n_matched.sum() == 0
-    assert np.isnan(identity_score(nothing, truth, near).precision)
+    assert np.isnan(identity_score(nothing, truth, near)["id_precision"])
     empty = near_pairs(nothing, nothing, CUTOFF)
-    assert np.isnan(identity_score(nothing, nothing, empty).f1)
+    assert np.isnan(identity_score(nothing, nothing, empty)["idf1"])
     assert (hota(nothing, nothing, empty).hota == 0.0).all()
 
 
@@ -236,7 +235,7 @@ def test_an_estimate_without_identity_is_a_track_of_its_own():
     truth = point_sets([[(0, np.zeros(3))] for _ in range(4)])
     estimates = point_sets([[(5 if scan < 2 else -1, np.zeros(3))] for scan in range(4)])
     near = near_pairs(estimates, truth, CUTOFF)
-    assert identity_score(estimates, truth, near).f1 == 0.5
+    assert identity_score(estimates, truth, near)["idf1"] == 0.5
     assert hota(estimates, truth, near).association == pytest.approx(np.full(19, (2 * 0.5 + 2 * 0.25) / 4))
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.metrics.matching.identity import tabulate_objects, tabulate_tracks
+from stereophd.core.metrics.identities import tabulate_objects, tabulate_tracks
 
 NOTHING = np.zeros(0, dtype=np.int64)
 

@@ -17,7 +17,7 @@ from stereophd.core.metrics.truth.interpolation import (
     fitted_velocities,
     last_event_of_each_time,
 )
-from stereophd.core.metrics.truth.visibility import Sightings, cameras_that_saw, leave_out_unseen
+from stereophd.core.metrics.truth.scored import Sightings, cameras_that_saw, leave_out_unseen
 
 
 def truth_of(*objects: tuple[int, list[float], list[float]]) -> Truth:

@@ -8,7 +8,7 @@ import pytest
 from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.multi.births.birth import birth_moments
+from stereophd.core.multi.births.undetected import birth_moments
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from tests.core.disparity.cases import LENSES, make_camera, make_space
 

@@ -10,7 +10,7 @@ from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import FilterState
-from stereophd.core.multi.births.visibility import fade_out_of_view
+from stereophd.core.multi.births.survival import fade_out_of_view
 from tests.core.disparity.cases import make_camera
 from tests.core.multi.scenes import make_filter, make_mixture
 

@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 from numba.core.caching import IndexDataCacheFile
 
-from stereophd.core.numerics.compilation import kernel_cache, kernel_digest
+from stereophd.core.numerics.compilation import kernel_cache, kernel_units
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky
 
 
 @pytest.fixture
 def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(kernel_digest, "PACKAGE_PARENT", tmp_path)
+    monkeypatch.setattr(kernel_units, "PACKAGE_PARENT", tmp_path)
     folder = tmp_path / "stereophd"
     folder.mkdir()
     (folder / "a.py").write_text("from stereophd.b import f\n")
@@ -33,9 +33,9 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def _digest(file: Path) -> str:
-    kernel_digest._imported_files.cache_clear()
-    kernel_digest.source_digest.cache_clear()
-    return kernel_digest.source_digest(file)
+    kernel_units._imported_files.cache_clear()
+    kernel_units.source_digest.cache_clear()
+    return kernel_units.source_digest(file)
 
 
 @pytest.mark.parametrize(("changed", "stays"), [("a.py", False), ("b.py", False), ("c.py", False), ("d.py", True)])
@@ -149,7 +149,7 @@ def test_candidates(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
             monkeypatch.setenv(name, value)
         return [str(path.parent) for path in kernel_cache._candidates()]
 
-    package, temporary = str(kernel_digest.PACKAGE_PARENT / "stereophd" / "__pycache__"), tempfile.gettempdir()
+    package, temporary = str(kernel_units.PACKAGE_PARENT / "stereophd" / "__pycache__"), tempfile.gettempdir()
     assert found() == [package, temporary]
     assert found(NUMBA_CACHE_DIR="/n", XDG_CACHE_HOME="/x", HOME="/h") == ["/n", package, "/x", temporary]
     assert found(HOME=str(tmp_path)) == [package, str(tmp_path / ".cache"), temporary]

@@ -9,7 +9,7 @@ import pytest
 from numba.core.types.functions import Function
 
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.compilation.quick_compilation import quick_compilation
+from stereophd.core.numerics.compilation.kernel_units import quick_compilation
 
 # numba's own, before anything is compiled
 GET_CALL_TYPE = Function.get_call_type

@@ -1,12 +1,10 @@
-"""Existence of objects outside every view (ours).
+"""Which of the predicted components are kept, and existence outside every view (compiled; ours).
 
 A camera that looks at an object and misses it makes its existence less probable. Nothing does so while no camera looks:
 a false track that drifted out of all views would live on with the survival of an object for which there is evidence,
 and be reported. Its existence therefore fades there with a time constant; an object that comes back
 within that time is detected again under its identity.
 """
-
-from __future__ import annotations
 
 import math
 
@@ -33,22 +31,9 @@ def fade_out_of_view(
     """Multiply the weights of components outside every view by ``exp(-elapsed / time_constant)``, in place.
 
     A component is outside every view if the event's camera has too little of it in view (`status`) and no camera has
-    its mean in view, moved on to the time of the event.
-
-    Parameters
-    ----------
-    weights, status : arrays (n,)
-        Weights of the components, and their status in the view of the event's camera.
-    means, homes : arrays (n, d), (n, 30)
-        Components in their packed home spaces.
-    reach, drift : arrays (n,), (n, 6)
-        Those of `MotionArrays`, from the time of each component to that of the event.
-    views : array (c, 30)
-        Packed spaces of all cameras at the time of the event.
-    elapsed : float
-        Time since the last event, s.
-    time_constant : float
-        Seconds; infinity: nothing fades.
+    its mean in view, moved on to the time of the event: means (n, d) are in packed home spaces (n, 30), `reach` (n,)
+    and `drift` (n, 6) are those of `MotionArrays` up to the event, and `views` (c, 30) the packed spaces of all cameras
+    then. `elapsed` is the time since the last event, s; with an infinite time constant nothing fades.
     """
     if math.isinf(time_constant) or elapsed <= 0.0:
         return
@@ -82,3 +67,40 @@ def _mean_in_view(mean: Array, home: Array, reach: float, drift: Array, views: A
         if z > 0.0 and pixel_in_view(view, view[FX] * x / z + view[CX], view[FY] * y / z + view[CY]):
             return True
     return False
+
+
+# Components from this weight or existence on get more samples where only a corner of them is in view.
+IMPORTANT_WEIGHT = 0.1
+
+
+@compiled
+def keep_surviving_weights(
+    weights: Array,
+    status: Integers,
+    inside: Array,
+    means: Array,
+    tracks: Integers,
+    cameras: Integers,
+    homes: Array,
+    reach: Array,
+    drift: Array,
+    views: Array,
+    camera: int,
+    elapsed: float,
+    time_constant: float,
+) -> float:
+    """Lessen the weights (n,) of moved components by what is lost, in place; return their sum.
+
+    Existence outside every view fades (`fade_out_of_view`, whose parameters they share). What lies outside the region
+    is gone; what was never established (no identity, and light) and has left the view of the only camera that may have
+    seen it is forgotten, or clutter would fill the world around the view. `status` and `inside` are those of `Moved`,
+    `means`, `tracks` and `cameras` those of the components before the move; `camera` is that of the event.
+    """
+    fade_out_of_view(weights, status, means, homes, reach, drift, views, elapsed, time_constant)
+    total = 0.0
+    for k in range(len(weights)):
+        unknown = tracks[k] < 0 and weights[k] < IMPORTANT_WEIGHT
+        forgotten = unknown and status[k] == OUT_OF_VIEW and cameras[k] == camera
+        weights[k] = 0.0 if forgotten else weights[k] * inside[k]
+        total += weights[k]
+    return total
