@@ -125,7 +125,7 @@ class _Session:
         config = loaded.config
         self.found = self._tracked_by = loaded
         self.checks = FrameChecks(tracking.cameras, config.input.on_bad_row, config.input.image_margin_px)
-        times = report_times(config.report)
+        times = report_times(config.report, config.region)
         self.run = LiveRun(tracking.estimator, times, self.checks, config.live, self._keep)
         self._outputs, self._rows = outputs, outputs.rows
         self._stream: IO[str] | None = None

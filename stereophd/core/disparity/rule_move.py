@@ -74,10 +74,6 @@ def rule_components(
     with_velocity = alone = np.nan
     todo = np.empty(len(means), dtype=np.intp)
     n_todo = 0
-    limits = np.empty(9)
-    if len(region) > 0:
-        limits[:8] = region[:8]
-        limits[8] = NO_SLACK
     for k in range(len(means)):
         todo[n_todo] = k
         n_todo += 1
@@ -96,7 +92,10 @@ def rule_components(
             static_trips(means[k], factor, points, homes[k], destination, images)
         if view_mask(images, destination, mask) < count:
             continue
-        if len(region) > 0 and region_mask(images, destination, homes[k], limits, unit, scratch_weights) < 1.0:
+        if (
+            len(region) > 0
+            and region_mask(images, destination, homes[k], region, NO_SLACK, unit, scratch_weights) < 1.0
+        ):
             continue
         kept[:] = images[:size]
         weighted_moments(images, weights, count - 1.0, out_means[k], out_covariances[k])

@@ -219,7 +219,7 @@ def birth_moments(
     """Gaussians of the objects that the detections of an event may have given birth to, given the detection.
 
     Means (m, d) and covariances (m, d, d) are in the camera's packed disparity space (30,); `size`, their d, is 6, or 3
-    for static objects. In a `region` (8,) (`stereophd.core.disparity.events.Rig.region`), where objects can be, depths
+    for static objects. In a `region` (r,) (`stereophd.core.disparity.events.Rig.region`), where objects can be, depths
     along a ray are those inside it.
     """
     first = newborn_prior(space, prior, region)

@@ -35,7 +35,7 @@ class NewObjects(NamedTuple):
     means: Array
     stds: Array
     velocity_std: float
-    region: Array  # (8,) or empty: where objects can be
+    region: Array  # (r,) or empty: where objects can be
 
 
 class Past(NamedTuple):
