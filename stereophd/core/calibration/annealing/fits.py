@@ -47,10 +47,9 @@ ANNEALED_LOSS = Loss(normal_equations.CAUCHY, 2.0)
 FITTED_LOSS = Loss(normal_equations.FLOOR, 1e-3)
 # Spread of the draws about clock offsets that motion shows, in parts of the prior's.
 SEARCHED_PART = 0.1
-# Iterations of an adjustment; and where more than poses is unknown, of one that others follow and of one for the
-# history.
+# Iterations of an adjustment, of one that others follow, and of one for the history where more than poses is unknown.
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
-# Relative change of the cost at which an adjustment ends, and one that others follow where more than poses is unknown.
+# Relative change of the cost at which an adjustment ends, and one that others follow.
 TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 3
@@ -86,7 +85,7 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
-    return _fit(task, problem, pairing.values, states, detections, *_annealed(task))
+    return _fit(task, problem, pairing.values, states, detections, ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
 
 
 def with_clocks(task: Task, draws: Array) -> Array:
@@ -123,13 +122,7 @@ def tracked_fit(
     precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
-    return _fit(task, problem, values, states, detections, *_annealed(task))
-
-
-def _annealed(task: Task) -> tuple[int, float]:
-    """Most iterations and tolerance of an adjustment that others follow: with many unknowns its optimum is flat."""
-    only_moves = task.parameters.only_moves
-    return (MOST_ITERATIONS, TOLERANCE) if only_moves else (ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
+    return _fit(task, problem, values, states, detections, ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
 
 
 def refitted(task: Task, fit: Fit, tracked: bool = False, last: bool = True, still: bool = False) -> Fit | None:
@@ -160,7 +153,7 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, last: bool = True, sti
     if still and task.settings.shared_error_px > 0.0:
         weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), of_log)
         observations = replace(observations, weights=weights)
-    tolerance = TOLERANCE if last or task.parameters.only_moves else ANNEALED_TOLERANCE
+    tolerance = TOLERANCE if last else ANNEALED_TOLERANCE
     return adjusted_to(task, fit, observations, trajectories[rows], of_log, tolerance=tolerance)
 
 
