@@ -17,14 +17,13 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.annealing.fits import (
-    FIRST_WEIGHTED,
     FITTED_PASSES,
-    at_marginal_optimum,
     paired_fit,
     pairings_of,
     refitted,
+    stated_fit,
     tracked_fit,
-    without_left_out,
+    with_stated_motion,
 )
 from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
 from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio
@@ -82,10 +81,10 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
         values = fit.adjustment.values
         history.append(values)
         inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
-    count = len(inflations) + FITTED_PASSES + 1
+    count = len(inflations) + FITTED_PASSES
     about = f"start {number + 1} of at most {task.most_starts}, from {origin}: pass"
     for number_of_pass, inflation in enumerate(inflations):
-        if not task.limit.begin(f"{about} {number_of_pass + 1} of at most {count}, {inflation:g} times the noise"):
+        if not task.limit.begin(f"{about} {number_of_pass + 1} of {count}, {inflation:g} times the noise"):
             return failed(TIME_OVER)
         ratio = 1.0 if fit is None else depth_ratio(task, fit, KEPT_WITHIN)
         fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio)
@@ -94,29 +93,20 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
         values = fit.adjustment.values
         history.append(values)
     assert fit is not None
-    for number_of_pass in range(FITTED_PASSES + 1):
-        if number_of_pass == FITTED_PASSES and fit.observations.weights is None:
-            break  # one more pass only where the last one found weights
-        if (
-            not task.limit.begin(f"{about} {count - FITTED_PASSES + number_of_pass} of at most {count}")
-            and number_of_pass
-        ):
+    for number_of_pass in range(FITTED_PASSES):
+        if not task.limit.begin(f"{about} {count - FITTED_PASSES + number_of_pass + 1} of {count}") and number_of_pass:
             break  # judged as it is
-        again = refitted(
-            task, fit, tracked=number_of_pass == 0, weighted=number_of_pass >= FIRST_WEIGHTED,
-            last=number_of_pass >= FIRST_WEIGHTED,
-        )  # fmt: skip
+        again = refitted(task, fit, tracked=number_of_pass == 0, last=number_of_pass == FITTED_PASSES - 1)
         if again is None:
             return failed("the fitted trajectories are not shared by two cameras", fit)
         fit = again
         history.append(fit.adjustment.values)
-    fit = without_left_out(task, fit)
     values = fit.adjustment.values
     part = explained(task, fit)
     why = disagreement(task, fit)
     if why is not None and task.parameters.prior_disagreement(values) is not None:
         # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
-        fit = at_marginal_optimum(task, fit)
+        fit = with_stated_motion(task, stated_fit(task, fit)[0])
         values = fit.adjustment.values
         history.append(values)
         why = disagreement(task, fit)
