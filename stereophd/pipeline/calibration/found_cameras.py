@@ -22,7 +22,7 @@ from stereophd.config.loading import LoadedConfig, variant
 from stereophd.core.alignment.cameras import moved_camera
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.control import World
-from stereophd.core.calibration.discovery.rig import Rig, View, discover
+from stereophd.core.calibration.discovery.rig import FoundRig, View, discover
 from stereophd.core.calibration.pairing.track_pairs import image_tracks, one_camera_tracks, raw_tracks
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
@@ -52,7 +52,7 @@ class FoundCameras:
     """What was found where poses or clocks are unknown: the rig, or the reason why there is none."""
 
     names: tuple[str, ...]  # of the cameras that were unknown
-    rig: Rig | None  # not adjusted where it is doubted
+    rig: FoundRig | None  # not adjusted where it is doubted
     reason: str  # why nothing was found that is believed; empty if something was
     has_scale: bool
     intervals: dict[str, float]  # of each camera, s
@@ -113,7 +113,7 @@ class FoundCameras:
         return out
 
 
-def _values_of(rig: Rig) -> dict[str, Any]:
+def _values_of(rig: FoundRig) -> dict[str, Any]:
     """Return the cameras of a rig for the report."""
     return {
         camera.name: {
@@ -226,7 +226,7 @@ def _view(loaded: LoadedConfig, section: CalibrationConfig, camera: Camera) -> V
     return View(camera, focal, lens, np.inf if clock else 0.0, rate)
 
 
-def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: Rig) -> Rig:
+def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: FoundRig) -> FoundRig:
     """Return a rig in the axes of the reference's pose, and in the unit of a known distance of two of its cameras."""
     factor = 1.0
     if isinstance(section.scale, BaselineScale):
@@ -243,7 +243,7 @@ def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: Rig) -> Rig
 
 
 def _priors(
-    loaded: LoadedConfig, section: CalibrationConfig, views: list[View], rig: Rig, intervals: dict[str, float]
+    loaded: LoadedConfig, section: CalibrationConfig, views: list[View], rig: FoundRig, intervals: dict[str, float]
 ) -> dict[str, Any]:
     """Return priors about the cameras of a rig, as the configuration writes them."""
     out: dict[str, Any] = {}

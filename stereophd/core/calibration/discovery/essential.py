@@ -64,7 +64,7 @@ def eight_point(rows: Array, valid: Array, tolerances: tuple[float, float]) -> A
     return essential
 
 
-def _monomials() -> tuple[Array, list[tuple[int, ...]]]:
+def _monomials() -> Array:
     """Sums (64, 20) of products of three of the unknowns x, y, z, 1 by monomial, cubic ones first."""
     cubic = ["000", "001", "011", "111", "002", "012", "112", "022", "122", "222"]
     lower = ["003", "013", "113", "023", "123", "223", "033", "133", "233", "333"]
@@ -73,10 +73,10 @@ def _monomials() -> tuple[Array, list[tuple[int, ...]]]:
     sums = np.zeros((4, 4, 4, 20))
     for index in np.ndindex(4, 4, 4):
         sums[(*index, order.index(tuple(sorted(index))))] = 1.0
-    return sums.reshape(64, 20), order
+    return sums.reshape(64, 20)
 
 
-MONOMIALS, _ = _monomials()
+MONOMIALS = _monomials()
 # Row of the reduced equations that x times each of x2, xy, y2, xz, yz, z2 is, and place of x times x, y, z and 1.
 TIMES_X, KEPT = (0, 1, 2, 4, 5, 7), (0, 1, 3, 6)
 

@@ -96,10 +96,8 @@ class PairFit:
     state: PairState
     gain: float  # at the tolerance where it is greatest
     pieces: float  # quadratic pieces of the paired tracks
-    tolerance: float  # px
     front: float  # share of the samples of the paired tracks that lie in front of both cameras
     stds: Array  # (11,): deviations of the components, 0 of what is held
-    pairs: Integers  # (p, 2): tracks that are one object
     depths: Array  # (n, 2): depths of their samples before both cameras, in lengths of the baseline
     points: Array  # (n, 3): where they are, in the axes of a and in lengths of the baseline
     samples: Array  # (n, 3): track of a, time of a, track of b of these
@@ -297,9 +295,8 @@ class PairProblem:
         tracks = [self.found.of_camera(number) for number in self.cameras]
         samples = np.column_stack([tracks[0][rows.i], self.found.tracks.log_times[rows.entry], tracks[1][rows.j]])
         return PairFit(
-            replace(state, rotation=rotation, direction=direction), paired.gain, paired.pieces, tolerance, front,
+            replace(state, rotation=rotation, direction=direction), paired.gain, paired.pieces, front,
             np.sqrt(np.maximum(np.diag(covariance), 0.0)),
-            np.column_stack([tracks[side][paired.pairs[:, side]] for side in (0, 1)]),
             depths[good], a[good] * depths[good, :1], samples[good],
             float(np.median(distances)) / (0.6745 * self.noise_px),
             float(np.arcsin(np.clip(np.median(sines[inlying]), 0.0, 1.0))) if inlying.any() else 0.0,

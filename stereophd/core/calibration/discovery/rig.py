@@ -53,7 +53,7 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class Rig:
+class FoundRig:
     """Cameras that were found."""
 
     cameras: tuple[Camera, ...]  # in the order of the views; the reference at the origin
@@ -71,7 +71,7 @@ class Rig:
 class Discovery:
     """What was found."""
 
-    rig: Rig | None
+    rig: FoundRig | None
     reason: str  # why nothing was found that is believed; empty if something was
 
 
@@ -129,7 +129,7 @@ def _rig(
     reference: int,
     pairs: Sequence[PairResult],
     others: Sequence[PairResult],
-) -> Rig | None:
+) -> FoundRig | None:
     """Place cameras along the tree of pairs, the reference first; None if the baselines cannot be compared."""
     scales = _scales(found, reference, pairs)
     if scales is None:
@@ -174,7 +174,7 @@ def _rig(
         for pair in pairs
         for text in doubts_of_pair(pair, names, pair.cameras in confirmed, pair.cameras in closed)
     ]
-    return Rig(tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts))
+    return FoundRig(tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts))
 
 
 def _confirmed(
