@@ -133,7 +133,7 @@ class _Session:
         config = loaded.config
         self.found = self._tracked_by = loaded
         self.checks = FrameChecks(tracking.cameras, config.input.on_bad_row, config.input.image_margin_px)
-        times = report_times(config.report)
+        times = report_times(config.report, config.region)
         lag_s, self._is_lagged = config.report.lag_s, config.report.lag_s is not None
         lagged = None if lag_s is None else LaggedRecords(tracking.motion, lag_s)
         self.run = LiveRun(tracking.estimator, times, self.checks, config.live, self._keep, lagged)

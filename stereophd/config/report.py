@@ -9,15 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from stereophd.core.settings import (
-    Duration,
-    Pixel,
-    Pixels,
-    PositiveDuration,
-    PositiveLength,
-    PositivePixels,
-    parameter,
-)
+from stereophd.core.settings import Duration, Pixel, Pixels, PositiveDuration, PositiveLength, PositivePixels, parameter
 from stereophd.validated import Model
 
 

@@ -32,7 +32,8 @@ def check_tracking(
     """
     detections, frames = counts["detections"], counts["frames"]
     clutter = frames * float(np.mean([camera.detector.clutter_per_frame for camera in cameras]))
-    objects = detections - clutter - summary["left_out"]["burst_detections"]
+    outside = sum(camera["outside_region"] for camera in summary["cameras"].values())
+    objects = detections - clutter - outside - summary["left_out"]["burst_detections"]
     tracks = summary["tracks"]
     count = len(tracks)
     if count == 0 and objects >= LEAST_DETECTIONS:
@@ -86,7 +87,7 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
         if frames < LEAST_FRAMES or not summary["tracks"]:
             continue
         stated = camera.detector.clutter_per_frame
-        unexplained = (detections - figures["explained_detections"]) / frames
+        unexplained = (detections - figures["outside_region"] - figures["explained_detections"]) / frames
         most = CLUTTER_FACTOR * stated + CLUTTER_ERRORS * float(np.sqrt(max(stated, 1.0 / frames) / frames))
         most += LEAST_UNEXPLAINED * detections / frames
         if unexplained > most:
