@@ -107,7 +107,7 @@ def _listed(kind: type[Any]) -> str:
     lines = []
     for each in fields(kind):
         declared: Declaration | None = each.metadata.get("option")
-        meaning = "" if declared is None else declared.meaning
+        meaning = f"see `{kind.__name__}`" if declared is None else declared.meaning
         lines += [f"    {each.name} : {each.type}", *_paragraph(f"{meaning} (default {_default(each)})")]
     return "\n".join(lines)
 

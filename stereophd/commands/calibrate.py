@@ -52,23 +52,14 @@ from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, finished_report
 from stereophd.pipeline.stream import open_stream
-from stereophd.pipeline.tracking.run import (
-    ASSOCIATIONS_FILE,
-    SCANS_FILE,
-    TRACKS_FILE,
-    TrackingRun,
-)
+from stereophd.pipeline.tracking.run import ASSOCIATIONS_FILE, SCANS_FILE, TRACKS_FILE, TrackingRun
 from stereophd.report.installed import whether_to_draw
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
 FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, "report.json", *PLOTS)
 # Requirement -> the statuses of a report that meet it.
-ACCEPTED = {
-    None: (DETERMINED, PARTLY, UNDETERMINED),
-    "partly": (DETERMINED, PARTLY),
-    "determined": (DETERMINED,),
-}
+ACCEPTED = {None: (DETERMINED, PARTLY, UNDETERMINED), "partly": (DETERMINED, PARTLY), "determined": (DETERMINED,)}
 
 # Checks that need the calibrated cameras; the checks of the log alone come first.
 WITH_CAMERAS = ("geometry.", "settings.")

@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.options import EvaluateOptions
-from stereophd.core.metrics.truth.interpolation import (
-    DEFAULT_GAP_STEPS,
-)
+from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
@@ -40,11 +38,7 @@ PLOT_NAMES = tuple(f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "
 
 @takes(EvaluateOptions)
 def evaluate(
-    tracks_path: Path | str,
-    truth_path: Path | str,
-    out_dir: Path | str | None = None,
-    *,
-    options: EvaluateOptions,
+    tracks_path: Path | str, truth_path: Path | str, out_dir: Path | str | None = None, *, options: EvaluateOptions
 ) -> dict[str, Any]:
     """Score tracks against the truth, as `stereophd.api.evaluate`; ``report.json``, ``per_scan.parquet`` and plots.
 

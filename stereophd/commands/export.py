@@ -20,11 +20,7 @@ REPORT_VERSION = 1
 
 
 def export(
-    form: str,
-    source: Path | str,
-    out: Path | str,
-    options: ExportOptions | None = None,
-    force: bool = False,
+    form: str, source: Path | str, out: Path | str, options: ExportOptions | None = None, force: bool = False
 ) -> dict[str, Any]:
     """Export tracks or cameras; the content of the source decides which.
 
@@ -77,14 +73,10 @@ def _find_source(written: Format, form: str, path: Path) -> tuple[str, Path]:
     what = "tracks" if found == PARQUET else "cameras"
     if wants_tracks and written.write_cameras is None and found in (CSV, HDF5):
         raise InputError(f"{path}: expected a table of tracks (Parquet file), found {found}")
-    if (written.write_tracks if what == "tracks" else written.write_cameras) is None:
-        able = [name for name in names() if _holds(find(name), what)]
+    if getattr(written, f"write_{what}") is None:
+        able = [name for name in names() if getattr(find(name), f"write_{what}") is not None]
         raise InputError(f"{path}: expected a format that holds {what} ({', '.join(able)}), found {form}")
     return what, path
-
-
-def _holds(form: Format, what: str) -> bool:
-    return (form.write_tracks if what == "tracks" else form.write_cameras) is not None
 
 
 def _check_target(target: Path, force: bool, written: Format) -> None:

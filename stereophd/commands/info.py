@@ -8,8 +8,7 @@ from typing import Any
 
 from stereophd.config.loading import read_camera_file
 from stereophd.errors import InputError
-from stereophd.io.documents import expecting
-from stereophd.io.file_kinds import CSV, HDF5, LOG, kind_of_file, remedy
+from stereophd.io.file_kinds import CSV, HDF5, LOG, PARQUET, kind_of_file, remedy
 from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.io.outputs.json_text import read_report
 from stereophd.pipeline.inspection.cameras import summarise_cameras
@@ -34,16 +33,11 @@ def info(path: Path | str) -> dict[str, Any]:
     refuse_unsettled(source)
     if source.is_dir():
         return _folder(source)
-    if _begins_with(source, b"PAR1"):
+    if kind_of_file(source) == PARQUET:
         return _table(source)
     if source.suffix.lower() == ".json" and (report := _report(source)) is not None:
         return report
     return _text(source)
-
-
-def _begins_with(path: Path, magic: bytes) -> bool:
-    with expecting("a file", path), open(path, "rb") as stream:
-        return stream.read(len(magic)) == magic
 
 
 def _origin(record: dict[str, Any] | None) -> dict[str, Any] | None:

@@ -7,8 +7,7 @@ therefore does not depend on the number of runs or workers; a single run is run 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from functools import partial
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -66,7 +65,7 @@ def simulate(
     check_size(size_of_simulation(loaded, runs or 1), f"{loaded.path}: simulate", out_dir, options.force_size)
     if runs is None:
         with OutputFolder(out_dir, FILES, options.force) as out:
-            counts = [_simulate_run(loaded, 0, {name: out.path(name) for name in FILES}, progress)]
+            counts = [_simulate_run((loaded, 0, {name: out.path(name) for name in FILES}), progress)]
     else:
         with OutputFolder(out_dir, [f"run-*/{name}" for name in FILES], options.force) as out:
             paths = [{name: out.path(f"run-{run:04d}/{name}") for name in FILES} for run in range(runs)]
@@ -117,19 +116,16 @@ def _simulate_runs(
     from stereophd.pipeline.workers.processes import on_processes
 
     counts = []
-    for count in map(_simulate_one, tasks) if jobs == 1 else on_processes(_simulate_one, tasks, jobs):
+    for count in map(_simulate_run, tasks) if jobs == 1 else on_processes(_simulate_run, tasks, jobs):
         counts.append(count)
         if progress is not None:
             progress(len(counts), len(paths))
     return counts
 
 
-def _simulate_one(task: tuple[LoadedConfig, int, dict[str, Path]]) -> dict[str, int]:
-    return _simulate_run(*task, None)
-
-
-def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progress: Progress | None) -> dict[str, int]:
-    """Write the files of one run, and return how many frames, detections and objects they hold."""
+def _simulate_run(task: tuple[LoadedConfig, int, dict[str, Path]], progress: Progress | None = None) -> dict[str, int]:
+    """Write the files of one run of a configuration, and return how many frames, detections and objects they hold."""
+    loaded, run, paths = task
     config = loaded.config
     settings = config.simulate
     assert settings is not None  # checked in simulate
@@ -147,9 +143,8 @@ def _simulate_run(loaded: LoadedConfig, run: int, paths: dict[str, Path], progre
         guess = draw_guess(loaded, RUN_GUESS.seed(config.seed, run))
         write_cameras(paths[GUESS_FILE], {n: guess[n] for n in described}, config.units.length, record)
     _write_truth(paths[TRUTH_FILE], scene, metadata)
-    report = None if progress is None else partial(_every, progress, scene.grid.frame_count())
     frame_seed = RUN_FRAMES.seed(config.seed, run)
-    return _write_log(paths[DETECTIONS_FILE], scene, frame_seed, metadata, settings.object_id, report)
+    return _write_log(paths[DETECTIONS_FILE], scene, frame_seed, metadata, settings.object_id, progress)
 
 
 def _write_truth(path: Path, scene: Scene, metadata: dict[bytes, bytes]) -> None:
@@ -166,10 +161,10 @@ def _write_log(
     seed: np.random.SeedSequence,
     metadata: dict[bytes, bytes],
     object_id: bool,
-    report: Callable[[int], None] | None,
+    progress: Progress | None,
 ) -> dict[str, int]:
     counts = {"frames": 0, "detections": 0, "clutter": 0, "objects": len(scene.objects)}
-    names = [camera.name for camera in scene.cameras]
+    names, total = [camera.name for camera in scene.cameras], scene.grid.frame_count()
     optional = [*(("width_px", "height_px") if scene.sized is not None else ()), *(("object_id",) if object_id else ())]
     with LogWriter(path, metadata, optional) as writer:
         for frame in simulate_frames(scene, seed):
@@ -180,12 +175,7 @@ def _write_log(
             counts["frames"] += 1
             counts["detections"] += len(frame.pixels)
             counts["clutter"] += int(np.count_nonzero(frame.object_id == CLUTTER_ID))
-            if report is not None:
-                report(counts["frames"])
+            # often enough for a display
+            if progress is not None and (counts["frames"] % PROGRESS_EVERY == 0 or counts["frames"] == total):
+                progress(counts["frames"], total)
     return counts
-
-
-def _every(progress: Progress, total: int, done: int) -> None:
-    """Call `progress` every `PROGRESS_EVERY` frames and at the last one, which is enough for a display."""
-    if done % PROGRESS_EVERY == 0 or done == total:
-        progress(done, total)

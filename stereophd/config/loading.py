@@ -84,10 +84,7 @@ class LoadedConfig:
 
 
 def load_config(
-    path: Path | str,
-    overrides: Sequence[str] = (),
-    seed: int | None = None,
-    cameras_path: Path | str | None = None,
+    path: Path | str, overrides: Sequence[str] = (), seed: int | None = None, cameras_path: Path | str | None = None
 ) -> LoadedConfig:
     """Load a configuration file.
 

@@ -9,15 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BeforeValidator, Field
 
-from stereophd.core.settings import (
-    Duration,
-    Pixel,
-    Pixels,
-    PositiveDuration,
-    PositiveLength,
-    PositivePixels,
-    parameter,
-)
+from stereophd.core.settings import Duration, Pixel, Pixels, PositiveDuration, PositiveLength, PositivePixels, parameter
 from stereophd.validated import Model
 
 
@@ -121,6 +113,13 @@ class ReportConfig(Model):
     smooth: SmoothConfig | None = parameter(
         "smooth every track over the whole log, which is then held in memory; by default tracks are not smoothed",
         default=None,
+    )
+    lag_s: PositiveDuration | None = parameter(
+        "live runs: rows come this much later, smoothed with what the cameras have seen since; by default they come at "
+        "once",
+        default=None,
+        unit="s",
+        advice="about as long as an object takes to turn or to brake; more costs time and gains little.",
     )
 
 

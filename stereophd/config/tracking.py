@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import model_validator
 
+from stereophd.core.arrays import Array
 from stereophd.core.bodies.shapes import DEFAULT, shapes
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.bodies.shapes.point import PointSettings
+from stereophd.core.geometry.region import box_half_spaces, pack_region, prism_half_spaces
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.filter_settings.common import FilterSettings
-from stereophd.core.settings import Duration, Length, PositiveDuration, PositiveLength, parameter
+from stereophd.core.settings import Coordinate, Duration, Length, PositiveDuration, PositiveLength, Vector3, parameter
 from stereophd.core.single.settings import SingleSettings
 from stereophd.validated import Model, OneOf, Range3
 
@@ -30,13 +33,43 @@ class DisparityConfig(Model):
     )
 
 
+class PolygonConfig(Model):
+    """What stands over a convex polygon in a plane, such as an annotated floor, between two heights.
+
+    Objects can be between these heights beside the polygon too; only those over it are reported and scored.
+    """
+
+    corners: list[Vector3] = parameter("three or more corners, in order, in the axes of the world", unit="length")
+    heights: tuple[Coordinate, Coordinate] = parameter(
+        "least and greatest height over the plane of the corners", unit="length"
+    )
+    up: Vector3 = parameter("the side of the plane on which heights are positive", default=(0.0, -1.0, 0.0))
+
+    @model_validator(mode="after")
+    def _shape(self) -> PolygonConfig:
+        if self.heights[0] >= self.heights[1]:
+            raise ValueError(f"heights: expected low < high, found {list(self.heights)}")
+        self.half_spaces()
+        return self
+
+    def half_spaces(self) -> Array:
+        """Return the half-spaces (h, 4) that the polygon and its heights are."""
+        return prism_half_spaces(self.corners, self.up, self.heights)
+
+
 class RegionConfig(Model):
-    """Where objects can be: a box in the world, a range of depth before the cameras, or both."""
+    """Where objects can be, and where they are reported: in a box, over a polygon, in a range of depth, or in all."""
 
     box: Range3 | None = parameter(
         "a box in the axes of the world",
         default=None,
         advice="the room or the arena, with a margin of the position noise.",
+    )
+    polygon: PolygonConfig | None = parameter(
+        "a convex polygon in a plane, with heights",
+        default=None,
+        advice="the annotated floor; people beside it are tracked, so that they are not taken for others, but not "
+        "reported.",
     )
     depth: tuple[Length, PositiveLength] | None = parameter(
         "nearest and farthest depth in front of the camera that saw the object last",
@@ -50,6 +83,18 @@ class RegionConfig(Model):
         if self.depth is not None and self.depth[0] >= self.depth[1]:
             raise ValueError(f"depth: expected near < far, found {list(self.depth)}")
         return self
+
+    def half_spaces(self) -> Array:
+        """Return the half-spaces (h, 4) of the world that the box and the polygon are: objects count inside."""
+        box = np.empty((0, 4)) if self.box is None else box_half_spaces(self.box.model_dump())
+        return box if self.polygon is None else np.concatenate([box, self.polygon.half_spaces()])
+
+    def packed(self) -> Array:
+        """Return where objects can be (`stereophd.core.geometry.region`): the box, the heights, and the depths."""
+        sides = 0 if self.polygon is None else len(self.polygon.corners)
+        spaces = self.half_spaces()
+        spaces = np.delete(spaces, np.arange(len(spaces) - sides, len(spaces)), axis=0)
+        return pack_region(self.depth or (-np.inf, np.inf), spaces)
 
 
 Shape = Annotated[PointSettings | EllipsoidSettings, OneOf(shapes, "shape", DEFAULT)]

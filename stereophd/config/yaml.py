@@ -64,16 +64,12 @@ def _text(text: str) -> str:
     return text
 
 
-def _float(text: str) -> float:
-    return float(text.lower().replace(".inf", "inf").replace(".nan", "nan"))
-
-
 _SCALARS: dict[str, Callable[[str], Any]] = {
     "str": _text,
     "bool": lambda text: text.lower() == "true",
     "null": lambda text: None,
     "int": _integer,
-    "float": _float,
+    "float": lambda text: float(text.lower().replace(".inf", "inf").replace(".nan", "nan")),
 }
 
 

@@ -5,9 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-from numpy.typing import NDArray
-
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes, GridTimes, ReportConfig
 from stereophd.config.tracking import RegionConfig
@@ -52,7 +49,12 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     seed = FILTER_SAMPLES.seed(config.seed)
     moments = config.moments
     sets = draw_sample_sets(moments.method, moments.samples, motion.sample_rows, seed, moments.max_nonlinearity)
-    rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
+    rig = make_rig(
+        cameras,
+        config.disparity.baseline,
+        config.disparity.rectification,
+        None if config.region is None else config.region.packed(),
+    )
     _check_birth_rate(settings, cameras, path)
     return make_filter(settings, rig, motion, sets, threads)
 
@@ -76,7 +78,8 @@ def build_bodies(config: Config, cameras: tuple[Camera, ...], path: Path | str) 
     for camera in cameras:
         if camera.readout_s != 0.0:
             raise InputError(f"{path}: cameras.{camera.name}.readout_s: expected 0 {where}, found {camera.readout_s:g}")
-    rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, build_region(config.region))
+    region = None if config.region is None else config.region.packed()
+    rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification, region)
     return BodyFilter(rig, motion, shape, config.filter)
 
 
@@ -107,7 +110,7 @@ def _check_birth_rate(settings: FilterSettings, cameras: tuple[Camera, ...], pat
             )
 
 
-def report_times(config: ReportConfig) -> ReportTimes:
+def report_times(config: ReportConfig, region: RegionConfig | None = None) -> ReportTimes:
     """Return when estimates are reported."""
     times = config.times
     return ReportTimes(
@@ -115,16 +118,5 @@ def report_times(config: ReportConfig) -> ReportTimes:
         times.grid if isinstance(times, GridTimes) else None,
         config.max_position_std,
         whole_run=config.smooth is not None,
+        region=None if region is None or region.polygon is None else region.polygon.half_spaces(),
     )
-
-
-def build_region(config: RegionConfig | None) -> NDArray[np.float64] | None:
-    """Return the packed region (8,) of a configuration, infinite where it sets no limit."""
-    if config is None:
-        return None
-    limits = np.tile([-np.inf, np.inf], 4)
-    if config.box is not None:
-        limits[:6] = [*config.box.x, *config.box.y, *config.box.z]
-    if config.depth is not None:
-        limits[6:] = config.depth
-    return limits

@@ -137,7 +137,10 @@ def _report(found: Mapping[str, Any]) -> Iterator[str]:
 
 def _folder(found: Mapping[str, Any]) -> Iterator[str]:
     pictures = [file for file in found["files"] if _is_picture(file)]
-    files = sorted((file for file in found["files"] if not _is_picture(file)), key=_rank)
+    order = {kind: rank for rank, kind in enumerate(AFTER_TABLES, start=1)}  # tables, which are not in it, are first
+    files = sorted(
+        (file for file in found["files"] if not _is_picture(file)), key=lambda file: order.get(file["kind"], 0)
+    )
     if files:
         rows = [("file", "kind", "what")]
         rows += [(Path(file["path"]).name, file["kind"], _brief(file)) for file in files[:ROWS_SHOWN]]
@@ -151,11 +154,6 @@ def _folder(found: Mapping[str, Any]) -> Iterator[str]:
 
 def _is_picture(file: Mapping[str, Any]) -> bool:
     return file["kind"] == "other" and Path(file["path"]).suffix.lower() in PICTURES
-
-
-def _rank(file: Mapping[str, Any]) -> int:
-    """Return the place of a file's kind in the list of a folder: tables are 0."""
-    return AFTER_TABLES.index(file["kind"]) + 1 if file["kind"] in AFTER_TABLES else 0
 
 
 def _brief(file: Mapping[str, Any]) -> str:

@@ -87,7 +87,10 @@ def _confirmation_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
 def _scan_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     scans, window = report["scans"], report["window"]
     per = "time" if window["at"] == "times" else "event"
-    yield "scans scored", str(scans["scored"]), f"one for each {per}{_span(window)}"
+    span = [
+        f", {word} {window[key]:g} s" for word, key in (("from", "from_s"), ("to", "to_s")) if window[key] is not None
+    ]
+    yield "scans scored", str(scans["scored"]), f"one for each {per}{''.join(span)}"
     reasons = {
         "outside_truth": "outside the truth",
         "truth_gap": "in a gap of the truth",
@@ -106,15 +109,6 @@ def _scan_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     if report["seen_by"] is not None:
         seen = report["seen_by"]
         yield "  only objects", "", f"seen by {seen['cameras']} cameras within {seen['within_s']:g} s"
-
-
-def _span(window: Mapping[str, Any]) -> str:
-    text = ""
-    if window["from_s"] is not None:
-        text += f", from {window['from_s']:g} s"
-    if window["to_s"] is not None:
-        text += f", to {window['to_s']:g} s"
-    return text
 
 
 def _number(value: float | None, unit: str = "") -> str:

@@ -38,6 +38,11 @@ def number(value: float | None, digits: int = 3) -> str:
     return f"{value:.0f}" if "e+" in text and abs(value) < LARGEST_PLAIN else text
 
 
+def shown_unit(unit: str) -> tuple[float, str]:
+    """Return the factor from a unit to the one that readers see, degrees for angles, and its name."""
+    return (math.degrees(1.0), f"deg{unit[3:]}") if unit.startswith("rad") else (1.0, unit)
+
+
 def share(value: float | None) -> str:
     """Return a share in per cent."""
     return "-" if value is None else percent(value)
@@ -99,12 +104,7 @@ def summary_text(report: Mapping[str, Any]) -> str:
 
 def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:
     rows = [
-        (
-            name,
-            number(camera["rotation_std_deg"]),
-            number(camera["direction_std_deg"]),
-            number(camera["center_std"]),
-        )
+        (name, number(camera["rotation_std_deg"]), number(camera["direction_std_deg"]), number(camera["center_std"]))
         for name, camera in (report.get("cameras") or {}).items()
     ]
     header = ("camera", "rotation std [deg]", "direction std [deg]", f"centre std [{unit}]")
@@ -114,14 +114,14 @@ def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:
 def _scale(report: Mapping[str, Any]) -> Iterator[str]:
     """Yield what the scale is known from."""
     if (scale := report.get("scale")) is not None:
-        yield f"scale from {SCALES.get(scale['determined_by'], 'what is stated: ' + scale['determined_by'])}"
+        determined_by = str(scale.get("determined_by"))
+        yield f"scale from {SCALES.get(determined_by, f'what is stated: {determined_by}')}"
 
 
 def _parameters(report: Mapping[str, Any]) -> SummaryTable:
     rows = []
     for estimate in report["parameters"]:
-        angle = estimate["unit"].startswith("rad")
-        factor, unit = (math.degrees(1.0), f"deg{estimate['unit'][3:]}") if angle else (1.0, estimate["unit"])
+        factor, unit = shown_unit(estimate["unit"])
         mean = None if estimate["mean"] is None else factor * estimate["mean"]
         rows.append(
             (

@@ -25,7 +25,7 @@ WITHOUT_FILES = {"demo", "compile", "watch"}
 
 
 # One of each kind that the campaign found, as it prints them.
-FOUND = Path(__file__).with_name("found.txt")
+FOUND = Path(__file__).with_name("found.cases")
 
 
 @pytest.fixture(scope="module")

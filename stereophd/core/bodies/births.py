@@ -19,6 +19,7 @@ from stereophd.core.bodies.boxes import EXTENT_RANGE, Boxes, box_variances
 from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE, TOP, VELOCITY, WIDTH, U, outline_boxes
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.region import half_spaces
 
 STEPS = 3
 # Columns of a state that a box tells of.
@@ -43,7 +44,7 @@ def newborn_bodies(
     """Return the new bodies that explain boxes.
 
     The camera is that at the time of the event. `velocity_std` is the standard deviation of each component of the
-    velocity of new objects, length/s; objects can be in the `region` (8,) only
+    velocity of new objects, length/s; objects can be in the `region` (r,) only
     (`stereophd.core.disparity.events.Rig.region`).
     """
     up = shape.direction
@@ -128,22 +129,20 @@ def _log_prior(positions: Array, camera: Camera, shape: EllipsoidSettings) -> Ar
 
 
 def _log_inside(states: Array, covariances: Array, region: Array | None, up: Array) -> Array | float:
-    """Logarithm of the probability (n,) that some part of each body is in the box of the region."""
+    """Logarithm of the probability (n,) that some part of each body is in the half-spaces of the region."""
     if region is None:
         return 0.0
-    limits = region[:6].reshape(3, 2)
-    std = np.sqrt(np.maximum(covariances[:, range(3), range(3)], 1e-30))
-    reach = half_extents(states, up)
-    with np.errstate(invalid="ignore"):
-        upper = ndtr((limits[:, 1] + reach - states[:, POSITION]) / std)
-        lower = ndtr((limits[:, 0] - reach - states[:, POSITION]) / std)
-    return np.asarray(np.log(np.maximum(upper - lower, 1e-300)).sum(axis=1))
+    normals = half_spaces(region)[:, :3]
+    variances = np.einsum("hi,nij,hj->nh", normals, covariances[:, POSITION, POSITION], normals)
+    inside = ndtr(depths_inside(states, region, up) / np.sqrt(np.maximum(variances, 1e-30)))
+    return np.asarray(np.log(np.maximum(inside, 1e-300)).sum(axis=1))
 
 
-def half_extents(states: Array, up: Array) -> Array:
-    """Half extents (n, 3) of bodies along the axes of the world."""
-    squares = np.exp(2.0 * states[:, LOG_AXES])
-    return np.asarray(np.sqrt(squares[:, 1:] + (squares[:, :1] - squares[:, 1:]) * up**2))
+def depths_inside(states: Array, region: Array, up: Array) -> Array:
+    """How far (n, h) some part of each body reaches into each half-space of the region, length."""
+    spaces, squares = half_spaces(region), np.exp(2.0 * states[:, LOG_AXES])
+    reach = np.sqrt(squares[:, 1:] + (squares[:, :1] - squares[:, 1:]) * (spaces[:, :3] @ up) ** 2)
+    return np.asarray(spaces[:, 3] + reach - states[:, POSITION] @ spaces[:, :3].T)
 
 
 def shares_left(cameras: Sequence[Camera], shape: EllipsoidSettings) -> Array:

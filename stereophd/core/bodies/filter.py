@@ -29,11 +29,11 @@ from typing import NamedTuple
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.bodies.births import Newborns, half_extents, newborn_bodies, shares_left
+from stereophd.core.bodies.births import Newborns, depths_inside, newborn_bodies, shares_left
 from stereophd.core.bodies.boxes import WHOLE_SHARE, Boxes, box_variances, boxes_of, share_in_image
 from stereophd.core.bodies.hypotheses import Hypotheses, box_factors, merged, reassociate, reduce_hypotheses
 from stereophd.core.bodies.occlusion import CUT_SHARE, detection_probabilities, hidden_shares
-from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE, TOP, VELOCITY, outline_boxes
+from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, STATE_SIZE, TOP, VELOCITY, outline_boxes
 from stereophd.core.bodies.prediction import predict_bodies
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.disparity.events import Event, Rig
@@ -147,7 +147,7 @@ class BodyFilter:
         return math.exp(-elapsed / self.settings.out_of_view_s)
 
     def _is_in_reach(self, states: Array, time_s: float) -> Booleans:
-        """Which bodies (n,) are in the view of some camera, and touch the box of the region."""
+        """Which bodies (n,) are in the view of some camera, and touch the region."""
         up = self.shape.direction
         seen = np.zeros(len(states), dtype=np.bool_)
         for camera in self.rig.cameras:
@@ -158,9 +158,7 @@ class BodyFilter:
             seen[rest] = share_in_image(outline_boxes(states[rest], frozen, up)[0], frozen) > 0.0
         if self.rig.region is None:
             return seen
-        limits, reach = self.rig.region[:6].reshape(3, 2), half_extents(states, up)
-        places = states[:, POSITION]
-        return seen & ((places + reach >= limits[:, 0]) & (places - reach <= limits[:, 1])).all(axis=1)
+        return seen & (depths_inside(states, self.rig.region, up) >= 0.0).all(axis=1)
 
     def _update(self, state: BodyState, event: Event, camera: Camera, elapsed: float) -> tuple[BodyState, Info]:
         """Update with the boxes of an event (Williams 2015, section IV), then reduction."""

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,9 +13,15 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.rolling import readings, travels, turned_to_frame
 from stereophd.core.disparity.space import PACKED_SIZE, DisparitySpace
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.region import rays_meet
 
 # Packed spaces of moving cameras that are kept.
 MOST_KEPT = 4096
+# Standard deviations by which a detection may miss the view of the region, and the places around it that are tried.
+OUTSIDE_ERRORS = 4.0
+# Pixels of each side of an image at which it is asked what sees the region.
+VIEW_PIXELS = 40
+NEIGHBOURS = np.array([(0.0, 0.0), *((np.cos(a), np.sin(a)) for a in 0.25 * np.pi * np.arange(8))])
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,31 @@ class Event:
     sizes: Array | None = None  # (m, 2), optional: Width and height of the detections' boxes, distorted px
     rows: Integers | None = None  # (m,), optional: Row of each detection in the log, or its number in the run
 
+    outside: int = 0  # Detections of the frame that were left out, because they see nothing of the region
+
+    def within(self, rig: Rig) -> Event:
+        """Return the event without the detections whose rays, moved by the noise, pass the region of the rig by.
+
+        They are no objects. Those of boxes stay: a body may reach into the region.
+        """
+        if rig.region is None or len(rig.region) == 2 or self.sizes is not None or not len(self.points):
+            return self
+        camera = rig.cameras[self.camera].at(self.time_s)
+        reach = OUTSIDE_ERRORS * np.sqrt(np.trace(self.covariances, axis1=1, axis2=2))
+        kept = np.zeros(len(self.points), dtype=np.bool_)
+        for step in NEIGHBOURS:
+            rest = np.flatnonzero(~kept)
+            moved = self.points[rest] + reach[rest, None] * step
+            rays = np.column_stack([(moved[:, 0] - camera.cx) / camera.fx, (moved[:, 1] - camera.cy) / camera.fy])
+            rays = np.column_stack([rays, np.ones(len(rest))]) @ camera.pose.rotation
+            kept[rest] = rays_meet(camera.pose.center, rays, rig.region)
+            if kept.all():
+                return self
+        columns: dict[str, Any] = {
+            each.name: value[kept] for each in fields(self) if isinstance(value := getattr(self, each.name), np.ndarray)
+        }
+        return replace(self, **columns, outside=int(len(kept) - kept.sum()))
+
     def readings(self, space: Array) -> Array | None:
         """Return when and from where the detections were read (m, 3): `stereophd.core.disparity.rolling.readings`.
 
@@ -61,8 +92,7 @@ class Rig:
     rectification: Literal["horizontal", "vertical"]  # Rectification of the companions
     packed: Array  # (c, 30): Packed spaces at time 0; valid at any time if no camera moves
     moving: bool  # Whether any camera moves
-    # (8,), optional: Where objects can be: x, y, z from and to in the world, nearest and farthest depth before the
-    # camera that saw them last.
+    # (r,), optional: Where objects can be (`stereophd.core.geometry.region`)
     region: Array | None = None
     _kept: dict[tuple[int, float], Array] = field(default_factory=dict, init=False, compare=False, repr=False)
 
@@ -79,6 +109,18 @@ class Rig:
             kept = DisparitySpace(frozen, self.baseline, self.rectification).packed()
             self._kept[camera, time_s] = kept
         return kept
+
+    def shares_of_view(self) -> list[float]:
+        """Return the share of each camera's image that sees something of the region, at time 0."""
+        if self.region is None:
+            return [1.0] * len(self.cameras)
+        shares = []
+        for camera in (camera.at(0.0) for camera in self.cameras):
+            u, v = np.meshgrid(*(np.linspace(0.0, side - 1.0, VIEW_PIXELS) for side in (camera.width, camera.height)))
+            rays = camera.rays(np.column_stack([u.ravel(), v.ravel()]))
+            rays = rays[np.isfinite(rays).all(axis=1)] @ camera.pose.rotation
+            shares.append(float(rays_meet(camera.pose.center, rays, self.region).mean()))
+        return shares
 
     def spaces(self, cameras: NDArray[np.int64], times: Array) -> Array:
         """Packed spaces (n, 30) of components, each at home in a camera at a time."""

@@ -29,7 +29,8 @@ class FirstSight(NamedTuple):
     mean: float
     std: float
     velocity_std: float  # Standard deviation of each component of velocity in the world, length/s
-    region: Array  # (8,) or empty: Where objects can be: depths along a ray are those inside it
+    # (r,) or empty: Where objects can be (`stereophd.core.geometry.region`): depths along a ray are those inside it.
+    region: Array
 
 
 @compiled
@@ -98,18 +99,20 @@ def _inside(point: Array, prior: FirstSight, scale: float) -> tuple[float, float
     if len(region) == 0:
         return mean, std
     ray = ((point[0] - space[CX]) / space[FX], (point[1] - space[CY]) / space[FY], 1.0)
-    low, high = max(region[6], 0.0), region[7]
-    for axis in range(3):
-        along = 0.0
-        for k in range(3):
-            along += space[ROTATION + 3 * k + axis] * ray[k]
-        near, far = region[2 * axis] - space[CENTER + axis], region[2 * axis + 1] - space[CENTER + axis]
+    low, high = max(region[0], 0.0), region[1]
+    for first in range(2, len(region), 4):
+        along, room = 0.0, region[first + 3]
+        for axis in range(3):
+            room -= region[first + axis] * space[CENTER + axis]
+            for k in range(3):
+                along += region[first + axis] * space[ROTATION + 3 * k + axis] * ray[k]
         if along == 0.0:
-            if near > 0.0 or far < 0.0:
+            if room < 0.0:
                 return mean, std
-            continue
-        low = max(low, min(near / along, far / along))
-        high = min(high, max(near / along, far / along))
+        elif along > 0.0:
+            high = min(high, room / along)
+        else:
+            low = max(low, room / along)
     if not high > low:
         return mean, std
     most, least = mean + 2.0 * std, max(mean - 2.0 * std, 0.0)

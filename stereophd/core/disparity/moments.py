@@ -63,7 +63,7 @@ def move(
     The sets name the method and hold its samples; `turn`, the number of the event, picks one. `p_detect` is the
     probability of detection inside the image, for the shape of the missed part: 0 leaves it as it was. `important` (n,)
     components get more samples when too few are in view: an object at the edge of the field of view would otherwise
-    count as a new one. Objects can be in the `region` (8,) only (see `stereophd.core.disparity.trips.region_mask`).
+    count as a new one. Objects can be in the `region` (r,) only (`stereophd.core.geometry.region`).
     Components are shared out over the threads; the result does not depend on their number.
     """
     means, covariances, homes, intervals = sources

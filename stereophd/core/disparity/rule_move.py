@@ -12,8 +12,8 @@ vanishes for a linear map. With the covariance P of the images,
 measures the non-linearity of the map over the Gaussian: the curvature of one standard deviation, in standard
 deviations of the result. Where N is small the rule is as good as any number of samples.
 
-The first-order move is the extended Kalman filter's. Its Jacobian is that of the trip, by central differences over
-`STEP` standard deviations along the same coordinates.
+The first-order move is the extended Kalman filter's. Its Jacobian is that of the trip, by central differences of
+fourth order over `STEP` standard deviations along the same coordinates.
 """
 
 import math
@@ -31,8 +31,8 @@ from stereophd.core.numerics.moments import weighted_moments
 
 # A point of the rule represents no share of the Gaussian, so none may be outside the region.
 NO_SLACK = 1.0
-# Errors of the differences are 1e-8 of the curvature, and 1e-9 px by rounding.
-STEP = 1e-4
+# The error of a difference is 2e-7 of the fifth derivative, and some 1e-12 px by rounding.
+STEP = 0.05
 
 
 @compiled
@@ -74,10 +74,6 @@ def rule_components(
     with_velocity = alone = np.nan
     todo = np.empty(len(means), dtype=np.intp)
     n_todo = 0
-    limits = np.empty(9)
-    if len(region) > 0:
-        limits[:8] = region[:8]
-        limits[8] = NO_SLACK
     for k in range(len(means)):
         todo[n_todo] = k
         n_todo += 1
@@ -96,7 +92,10 @@ def rule_components(
             static_trips(means[k], factor, points, homes[k], destination, images)
         if view_mask(images, destination, mask) < count:
             continue
-        if len(region) > 0 and region_mask(images, destination, homes[k], limits, unit, scratch_weights) < 1.0:
+        if (
+            len(region) > 0
+            and region_mask(images, destination, homes[k], region, NO_SLACK, unit, scratch_weights) < 1.0
+        ):
             continue
         kept[:] = images[:size]
         weighted_moments(images, weights, count - 1.0, out_means[k], out_covariances[k])
@@ -143,11 +142,12 @@ def linear_components(
     """
     size = means.shape[1]
     rows = 12 if size == 6 else 3
-    points = np.zeros((rows, 2 * rows + 1))
+    count = 4 * rows + 1
+    points = np.zeros((rows, count))
     for i in range(rows):
-        points[i, i], points[i, rows + i] = STEP, -STEP
-    images = np.empty((size + 1, 2 * rows + 1))
-    noise = np.empty((6, 2 * rows + 1 if size == 6 else 0))
+        points[i, 4 * i : 4 * i + 4] = np.array([-2.0 * STEP, -STEP, STEP, 2.0 * STEP])
+    images = np.empty((size + 1, count))
+    noise = np.empty((6, count if size == 6 else 0))
     factor, scratch, covariance = np.empty((size, size)), np.empty((size, size)), np.empty((size, size))
     columns = np.empty((size, rows))
     for k in range(len(means)):
@@ -157,17 +157,18 @@ def linear_components(
             motion_noise(points, axes, motion.with_velocity[k], motion.alone[k], noise)
             moving_trips(
                 means[k], factor, points, noise, motion.position_noise[k], motion.velocity_noise[k], homes[k],
-                destination, motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed, images,
+                destination, motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed, images
             )  # fmt: skip
         else:
             static_trips(means[k], factor, points, homes[k], destination, images)
         for a in range(size):
             for i in range(rows):
-                columns[a, i] = (images[a, i] - images[a, rows + i]) / (2.0 * STEP)
+                near = images[a, 4 * i + 2] - images[a, 4 * i + 1]
+                columns[a, i] = (8.0 * near - images[a, 4 * i + 3] + images[a, 4 * i]) / (12.0 * STEP)
         for a in range(size):
             for b in range(size):
                 covariance[a, b] = 0.0
                 for i in range(rows):
                     covariance[a, b] += columns[a, i] * columns[b, i]
         if condition(covariance, scratch):
-            out_means[k], out_covariances[k] = images[:size, 2 * rows], covariance
+            out_means[k], out_covariances[k] = images[:size, count - 1], covariance

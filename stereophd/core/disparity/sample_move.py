@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved
-from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
+from stereophd.core.disparity.trips import (
+    REGION_SLACK,
+    motion_noise,
+    moving_trips,
+    region_mask,
+    static_trips,
+    view_mask,
+)
 from stereophd.core.geometry.layout import ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
@@ -55,15 +62,15 @@ def carry_components(
     move_components(which, means, covariances, homes, motion, first, destination, p_detect, region, moved)
     fraction, status = moved.fraction, moved.status
     corners = np.empty(len(which), dtype=np.int64)
-    found = 0
+    n_corners = 0
     for k in which:
         wide = covariances[k, 2, 2] > (WIDE_DISPARITY * means[k, 2]) ** 2
         if important[k] and status[k] == OUT_OF_VIEW and (wide or fraction[k] > 0.0):
-            corners[found] = k
-            found += 1
-    if found > 0:
+            corners[n_corners] = k
+            n_corners += 1
+    if n_corners > 0:
         move_components(
-            corners[:found], means, covariances, homes, motion, second, destination, p_detect, region, moved
+            corners[:n_corners], means, covariances, homes, motion, second, destination, p_detect, region, moved
         )
     for k in which:
         if status[k] == OUT_OF_VIEW:
@@ -132,7 +139,9 @@ def move_components(
         else:
             static_trips(means[k], factor, samples, homes[k], destination, points)
         if len(region) > 0:
-            inside[k] = region_mask(points, destination, homes[k], region, sample_weights, weights)
+            inside[k] = region_mask(
+                points, destination, homes[k], region, REGION_SLACK, sample_weights, weights
+            )  # fmt: skip
             if inside[k] == 0.0:
                 continue
         seen = view_mask(points, destination, mask)

@@ -18,6 +18,8 @@ Layout: samples (rows, n) with the sample axis last, so that the loops vectorise
 
 import math
 
+import numpy as np
+
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.space import BASELINE, VERTICAL
 from stereophd.core.geometry.compiled_lenses import pixel_in_view
@@ -120,14 +122,7 @@ def moving_trips(
     l20, l21, l22 = factor[2, 0], factor[2, 1], factor[2, 2]
     l30, l31, l32, l33 = factor[3, 0], factor[3, 1], factor[3, 2], factor[3, 3]
     l40, l41, l42, l43, l44 = factor[4, 0], factor[4, 1], factor[4, 2], factor[4, 3], factor[4, 4]
-    l50, l51, l52, l53, l54, l55 = (
-        factor[5, 0],
-        factor[5, 1],
-        factor[5, 2],
-        factor[5, 3],
-        factor[5, 4],
-        factor[5, 5],
-    )
+    l50, l51, l52, l53, l54, l55 = (factor[5, 0], factor[5, 1], factor[5, 2], factor[5, 3], factor[5, 4], factor[5, 5])
     for i in range(samples.shape[1]):
         a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
         a3, a4, a5 = samples[3, i], samples[4, i], samples[5, i]
@@ -238,17 +233,17 @@ def view_mask(points: Array, destination: Array, mask: Array) -> int:
 
 @compiled
 def region_mask(
-    points: Array, destination: Array, home: Array, region: Array, sample_weights: Array, weights: Array
+    points: Array, destination: Array, home: Array, region: Array, slack: float, sample_weights: Array, weights: Array
 ) -> float:
     """Share of a component inside the region; where it is small, set weights outside to 0.
 
-    `region` holds x, y and z from and to in the world, the nearest and farthest depth before the home camera, and
-    optionally a slack of its own. A Gaussian always has a tail outside. It therefore counts as inside, unchanged, as
-    long as a share of at least the slack is inside: otherwise an object in the region would lose its existence step by
-    step.
+    The region is packed (`stereophd.core.geometry.region`); depths are those before the home camera. A Gaussian always
+    has a tail outside. It therefore counts as inside, unchanged, as long as a share of at least the slack is inside:
+    otherwise an object in the region would lose its existence step by step.
     """
     scale = disparity_scale(destination)
     depths = points[points.shape[0] - 1]
+    world = np.empty(3)
     total = 0.0
     kept = 0.0
     for i in range(points.shape[1]):
@@ -261,21 +256,22 @@ def region_mask(
         x = (points[0, i] - destination[CX]) / destination[FX] / inverse
         y = (points[1, i] - destination[CY]) / destination[FY] / inverse
         z = 1.0 / inverse
-        good = True
         depth = 0.0
         for a in range(3):
-            world = (
+            world[a] = (
                 destination[CENTER + a]
                 + destination[ROTATION + a] * x
                 + destination[ROTATION + 3 + a] * y
                 + destination[ROTATION + 6 + a] * z
             )
-            good = good and region[2 * a] <= world <= region[2 * a + 1]
-            depth += home[ROTATION + 6 + a] * (world - home[CENTER + a])
-        if good and region[6] <= depth <= region[7]:
+            depth += home[ROTATION + 6 + a] * (world[a] - home[CENTER + a])
+        good = region[0] <= depth <= region[1]
+        for n in range(2, len(region), 4):
+            outward = region[n] * world[0] + region[n + 1] * world[1] + region[n + 2] * world[2]
+            good = good and outward <= region[n + 3]
+        if good:
             weights[i] = sample_weights[i]
             kept += weights[i]
-    slack = region[8] if len(region) > 8 else REGION_SLACK
     if kept >= slack * total:
         for i in range(len(weights)):
             weights[i] = sample_weights[i]

@@ -181,7 +181,7 @@ class DisparityFilter(ABC):
         return Prediction(mixture.with_weights(weights), moved, *births)
 
     @cached_property
-    def _left(self) -> list[Array]:
+    def _remaining_shares(self) -> list[Array]:
         """Return the share (c, c) of the objects in view of each camera that a frame of each camera leaves."""
         return list(np.ascontiguousarray(undetected_shares(self.rig, self.settings.birth).T))
 
@@ -194,8 +194,8 @@ class DisparityFilter(ABC):
         """
         detector, prior = self.rig.cameras[event.camera].detector, self.settings.birth
         burst = burst_of(event, known, prior)
-        left = self._left[event.camera]
-        return *expected_births(undetected, prior, left, elapsed, event, detector, burst, known), burst
+        remaining = self._remaining_shares[event.camera]
+        return *expected_births(undetected, prior, remaining, elapsed, event, detector, burst, known), burst
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
@@ -254,10 +254,10 @@ class DisparityFilter(ABC):
     def detections(self, event: Event) -> tuple[Detections, FirstSight]:
         """Return an event's detections, and the prior of the objects that they may have given birth to."""
         space = self.rig.space(event.camera, event.time_s)
-        found = Detections(event.points, event.covariances, event.areas, event.readings(space))
+        detections = Detections(event.points, event.covariances, event.areas, event.readings(space))
         if not self.rig.moving:
-            return found, self._newborns[event.camera]
-        return found, newborn_prior(space, self.settings.birth, self.rig.region)
+            return detections, self._newborns[event.camera]
+        return detections, newborn_prior(space, self.settings.birth, self.rig.region)
 
     @cached_property
     def _newborns(self) -> list[FirstSight]:

@@ -104,14 +104,14 @@ def _place(
     """
     count = len(weights)
     index, existence, unsure = np.empty(count, dtype=np.int64), np.empty(count), np.empty(count, dtype=np.bool_)
-    found, next_label, next_track = _select(weights, known, levels, counters, split, changed, index, existence, unsure)
-    world_means, world_covariances = np.empty((found, 6)), np.empty((found, 6, 6))
-    index, existence = index[:found].copy(), existence[:found].copy()
+    chosen, next_label, next_track = _select(weights, known, levels, counters, split, changed, index, existence, unsure)
+    world_means, world_covariances = np.empty((chosen, 6)), np.empty((chosen, 6, 6))
+    index, existence = index[:chosen].copy(), existence[:chosen].copy()
     world_components(index, means, covariances, homes, motion, samples, world_means, world_covariances)
-    order = np.empty(found, dtype=np.int64)
+    order = np.empty(chosen, dtype=np.int64)
     placed, confirmed, in_place = 0, 0, True
     for tentative in (False, True):
-        for i in range(found):
+        for i in range(chosen):
             # the mean of an object at infinity is NaN throughout
             if unsure[i] == tentative and math.isfinite(world_means[i, 0]):
                 in_place = in_place and i == placed
@@ -120,7 +120,7 @@ def _place(
         if not tentative:
             confirmed = placed
     rows = (index, existence, world_means, world_covariances)
-    if placed < found or not in_place:
+    if placed < chosen or not in_place:
         rows = _reordered(order[:placed], index, existence, world_means, world_covariances)
     return rows, confirmed, next_label, next_track
 
@@ -168,7 +168,7 @@ def _select(
             next_label += 1
     if split:
         order = picked(order, stable_order(picked(labels, order)))
-    found, start = 0, 0
+    chosen, start = 0, 0
     while start < len(order):
         label, end = labels[order[start]], start
         total, track, was_reported = 0.0, UNLABELLED, False
@@ -184,17 +184,17 @@ def _select(
             if track < 0:
                 track = next_track
                 next_track += 1
-            index[found], existence[found], unsure[found] = order[start], total, not shown
-            found += 1
+            index[chosen], existence[chosen], unsure[chosen] = order[start], total, not shown
+            chosen += 1
         for i in range(start, end):
             tracks[order[i]], reported[order[i]] = track, shown
         start = end
-    shown_order = stable_order(picked(tracks, index[:found]))
-    by_label, totals, doubts = index[:found].copy(), existence[:found].copy(), unsure[:found].copy()
-    for i in range(found):
+    shown_order = stable_order(picked(tracks, index[:chosen]))
+    by_label, totals, doubts = index[:chosen].copy(), existence[:chosen].copy(), unsure[:chosen].copy()
+    for i in range(chosen):
         place = shown_order[i]
         index[i], existence[i], unsure[i] = by_label[place], totals[place], doubts[place]
-    return found, next_label, next_track
+    return chosen, next_label, next_track
 
 
 @compiled

@@ -78,10 +78,7 @@ class TimeGrid:
         width_s = (self.end_s - self.start_s) / count
         for index in range(count):
             last = index == count - 1
-            yield (
-                self.start_s + index * width_s,
-                self.end_s if last else self.start_s + (index + 1) * width_s,
-            )
+            yield (self.start_s + index * width_s, self.end_s if last else self.start_s + (index + 1) * width_s)
 
     def frame_count(self) -> int:
         """Return the number of frames that all cameras take."""

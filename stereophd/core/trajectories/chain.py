@@ -275,10 +275,10 @@ class Chain:
         states[alone], covariances[alone] = self._carried(self.behind, right[alone], np.flatnonzero(alone))
         both = np.flatnonzero(before & after)
         others, spreads = self._carried(self.behind, right[both], both)
-        own = covariances[both]
-        gains = np.swapaxes(np.linalg.solve(own + spreads, own), 1, 2)
+        spread_before = covariances[both]
+        gains = np.swapaxes(np.linalg.solve(spread_before + spreads, spread_before), 1, 2)
         states[both] += np.einsum("nij,nj->ni", gains, others - states[both])
-        covariances[both] -= gains @ own
+        covariances[both] -= gains @ spread_before
         return states, (covariances + np.swapaxes(covariances, 1, 2)) / 2.0
 
     def _carried(self, known: tuple[Array, Array], sources: Integers, places: Integers) -> tuple[Array, Array]:

@@ -41,10 +41,7 @@ def series_of_errors(
     lengths = np.linalg.norm(errors, axis=1)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # particles that (almost) sit in one place
         normalised = nees(consistent, covariances)
-    return [
-        Series(f"{name}_error", unit, lengths, times_s),
-        Series(f"{name}_nees", "1", normalised, times_s),
-    ]
+    return [Series(f"{name}_error", unit, lengths, times_s), Series(f"{name}_nees", "1", normalised, times_s)]
 
 
 def bounds_of(name: str, unit: str, times_s: Array, covariances: Array) -> list[Series]:

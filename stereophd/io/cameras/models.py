@@ -117,11 +117,7 @@ def _parse_detector(value: Any) -> Any:
     return value
 
 
-def _lenses() -> dict[str, Any]:
-    return {name: model.settings for name, model in lens_models().items()}
-
-
-Distortion = Annotated[Any, OneOf(_lenses, "model")]
+Distortion = Annotated[Any, OneOf(lambda: {word: lens.settings for word, lens in lens_models().items()}, "model")]
 
 
 class ClockConfig(Model):
@@ -162,8 +158,7 @@ class CameraConfig(Model):
         default=(),
     )
     detector: Annotated[
-        DetectorConfig,
-        BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"]),
+        DetectorConfig, BeforeValidator(_parse_detector, json_schema_input_type=DetectorConfig | Literal["estimate"])
     ] = parameter(
         "what its detector does, or estimate: all of it is estimated from the log (init, track)",
         default_factory=lambda: DetectorConfig(**UNKNOWN_DETECTOR),
@@ -203,7 +198,7 @@ class CameraConfig(Model):
     def build(self, name: str) -> Camera:
         """Return the geometric `Camera` of this name; an unknown pose is the origin, and an unknown offset 0."""
         values = asdict(self.distortion)
-        model = values.pop("model")
+        model, pose = values.pop("model"), self.pose.build()
         return Camera(
             name=name,
             width=self.image_size_px[0],
@@ -212,7 +207,7 @@ class CameraConfig(Model):
             fy=self.intrinsics.fy,
             cx=self.intrinsics.cx,
             cy=self.intrinsics.cy,
-            pose=self._pose(),
+            pose=Pose.in_steps(pose, [(each.from_s, each.build()) for each in self.poses]) if self.poses else pose,
             lens=Lens(model, **values),
             detector=Detector(
                 sigma=self.detector.sigma_px,
@@ -225,10 +220,6 @@ class CameraConfig(Model):
             clock=Clock(self.clock.offset_s, self.clock.rate),
             readout_s=self.readout_s,
         )
-
-    def _pose(self) -> Pose:
-        pose = self.pose.build()
-        return Pose.in_steps(pose, [(each.from_s, each.build()) for each in self.poses]) if self.poses else pose
 
 
 # ``camera.component`` -> its covariances with the values before it and with itself: rows of a lower triangle.

@@ -116,16 +116,10 @@ def _pieces(
         if info is None:
             raise InputError(f"{path}: expected {CAMERAS}.gz in the archive, found none")
         kinds = {"camn": pa.float64(), "cam_id": pa.string()}
-        rows = [
-            row for b in read_batches(io.BytesIO(_uncommented(info)), ",", kinds, str(path)) for row in b.to_pylist()
-        ]
+        info = b"\n".join(line for line in info.splitlines() if not line.startswith(b"#"))
+        rows = [row for b in read_batches(io.BytesIO(info), ",", kinds, str(path)) for row in b.to_pylist()]
         names = {int(row["camn"]): options.name(row["cam_id"]) for row in rows}
         yield from _detections(path, names, skewed, recording)
-
-
-def _uncommented(content: bytes) -> bytes:
-    """Return a small table without the lines that begin with ``#``."""
-    return b"\n".join(line for line in content.splitlines() if not line.startswith(b"#"))
 
 
 def _detections(

@@ -73,7 +73,8 @@ def _files_of(folder: Path, recording: ForeignRecording) -> list[Path]:
     """Return the cameras, points and times of a session, or of a folder of it."""
     cameras = [path for name in CAMERA_FILES if (path := folder / name).is_file() and recognises_cameras(path)][:1]
     places = [folder, *(place for pattern in POINT_FOLDERS for place in sorted(folder.glob(pattern)))]
-    tables = [path for place in places for path in sorted(place.glob(POINT_FILES)) if _is_points(path)]
+    files = [path for place in places for path in sorted(place.glob(POINT_FILES)) if path.is_file()]
+    tables = [path for path in files if _column(path, U, None) is not None]
     if not tables:
         if not cameras:
             raise InputError(
@@ -95,10 +96,6 @@ def _files_of(folder: Path, recording: ForeignRecording) -> list[Path]:
         if (path := place / name).is_file()
     ]
     return [*cameras, points, *near[:1]]
-
-
-def _is_points(path: Path) -> bool:
-    return path.is_file() and _column(path, U, None) is not None
 
 
 def _read_cameras(path: Path, options: ImportOptions, recording: ForeignRecording) -> None:
@@ -178,7 +175,5 @@ def _rows(path: Path, options: ImportOptions, has_points: bool, sync: Sequence[s
 
 
 FORMAT = Format(
-    "caliscope: cameras (TOML), points (xy.csv) and times",
-    read=read,
-    recognises_cameras=recognises_cameras,
+    "caliscope: cameras (TOML), points (xy.csv) and times", read=read, recognises_cameras=recognises_cameras
 )

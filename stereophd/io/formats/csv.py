@@ -24,14 +24,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import (
-    EXTRA_COLUMNS,
-    ExportOptions,
-    ForeignRecording,
-    Format,
-    ImportOptions,
-    Piece,
-)
+from stereophd.io.interchange.base import EXTRA_COLUMNS, ExportOptions, ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.documents.text_tables import header_of, read_batches
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.truth import long_truth
@@ -82,7 +75,9 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 
 def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: ImportOptions) -> Iterator[Piece]:
     for path in sources:
-        separator, header = _header(path)
+        separator, header = header_of(path)
+        if not any(header):
+            raise InputError(f"{path}: expected a table with a header, found an empty first line")
         columns = _find_columns(path, header, options)
         named = ", ".join(f"{name} from {column}" for name, column in columns.items() if name != column)
         if named:
@@ -93,14 +88,6 @@ def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: Impor
             )
         for batch in _batches(path, separator, header, columns):
             yield from _split(path, batch, columns, options, recording)
-
-
-def _header(path: Path) -> tuple[str, list[str]]:
-    """Return the separator of a table and the names of its columns."""
-    separator, header = header_of(path)
-    if not any(header):
-        raise InputError(f"{path}: expected a table with a header, found an empty first line")
-    return separator, header
 
 
 def _find_columns(path: Path, header: Sequence[str], options: ImportOptions) -> dict[str, str]:

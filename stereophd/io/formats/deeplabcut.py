@@ -68,8 +68,9 @@ def _csv(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:
         raise InputError(f"{path}: expected the header lines scorer, bodyparts and coords, found {list(heads)}")
     individuals = heads.get("individuals")
     columns = _named(heads["bodyparts"], heads["coords"], individuals)
-    skip = 4 if individuals is not None else 3
-    return columns, _csv_rows(path, len(columns), skip)
+    names = ["frame", *(f"c{k}" for k in range(len(columns)))]
+    batches = number_batches(path, ",", names, str(path), names, skip=4 if individuals is not None else 3)
+    return columns, ((b["frame"], np.stack([b[name] for name in names[1:]], axis=1)) for b in batches)
 
 
 def _named(parts: Sequence[str], coordinates: Sequence[str], individuals: Sequence[str] | None) -> list[Column]:
@@ -77,12 +78,6 @@ def _named(parts: Sequence[str], coordinates: Sequence[str], individuals: Sequen
     if individuals is not None:
         names = [f"{who}.{part}" for who, part in zip(individuals, parts, strict=True)]
     return list(zip(names, coordinates, strict=True))
-
-
-def _csv_rows(path: Path, count: int, skip: int) -> Iterator[tuple[Array, Array]]:
-    names = ["frame", *(f"c{k}" for k in range(count))]
-    for batch in number_batches(path, ",", names, str(path), names, skip):
-        yield batch["frame"], np.stack([batch[name] for name in names[1:]], axis=1)
 
 
 def _hdf(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:

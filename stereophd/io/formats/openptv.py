@@ -26,7 +26,7 @@ from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.errors import InputError
 from stereophd.io.documents import expecting
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, TruePoints
-from stereophd.io.interchange.cameras import Parts, put_together
+from stereophd.io.interchange.cameras import Parts, nearest_rotation, put_together
 from stereophd.io.interchange.fitted import fitted_parts
 
 # Pixels along each axis of the image, and heights of the volume, at which the camera's rays are compared.
@@ -197,7 +197,7 @@ def _read_orientation(ori: Path, addpar: Path, recording: ForeignRecording) -> _
 def _parts(orientation: _Orientation, control: _Control) -> Parts:
     """Return the camera: from x right, y up, looking along -z to x right, y down, z forward."""
     turn = np.diag([1.0, -1.0, -1.0])
-    rotation = turn @ _nearest(orientation.rotation).T
+    rotation = turn @ nearest_rotation(orientation.rotation).T
     width, height = control.size
     px, py = control.pixel
     xh, yh = orientation.principal
@@ -230,12 +230,6 @@ def _turned(parts: Parts, glass: Array) -> Parts:
     return replace(parts, matrix=matrix, rotation=rotation_from_vector(angle) @ parts.rotation)
 
 
-def _nearest(rotation: Array) -> Array:
-    """Return the rotation nearest to a matrix that is written with seven digits."""
-    left, _, right = np.linalg.svd(rotation)
-    return np.asarray(left @ right, dtype=np.float64)
-
-
 def _sight(orientation: _Orientation, control: _Control, path: Path) -> tuple[Array, Array]:
     """Return points (n, 3) of the volume, and the native pixels (n, 2) at which the camera sees them.
 
@@ -253,7 +247,7 @@ def _sight(orientation: _Orientation, control: _Control, path: Path) -> tuple[Ar
         raise InputError(f"{path}: expected lenses (.addpar) that image the sensor, found one that does not")
     flat, pixels = flat[is_imaged], pixels[is_imaged]
     inside = np.column_stack([flat, np.full(len(flat), -orientation.distance)])
-    rays = inside @ _nearest(orientation.rotation).T
+    rays = inside @ nearest_rotation(orientation.rotation).T
     rays /= np.linalg.norm(rays, axis=1)[:, None]
     if not control.is_refracted:
         return orientation.center + rays, pixels

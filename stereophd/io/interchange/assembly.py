@@ -50,11 +50,7 @@ class CameraSummary:
 
 
 def write_native_log(
-    recording: ForeignRecording,
-    options: ImportOptions,
-    path: Path,
-    folder: Path,
-    metadata: Mapping[Any, Any],
+    recording: ForeignRecording, options: ImportOptions, path: Path, folder: Path, metadata: Mapping[Any, Any]
 ) -> dict[str, CameraSummary]:
     """Write the detections of a recording, whose pieces are consumed, as a native log.
 

@@ -115,9 +115,12 @@ def checked_rotation(matrix: ArrayLike, where: str) -> Array:
             f"{where}: rotation: expected orthonormal rows and determinant +1, found |R R^T - I| up to {defect:.3g} "
             f"and determinant {determinant:.6g}"
         )
-    if defect <= SMALL_DEFECT:
-        return rotation
-    left, _, right = np.linalg.svd(rotation)
+    return rotation if defect <= SMALL_DEFECT else nearest_rotation(rotation)
+
+
+def nearest_rotation(matrix: Array) -> Array:
+    """Return the rotation that is nearest to a matrix, such as one that was written with few digits."""
+    left, _, right = np.linalg.svd(matrix)
     return np.asarray(left @ right, dtype=np.float64)
 
 

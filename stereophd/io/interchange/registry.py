@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 from pathlib import Path
 
-from stereophd.errors import InputError, nearest
+from stereophd.errors import InputError, did_you_mean
 from stereophd.io.interchange.base import Format
 from stereophd.plugins import import_member, module_names
 
@@ -25,14 +25,9 @@ def find(name: str, readable: bool = False) -> Format:
     known = names()
     if name not in known:
         known = [word for word in known if find(word).read is not None] if readable else known
-        raise InputError(f"format: expected one of {', '.join(known)}, found {name}{_suggestion(name, known)}")
+        raise InputError(f"format: expected one of {', '.join(known)}, found {name}{did_you_mean(name.lower(), known)}")
     form: Format = import_member(PACKAGE, name).FORMAT
     return form
-
-
-def _suggestion(name: str, known: list[str]) -> str:
-    suggestion = nearest(name.lower(), known)
-    return suggestion if "did you mean" in suggestion else ""
 
 
 def recognise_cameras(path: Path) -> str | None:

@@ -55,9 +55,7 @@ def point_faults(piece: Decoded, cameras: Sequence[str], sizes: Array, margin: f
     u, v = rows.pixels[:, 0], rows.pixels[:, 1]
     yield Fault("null_value", piece.nulls, lambda i: "expected time_s, camera and frame, found null")
     yield Fault(
-        "non_finite",
-        ~np.isfinite(rows.time_s),
-        lambda i: f"time_s: expected a finite number, found {rows.time_s[i]}",
+        "non_finite", ~np.isfinite(rows.time_s), lambda i: f"time_s: expected a finite number, found {rows.time_s[i]}"
     )
     yield Fault(
         "time_out_of_range",

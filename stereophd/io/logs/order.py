@@ -13,7 +13,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.settings import LARGEST_TIME_S
 from stereophd.io.file_kinds import LOG
 from stereophd.io.logs.rows import values_of
-from stereophd.io.tables.reading import cast_column, check_texts, read_pieces
+from stereophd.io.tables.reading import cast_column, read_pieces
 from stereophd.io.tables.schemas import FLOAT, STRING
 
 # Two narrow columns: larger pieces than a reader of all columns takes.
@@ -111,7 +111,6 @@ def _pieces(path: Path, has_cameras: bool) -> Iterator[tuple[Array, Integers, li
         codes, names = np.zeros(len(times), dtype=np.int64), [""]
         if has_cameras:
             column = cast_column(batch.column("camera"), "camera", STRING, path, start)
-            check_texts(column, "camera", path, start)
             encoded = column.dictionary_encode()
             codes, names = values_of(encoded.indices, np.int32, -1), encoded.dictionary.to_pylist()
         start += len(batch)

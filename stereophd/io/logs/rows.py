@@ -20,10 +20,7 @@ from stereophd.io.tables.reading import cast_column, check_texts
 from stereophd.io.tables.schemas import DETECTIONS, FLOAT, INTEGER, kinds_of
 
 REQUIRED = kinds_of(DETECTIONS)
-OPTIONAL = {
-    **dict.fromkeys(("sigma_u_px", "sigma_v_px", "width_px", "height_px"), FLOAT),
-    "object_id": INTEGER,
-}
+OPTIONAL = {**dict.fromkeys(("sigma_u_px", "sigma_v_px", "width_px", "height_px"), FLOAT), "object_id": INTEGER}
 
 
 @dataclass(frozen=True)

@@ -188,8 +188,14 @@ def read_pieces(
     path: Path | str, columns: Sequence[str] | None = None, what: str = "table", rows: int | None = None
 ) -> Iterator[pa.RecordBatch]:
     """Yield columns of a Parquet table in pieces of so many rows; errors as `open_parquet`, and of damaged data."""
+    start = 0
     with open_parquet(path, what) as parquet, damaged_is_input_error(path):
-        yield from parquet.iter_batches(batch_size=rows or ROW_GROUP_ROWS, columns=columns, use_threads=False)
+        for batch in parquet.iter_batches(batch_size=rows or ROW_GROUP_ROWS, columns=columns, use_threads=False):
+            for name in batch.schema.names:
+                if _is_text(batch.schema.field(name).type):
+                    check_texts(batch.column(name), name, path, start)
+            yield batch
+            start += len(batch)
 
 
 def finite_column(table: pa.Table, name: str, path: Path | str) -> NDArray[np.float64]:

@@ -29,15 +29,7 @@ DETECTIONS = _schema({**KEY, "u_px": FLOAT, "v_px": FLOAT}, nullable=("u_px", "v
 TRUTH = _schema({"time_s": FLOAT, "object_id": INTEGER, **POSITION, **VELOCITY})
 #: One row a reported object and event; the covariance is 6x6, row-major, in the world frame; status is one of the two.
 TRACKS = _schema(
-    {
-        **KEY,
-        "track_id": INTEGER,
-        **POSITION,
-        **VELOCITY,
-        "covariance": COVARIANCE,
-        "existence": FLOAT,
-        "status": STRING,
-    }
+    {**KEY, "track_id": INTEGER, **POSITION, **VELOCITY, "covariance": COVARIANCE, "existence": FLOAT, "status": STRING}
 )
 #: Status of an estimate; tables without the column hold confirmed ones only.
 CONFIRMED, TENTATIVE = "confirmed", "tentative"

@@ -22,7 +22,7 @@ from stereophd.config.loading import LoadedConfig, variant
 from stereophd.core.alignment.cameras import moved_camera
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.control import World
-from stereophd.core.calibration.discovery.rig import RigHypothesis, View, discover
+from stereophd.core.calibration.discovery.rig import Rig, View, discover
 from stereophd.core.calibration.pairing.track_pairs import image_tracks, one_camera_tracks, raw_tracks
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
@@ -52,8 +52,7 @@ class FoundCameras:
     """What was found where poses or clocks are unknown: the rig, or the reason why there is none."""
 
     names: tuple[str, ...]  # of the cameras that were unknown
-    rig: RigHypothesis | None  # not adjusted where it is doubted
-    others: tuple[RigHypothesis, ...]  # with the next optimum of the pair that is least sure
+    rig: Rig | None  # not adjusted where it is doubted
     reason: str  # why nothing was found that is believed; empty if something was
     has_scale: bool
     intervals: dict[str, float]  # of each camera, s
@@ -77,7 +76,6 @@ class FoundCameras:
         ]  # fmt: skip
         out["doubts"] = list(self.rig.doubts)
         out["start"] = _values_of(self.rig)
-        out["other_optima"] = [{"gain": rig.gain, "start": _values_of(rig)} for rig in self.others]
         return out
 
     def outcome_of_none(self, problem: CalibrationProblem) -> Outcome | None:
@@ -115,7 +113,7 @@ class FoundCameras:
         return out
 
 
-def _values_of(rig: RigHypothesis) -> dict[str, Any]:
+def _values_of(rig: Rig) -> dict[str, Any]:
     """Return the cameras of a rig for the report."""
     return {
         camera.name: {
@@ -162,10 +160,9 @@ def with_found_cameras(
         for number, camera in enumerate(cameras)
         if np.count_nonzero(recording.cameras == number) > 1
     }
-    rig = _in_frame(loaded, section, discovery.rigs[0]) if discovery.rigs else None
-    reason = discovery.reason if rig is None else "; ".join(rig.doubts)
-    found = FoundCameras(names, rig, discovery.rigs[1:], reason, not isinstance(section.scale, NoScale), intervals)
-    if rig is None or reason:
+    rig = None if discovery.rig is None else _in_frame(loaded, section, discovery.rig)
+    found = FoundCameras(names, rig, discovery.reason, not isinstance(section.scale, NoScale), intervals)
+    if rig is None or discovery.reason:
         return _placed(loaded, cameras, section), found
     placed = _placed(loaded, rig.cameras, section, _priors(loaded, section, views, rig, intervals))
     if found.has_scale:
@@ -229,7 +226,7 @@ def _view(loaded: LoadedConfig, section: CalibrationConfig, camera: Camera) -> V
     return View(camera, focal, lens, np.inf if clock else 0.0, rate)
 
 
-def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: RigHypothesis) -> RigHypothesis:
+def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: Rig) -> Rig:
     """Return a rig in the axes of the reference's pose, and in the unit of a known distance of two of its cameras."""
     factor = 1.0
     if isinstance(section.scale, BaselineScale):
@@ -246,7 +243,7 @@ def _in_frame(loaded: LoadedConfig, section: CalibrationConfig, rig: RigHypothes
 
 
 def _priors(
-    loaded: LoadedConfig, section: CalibrationConfig, views: list[View], rig: RigHypothesis, intervals: dict[str, float]
+    loaded: LoadedConfig, section: CalibrationConfig, views: list[View], rig: Rig, intervals: dict[str, float]
 ) -> dict[str, Any]:
     """Return priors about the cameras of a rig, as the configuration writes them."""
     out: dict[str, Any] = {}

@@ -56,20 +56,21 @@ def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> Measu
 
 
 def measure_motion(
-    samples: list[CameraSample], depth: float, shortest: int = LEAST_LENGTH
+    samples: list[CameraSample], depth: float, at_most: bool = False
 ) -> tuple[Array | None, float | None]:
     """Return `speed` and `acceleration` of a `MeasuredScene` whose objects are at a depth.
 
-    Where a log has hardly any tracks of `LEAST_LENGTH` frames, speeds are those of the `shortest` that count.
+    No speed where noise hides it, or `at_most` the one that the noise allows, from tracks of two frames on if need be.
     """
-    squares, accelerations = _track_motion(samples, depth, LEAST_LENGTH)
-    if len(squares) < LEAST_TRACKS:
-        squares, _ = _track_motion(samples, depth, shortest)
+    squares, least, accelerations = _track_motion(samples, depth, LEAST_LENGTH)
+    if len(squares) < LEAST_TRACKS and at_most:
+        squares, least, _ = _track_motion(samples, depth, 2)
     speed = None
     if len(squares) >= LEAST_TRACKS:
-        # slower than the noise shows: as fast as it allows
-        mean = max(float(squares.mean()), 2.0 * float(squares.std()) / np.sqrt(len(squares)))
-        speed = np.sqrt([mean / 2.0, max(mean, np.quantile(squares, 0.95))])
+        hidden = 2.0 * float(squares.std()) / np.sqrt(len(squares))
+        mean = max(float(squares.mean()), hidden)
+        if at_most or mean > hidden:
+            speed = np.sqrt([mean / 2.0, max(mean if at_most else 0.0, np.quantile(least, 0.95) ** 2)])
     acceleration = None
     if len(accelerations) >= LEAST_TRACKS:
         variance = float(np.median(accelerations))
@@ -108,21 +109,26 @@ def _depth_samples(geometry: Geometry, least_score: float) -> Array:
     return np.asarray(depths[order][np.minimum(places, len(depths) - 1)])
 
 
-def _track_motion(samples: list[CameraSample], depth: float, least: int) -> tuple[Array, Array]:
-    """Return squared speeds (t,), (length/s)^2, and accelerations (a,), (length/s^2)^2 of one component, of tracks."""
-    speeds, accelerations = [], []
+def _track_motion(samples: list[CameraSample], depth: float, shortest: int) -> tuple[Array, Array, Array]:
+    """Return squares of speeds (t,), less the noise, and the least that these are, (length/s)^2 and length/s.
+
+    The third are squared accelerations (a,) of one component, (length/s^2)^2.
+    """
+    squares, least, accelerations = [], [], []
     for sample in samples:
         scale = depth / sample.camera.fx
         noise = float(sample.camera.detector.sigma.mean())
-        for track in sample.chains(least):
+        for track in sample.chains(shortest):
             times, pixels = sample.times[sample.frame_of[track]], sample.pixels[track]
             spread = float(((times - times.mean()) ** 2).sum())
             if spread <= 0.0:
                 continue
-            speeds.append(scale**2 * (float((_slope(times, pixels) ** 2).sum()) - 2.0 * noise**2 / spread))
+            speed, error = float(np.hypot(*_slope(times, pixels))), noise / np.sqrt(spread)
+            squares.append(scale**2 * (speed**2 - 2.0 * error**2))
+            least.append(scale * max(speed - 3.0 * error, 0.0))
             if len(track) >= ACCELERATION_LENGTH:
                 accelerations.append(scale**2 * _squared_acceleration(times, pixels, noise))
-    return np.array(speeds), np.array(accelerations)
+    return np.array(squares), np.array(least), np.array(accelerations)
 
 
 def _squared_acceleration(times: Array, pixels: Array, noise: float) -> float:
@@ -191,7 +197,11 @@ def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
             "depth_range",
         )  # fmt: skip
     else:
-        yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}", round(covered, 3), 1.0)
+        centers = np.array([sample.camera.pose.center for sample in samples])
+        apart = np.linalg.norm(centers[:, None] - centers, axis=2)[np.triu_indices(len(centers), 1)]
+        # the name of the unit leaves no trace in the data: only the user can tell
+        size = f"the cameras are {apart.min():.3g} to {apart.max():.3g} {unit} apart: is units.length right?"
+        yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}, {size}", round(covered, 3), 1.0)
 
 
 def _held(sample: CameraSample) -> float:

@@ -83,7 +83,9 @@ class _Watched:
 
     def __init__(self, estimator: Estimator[Any]) -> None:
         self.rig = estimator.rig
-        self.sums = [DetectorSums() for _ in estimator.rig.cameras]
+        points = isinstance(estimator, DisparityFilter)  # boxes are not left out by the region
+        shares = estimator.rig.shares_of_view() if points else [1.0] * len(estimator.rig.cameras)
+        self.sums = [DetectorSums(view=share) for share in shares]
         self.own_noise = False
         self._estimator = estimator
         self._settled = _Settled()
@@ -167,6 +169,7 @@ def _pass(estimator: Estimator[Any], parts: Iterable[EventStream]) -> tuple[list
         for record in run_estimator(watched, part, run=run):
             sums[record.camera].frames += 1
             sums[record.camera].detections += record.n_detections
+            sums[record.camera].outside += record.outside
             for counts in record.attributed.values():
                 for name, count in counts.items():
                     sums[name].attributed += count
@@ -282,4 +285,5 @@ def _report(estimate: DetectorEstimate, prior: NoisePrior) -> dict[str, Any]:
         "residuals": estimate.residuals,
         "in_view": estimate.in_view,
         "frames": estimate.frames,
+        "outside_region_per_frame": estimate.outside_per_frame,
     }

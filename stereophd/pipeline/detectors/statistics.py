@@ -21,7 +21,9 @@ the frame, and M that it exists and made none, after a prior of five frames with
 detection of the track only: what comes after is the object's end, not misses.
 
 Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame. Those
-that a tentative object claims together with others at the end are undecided: they are part of the standard error.
+that see nothing of a region are counted apart: clutter is that of the part of the image that sees it, as if it were all
+of the image. Those that a tentative object claims together with others at the end are undecided: they are part of the
+standard error.
 
 Whether it is noise at all. At the true values the residuals e / sqrt(S) of a track in one camera are white. If those
 of successive frames agree, errors last: of the pose, the clock or the lens, or of labels that were smoothed. No
@@ -45,6 +47,8 @@ from stereophd.core.multi.base import Prediction
 
 # A track whose alternatives are still undecided (the heaviest has less than this share) is not counted yet.
 DECIDED_SHARE = 0.9
+# Least share of the image that sees the region.
+LEAST_VIEW = 1e-3
 # A detection that is more probably a track's than not counts as its next residual.
 LIKELY = 0.5
 # Correlations from fewer residuals are not trusted.
@@ -80,6 +84,8 @@ class DetectorSums:
     frames: int = 0
     detections: int = 0
     attributed: int = 0
+    outside: int = 0  # Detections that see nothing of the region
+    view: float = 1.0  # Share of the image that sees the region
     undecided: int = 0  # Detections that only objects claim which were still tentative at the end, not alone
     # `products`, `norms`: arrays (k,): Sums over successive frames of a track of r r', and of (r^2 + r'^2) / 2, for
     # residuals r = e / sqrt(S).
@@ -158,6 +164,7 @@ class DetectorEstimate:
     residuals: float
     in_view: float
     frames: int
+    outside_per_frame: float  # Detections that see nothing of the region
     # Root mean square of the residuals over what the noise stated in this run leads to expect; None without any.
     residual_ratio: float | None
     confirmed: bool  # Whether the tracks of this run agree with the noise that it stated, and with the rays
@@ -310,10 +317,12 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
     p_error = float(np.sqrt(p_detect * (1.0 - p_detect) / (in_view + PRIOR_FRAMES)))
     clutter, clutter_error = present.clutter_per_frame, None
     if sums.frames > 0:
-        clutter = (max(sums.detections - sums.attributed, 0) + 0.5) / sums.frames
-        clutter_error = float(np.hypot(np.sqrt(clutter / sums.frames), sums.undecided / sums.frames))
+        frames = sums.frames * max(sums.view, LEAST_VIEW)
+        clutter = (max(sums.detections - sums.outside - sums.attributed, 0) + 0.5) / frames
+        clutter_error = float(np.hypot(np.sqrt(clutter / frames), sums.undecided / frames))
     correlation = sums.products / sums.norms if sums.successions >= FEWEST_RESIDUALS else None
     return DetectorEstimate(
         prior.put(Detector(present.sigma, p_detect, clutter, present.box_noise), noise), noise, error, p_error,
-        clutter_error, correlation, sums.pairs, in_view, sums.frames, ratio, confirmed,
+        clutter_error, correlation, sums.pairs, in_view, sums.frames, sums.outside / max(sums.frames, 1), ratio,
+        confirmed,
     )  # fmt: skip

@@ -56,10 +56,16 @@ class Tracks:
 
     def confirmed_rows(self) -> tuple[Array, Integers]:
         """Return times (k,), in order, and rows (k,) of the confirmed estimates."""
-        counts = self.events.row_end - self.events.row_start
-        rows = np.arange(int(counts.sum())) + np.repeat(self.events.row_start - (np.cumsum(counts) - counts), counts)
+        rows, starts = rows_of(self.events)
         used = self.confirmed[rows]
-        return np.repeat(self.events.time_s, counts)[used], rows[used]
+        return np.repeat(self.events.time_s, np.diff(starts))[used], rows[used]
+
+
+def rows_of(events: Events) -> tuple[Integers, Integers]:
+    """Return the rows of tracks that belong to events, one event after the other, and where each event starts."""
+    count = events.row_end - events.row_start
+    starts = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
+    return np.arange(starts[-1]) + np.repeat(events.row_start - starts[:-1], count), starts
 
 
 def read_tracks(path: Path) -> Tracks:

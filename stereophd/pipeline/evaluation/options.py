@@ -14,6 +14,9 @@ from stereophd.options import option, options
 # What may be changed of the tracks before they are scored: nothing, their frame, their frame and scale.
 ALIGNMENTS = ("none", "rigid", "similarity")
 
+# The region that is that of the tracks' configuration.
+OF_TRACKS: Literal["tracks"] = "tracks"
+
 # The use in which only objects count that the log shows.
 SEEN = "objects that are seen"
 
@@ -29,15 +32,17 @@ def normal_of(flag: str, words: Sequence[str]) -> tuple[float, float, float] | N
     return x, y, z
 
 
-def limits_by_axis(flag: str, words: Sequence[str]) -> dict[str, tuple[float, float]] | None:
-    """Return {axis: (from, to)} of words AXIS=FROM:TO; raises InputError for another form or a repeated axis."""
+def limits_by_axis(flag: str, words: Sequence[str]) -> dict[str, tuple[float, float]] | Literal["tracks"] | None:
+    """Return {axis: (from, to)} of words AXIS=FROM:TO, or the word tracks; InputError for others or a repeated axis."""
+    if list(words) == [OF_TRACKS]:
+        return OF_TRACKS
     limits: dict[str, tuple[float, float]] = {}
     for word in words:
         axis, _, values = word.partition("=")
         try:
             low, high = map(float, values.split(":"))
         except ValueError:
-            raise InputError(f"{flag} {word}: expected AXIS=FROM:TO, such as x=0:5") from None
+            raise InputError(f"{flag} {word}: expected AXIS=FROM:TO, such as x=0:5, or {OF_TRACKS}") from None
         if axis in limits:
             raise InputError(f"{flag} {word}: expected each axis once, found {axis} again")
         limits[axis] = low, high
@@ -106,9 +111,10 @@ class ScoreOptions:
         metavar="X,Y,Z",
         parse=normal_of,
     )
-    region: Mapping[str, tuple[float, float]] | None = option(
-        "Score only objects between two values of an axis, such as x=0:5 (repeatable). Objects outside are left out "
-        "with the estimates assigned to them, and so are estimates outside that are near no other object.",
+    region: Mapping[str, tuple[float, float]] | Literal["tracks"] | None = option(
+        "Score only objects between two values of an axis, such as x=0:5 (repeatable), or in the box and the polygon "
+        "that the configuration of the tracks states (tracks). Objects outside are left out with the estimates "
+        "assigned to them, and so are estimates outside that are near no other object.",
         default=None,
         metavar="AXIS=FROM:TO",
         parse=limits_by_axis,
@@ -164,7 +170,10 @@ def _check_places(stated: ScoreOptions) -> None:
     """Raise InputError for a plane or a region that cannot be."""
     if stated.plane is not None and not (all(map(math.isfinite, stated.plane)) and any(stated.plane)):
         raise InputError(f"`plane`: expected a normal of three finite numbers, not all 0, found {stated.plane}")
-    for axis, (low, high) in (stated.region or {}).items():
+    limits = {} if stated.region is None or isinstance(stated.region, str) else stated.region
+    if isinstance(stated.region, str) and stated.region != OF_TRACKS:
+        raise InputError(f"`region`: expected limits by axis or {OF_TRACKS}, found {stated.region}")
+    for axis, (low, high) in limits.items():
         if axis not in ("x", "y", "z") or not low < high:
             raise InputError(f"`region`: expected x, y or z with least < greatest, found {axis} from {low} to {high}")
     for name in ("plane", "region"):

@@ -9,9 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.config.tracking import RegionConfig
+from stereophd.core.arrays import Array, Booleans
+from stereophd.core.geometry.region import box_half_spaces
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
-from stereophd.core.metrics.errors import FirstReports, first_reports, waits
+from stereophd.core.metrics.errors import first_reports, waits
 from stereophd.core.metrics.matching.assignment import is_positive_definite
 from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
 from stereophd.core.metrics.matching.near_pairs import near_pairs
@@ -34,7 +36,7 @@ from stereophd.core.metrics.truth.scored import (
     on_plane,
 )
 from stereophd.errors import InputError
-from stereophd.pipeline.evaluation.inputs import Tracks
+from stereophd.pipeline.evaluation.inputs import Tracks, rows_of
 from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.registering import registered_sightings, registered_tracks, registration_of
 from stereophd.pipeline.evaluation.report import Scored
@@ -58,7 +60,8 @@ def score_tracks(
     found = registration_of(tracks, truth, options, max_gap_s, tracks_path)
     if found is not None:
         tracks, sightings = registered_tracks(tracks, found), registered_sightings(sightings, found)
-    scans = _scans_of_sight(_common_scans(tracks, truth, options, max_gap_s, tracks_path), sightings, options)
+    scans = _common_scans(tracks, truth, options, max_gap_s, tracks_path)
+    scans = _scans_of_sight(scans, sightings, options, _region(tracks, options, tracks_path))
     if len(scans.time_s) == 0:
         raise InputError(_nothing_to_score(tracks, truth, scans.unscored, options, tracks_path))
     return _scored(scans, tracks, found, options, tracks_path)
@@ -101,7 +104,18 @@ def _common_scans(tracks: Tracks, truth: Truth, options: ScoreOptions, max_gap_s
     return _Scans(events.time_s[usable], estimates, points, unscored)
 
 
-def _scans_of_sight(scans: _Scans, sightings: Sightings | None, options: ScoreOptions) -> _Scans:
+def _region(tracks: Tracks, options: ScoreOptions, tracks_path: Path) -> Array | None:
+    """Return the half-spaces (h, 4) of the region in which objects count; None: they count anywhere."""
+    if options.region is None or not isinstance(options.region, str):
+        return None if options.region is None else box_half_spaces(options.region)
+    stated = (tracks.metadata or {}).get("config", {}).get("region")
+    spaces = np.empty((0, 4)) if stated is None else RegionConfig.model_validate(stated).half_spaces()
+    if not len(spaces):
+        raise InputError(f"{tracks_path}: expected tracks of a configuration with region.box or region.polygon")
+    return spaces
+
+
+def _scans_of_sight(scans: _Scans, sightings: Sightings | None, options: ScoreOptions, region: Array | None) -> _Scans:
     """Leave out objects that no camera saw lately, and what lies outside the region, with the estimates of them."""
     order, cutoff = options.order, options.known_cutoff
     if sightings is not None and options.seen_by is not None and options.within_s is not None:
@@ -111,8 +125,8 @@ def _scans_of_sight(scans: _Scans, sightings: Sightings | None, options: ScoreOp
             mahalanobis=options.base == "mahalanobis",
         )  # fmt: skip
         scans = scans.without(emptied, estimates, points, "unseen")
-    if options.region is not None:
-        estimates, points, emptied = leave_out_outside(scans.estimates, scans.points, options.region, order, cutoff)
+    if region is not None:
+        estimates, points, emptied = leave_out_outside(scans.estimates, scans.points, region, order, cutoff)
         scans = scans.without(emptied, estimates, points, "outside_region")
     return scans
 
@@ -131,7 +145,9 @@ def _scored(
     near = matchable if distance == cutoff else near_pairs(estimates, points, cutoff, mahalanobis=mahalanobis)
     ospa2 = track_ospa(estimates, points, options.ospa2_window, order, cutoff, mahalanobis=mahalanobis)
     errors = pair_errors(estimates, points, scores)
-    waited = waits(time_s, estimates, points, scores, _first_reports(tracks))
+    rows, start = rows_of(tracks.events)  # tentative reports count as the first
+    first = first_reports(tracks.track_id[rows], np.repeat(tracks.events.time_s, np.diff(start)))
+    waited = waits(time_s, estimates, points, scores, first)
     summary = figures(estimates, points, scores, near, matchable, ospa2, errors, waited)
     if options.switch_cost is not None:
         tgospa = trajectory_gospa(estimates, points, near, order, cutoff, options.switch_cost)
@@ -147,7 +163,7 @@ def _scored(
 
 def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path) -> PointSets:
     """Return the estimates that were reported after each event."""
-    rows, start = _rows(events)
+    rows, start = rows_of(events)
     covariance = tracks.covariance[rows]
     if options.base == "mahalanobis":
         bad = np.flatnonzero(~is_positive_definite(covariance))
@@ -162,19 +178,6 @@ def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path
         None if tracks.cameras_part is None else tracks.cameras_part[rows],
     )  # fmt: skip
     return reported if options.tentative else reported.keep_points(confirmed)
-
-
-def _rows(events: Events) -> tuple[Integers, Integers]:
-    """Return the rows of tracks that belong to events, one event after the other, and where each event starts."""
-    count = events.row_end - events.row_start
-    start = np.concatenate([[0], np.cumsum(count)]).astype(np.int64)
-    return np.arange(start[-1]) + np.repeat(events.row_start - start[:-1], count), start
-
-
-def _first_reports(tracks: Tracks) -> FirstReports:
-    """Return when each track was first reported, tentative reports included."""
-    rows, start = _rows(tracks.events)
-    return first_reports(tracks.track_id[rows], np.repeat(tracks.events.time_s, np.diff(start)))
 
 
 def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: ScoreOptions, path: Path) -> str:

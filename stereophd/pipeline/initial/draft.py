@@ -214,7 +214,7 @@ def _rough(draft: Draft, samples: list[CameraSample]) -> dict[str, Choice] | Non
         "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
         "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),
     }
-    speed, _ = measure_motion(samples, middle, shortest=2)
+    speed, _ = measure_motion(samples, middle, at_most=True)
     if speed is None:
         tracks = "the log shows no speeds: these depths are crossed in a few seconds"
     spread, fastest = (0.2 * middle, 2.0 * middle) if speed is None else speed.tolist()

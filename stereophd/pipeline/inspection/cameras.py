@@ -28,22 +28,20 @@ def summarise_cameras(cameras: Mapping[str, CameraConfig], length_unit: str) -> 
     axes = np.array([row["looks_along"] for row in rows.values()])
     distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)[np.triu_indices(len(centers), 1)]
     target = meeting_point(centers, axes, PARALLEL)
+    offset = centers - (np.zeros(3) if target is None else target)
+    across = offset - np.einsum("ki,ki->k", offset, axes)[:, None] * axes
     return {
         "length_unit": length_unit,
         "distances": {"nearest": float(distances.min()), "farthest": float(distances.max())}
         if len(distances)
         else None,
         "axes_meet_near": None if target is None else target.tolist(),
-        "axes_distance_rms": None if target is None else _distance_rms(centers, axes, target),
-        "axes_meet_behind": [] if target is None else _behind(rows, target),
+        "axes_distance_rms": None if target is None else float(np.sqrt(np.mean(np.sum(across**2, axis=1)))),
+        "axes_meet_behind": []
+        if target is None
+        else [name for name, center, axis in zip(rows, centers, axes, strict=True) if (target - center) @ axis < 0],
         "cameras": rows,
     }
-
-
-def _behind(rows: Mapping[str, Mapping[str, Any]], point: Array) -> list[str]:
-    """Return the cameras that a point lies behind."""
-    offsets = {name: point - np.array(row["center"]) for name, row in rows.items()}
-    return [name for name, offset in offsets.items() if float(offset @ np.array(rows[name]["looks_along"])) < 0]
 
 
 def _row(name: str, config: CameraConfig) -> dict[str, Any]:
@@ -85,12 +83,6 @@ def _trajectory(pose: Pose) -> dict[str, Any] | None:
         "longest_gap_s": float(np.diff(poses[:, 0]).max()),
         "length": float(steps.sum()),
     }
-
-
-def _distance_rms(centers: Array, axes: Array, point: Array) -> float:
-    offset = point - centers
-    along = np.einsum("ki,ki->k", offset, axes)[:, None] * axes
-    return float(np.sqrt(np.mean(np.sum((offset - along) ** 2, axis=1))))
 
 
 def sketch(summary: Mapping[str, Any]) -> list[str]:

@@ -12,7 +12,7 @@ from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
-from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet, read_pieces
+from stereophd.io.tables.reading import check_columns, open_parquet, read_pieces
 
 # Intervals of a camera of which the median is taken.
 INTERVALS_KEPT = 1_000_000
@@ -124,8 +124,7 @@ def summarise_log(path: Path) -> dict[str, Any]:
             if name is not None and name not in names:
                 names[name] = len(names)
                 states.append(_CameraState())
-        with damaged_is_input_error(path):
-            rows = decode(batch, start, names, path).rows
+        rows = decode(batch, start, names, path).rows
         start += len(batch)
         rows = rows.take((rows.camera >= 0) & np.isfinite(rows.time_s))
         backwards += int((np.diff(rows.time_s, prepend=latest) < 0).sum())

@@ -9,6 +9,8 @@ from typing import Annotated, Any, NotRequired, TypedDict
 
 from msgspec import Meta
 
+_Numbers = dict[str, float | None]
+
 
 class _Detector(TypedDict):
     sigma_px: NotRequired[list[float] | None]
@@ -24,13 +26,9 @@ class _DescribedCamera(TypedDict):
     detector: NotRequired[_Detector | None]
 
 
-class _Filter(TypedDict):
-    kind: NotRequired[str | None]
-
-
 class _Config(TypedDict):
     cameras: NotRequired[dict[str, _DescribedCamera] | None]
-    filter: NotRequired[_Filter | None]
+    filter: NotRequired[dict[str, Any] | None]
 
 
 class _Record(TypedDict):
@@ -74,16 +72,11 @@ class _TrackFigures(TypedDict):
     mean_position_std: NotRequired[float | None]
 
 
-class _CamerasPart(TypedDict):
-    common_std: float
-    other_std: float
-
-
 class _Figures(TypedDict):
     tracks: NotRequired[list[_TrackFigures] | int]
     cameras: NotRequired[dict[str, _CameraFigures] | None]
     log_likelihood: NotRequired[float]
-    cameras_part: NotRequired[_CamerasPart | None]
+    cameras_part: NotRequired[_Numbers | None]
 
 
 class _DetectorsUsed(TypedDict):
@@ -110,10 +103,6 @@ class _Estimate(TypedDict):
     determined_by_data: bool
 
 
-class _Scale(TypedDict):
-    determined_by: str
-
-
 class _Direction(TypedDict):
     posterior_over_prior_std: float
     direction: dict[str, float]
@@ -128,7 +117,7 @@ class _Calibration(_Report):
     reason: NotRequired[str | None]
     cameras: NotRequired[dict[str, _Pose] | None]
     parameters: NotRequired[list[_Estimate]]
-    scale: NotRequired[_Scale | None]
+    scale: NotRequired[dict[str, Any] | None]
     observability: NotRequired[_Observability | None]
     detectors: NotRequired[_DetectorsUsed | None]
     tracking: NotRequired[_Figures]
@@ -141,20 +130,16 @@ class _Ospa(TypedDict):
     mean: float | None
 
 
-class _Mean(TypedDict):
-    mean: float | None
-
-
-class _Error(TypedDict):
+class _Consistency(TypedDict):
     position: float | None
     without_cameras: NotRequired[float | None]
 
 
 class _Evaluation(_Report):
     ospa: _Ospa
-    gospa: _Mean
-    rmse: _Error
-    nees: _Error
+    gospa: _Numbers
+    rmse: _Numbers
+    nees: _Consistency
     identity_switches: int | None
 
 

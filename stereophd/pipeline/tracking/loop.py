@@ -50,6 +50,7 @@ class ReportTimes:
     max_position_std: float | None = None
     # Associations are those of all confirmed tracks: what is written of them is decided once the run is known.
     whole_run: bool = False
+    region: NDArray[np.float64] | None = None  # Half-spaces (h, 4) in which objects are reported; None: anywhere
 
     def after(self, camera: str) -> bool:
         """Whether estimates are reported after an event of this camera."""
@@ -92,6 +93,8 @@ class Record:
         the first time.
     knock : Knock, optional
         A camera that the event shows to have been knocked.
+    outside : int
+        Number of those that see nothing of the region, or are of tracks beside it.
     """
 
     time_s: float
@@ -107,6 +110,7 @@ class Record:
     event: Event | None = None
     associations: tuple[Associated, ...] = ()
     knock: Knock | None = None
+    outside: int = 0
 
 
 class EstimatorState(Protocol):
@@ -207,19 +211,25 @@ def work_event(
     if times.grid_s is not None:
         yield from forecasts(estimator, run, times, event.time_s - same_time(event.time_s))
     name = cameras[event.camera].name
+    event = event.within(estimator.rig)
     knock = None
     if run.last is not None:
         run.knocks, knock = look(run.knocks, cameras, event, run.last.time_s, run.last.estimates)
     first_label = run.estimator.next_label
     run.estimator, info, estimates = estimator.step(run.estimator, event)
+    outside = 0
+    if times.region is not None and not times.whole_run:
+        labels, estimates = estimates.labels, estimates.inside(times.region)
+        outside = int(np.isin(info.detected, np.setdiff1d(labels, estimates.labels)).sum())
     attributed = run.attribution.update(name, info.detected, estimates)
     estimates = _supported(estimates, run, len(cameras))
     associations = run.associations.update(event, name, info.claims)
     if info.claims is not None and (times.whole_run or times.after(name)):
         associations += tuple(run.associations.report(times.certain(estimates)))
     run.last = record = Record(
-        event.time_s, name, event.frame, len(event.points), first_label, info, estimates, attributed,
+        event.time_s, name, event.frame, len(event.points) + event.outside, first_label, info, estimates, attributed,
         times.after(name), event=event if keep_events else None, associations=associations, knock=knock,
+        outside=event.outside + outside,
     )  # fmt: skip
     run.forecast_from_s = event.time_s - same_time(event.time_s)
     if run.events % FORGET_EVERY == 0:

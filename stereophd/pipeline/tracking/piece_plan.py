@@ -54,11 +54,7 @@ def overlap_of(length_s: float, overlap_s: float | None) -> float:
 
 
 def plan_pieces(
-    frames: Iterable[Frame],
-    length_s: float,
-    overlap_s: float,
-    ahead: bool,
-    progress: Progress | None = None,
+    frames: Iterable[Frame], length_s: float, overlap_s: float, ahead: bool, progress: Progress | None = None
 ) -> tuple[LogPiece, ...]:
     """Cut a log into pieces of one length; the last one is longer by up to the overlap, or shorter.
 

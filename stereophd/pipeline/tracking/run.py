@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from stereophd.config.loading import LoadedConfig
 from stereophd.config.report import GridTimes, ReportConfig
+from stereophd.config.tracking import RegionConfig
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.disparity.events import Event
@@ -65,7 +66,8 @@ class TrackingRun:
             events = with_boxes(stream)
         elif single:
             events = at_most_one(stream)
-        return reported_records(self.estimator, self.motion, events, self.report, not (single or self.boxes), kept, run)
+        region, points = self.loaded.config.region, not (single or self.boxes)
+        return reported_records(self.estimator, self.motion, events, self.report, points, kept, run, region)
 
     def keep_in(self, unfinished: UnfinishedRun) -> UnfinishedTracking:
         """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end.
@@ -130,6 +132,7 @@ def reported_records(
     reach_back: bool = False,
     kept: UnfinishedTracking | None = None,
     run: RunState[Any] | None = None,
+    region: RegionConfig | None = None,
 ) -> Iterator[Record]:
     """Yield the records of events, smoothed and without short tracks if the section ``report`` states it.
 
@@ -137,13 +140,15 @@ def reported_records(
     `kept` the run continues from there, and what it gives is kept there; without one it begins at `run`, if given.
     """
     smooth = report.smooth
-    times = report_times(report)
+    times = report_times(report, region)
     if kept is None:
         records = run_estimator(estimator, events, times, smooth is not None, run)
     else:
         records = kept.records(events, times, smooth is not None)
     if smooth is not None:
         records = smoothed_records(records, estimator.rig.cameras, motion, smooth, reach_back, report.max_position_std)
+        if (inside := times.region) is not None:
+            records = (replace(record, estimates=record.estimates.inside(inside)) for record in records)
     if report.min_track_length <= 0.0:
         return records
     return (lasting if kept is None else kept.lasting)(records, report.min_track_length)

@@ -12,9 +12,7 @@ from stereophd.core.trajectories.chain import NONE, WholeRun
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated
 from stereophd.pipeline.tracking.loop import Record
-
-# A track has the detection that it claims with more than this probability.
-PROBABLE = 0.5
+from stereophd.pipeline.tracking.run_figures.explained import PROBABLE
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from stereophd.pipeline.inspection.runs import Evaluation, Run
 from stereophd.report.page.columns import Paths, binned, chosen, packed, paths_of, thinned
 from stereophd.report.page.frames import camera_frames, paths_of_run, residuals
 from stereophd.report.plots.views import down_axis
-from stereophd.report.summaries import verdict
+from stereophd.report.summaries import shown_unit, verdict
 
 # Numbers of rows of all runs together: with the script of plotly the page stays below 10 MB.
 TRACK_ROWS = 50_000
@@ -175,14 +175,13 @@ def _calibration(run: Run, start: float) -> dict[str, Any]:
     """Parameters in the units that are drawn, their history, particles, and the directions of the posterior."""
     names, factors, parameters = [], [], []
     for estimate in run.report["parameters"]:
-        angle = estimate["unit"].startswith("rad")
-        factor = float(np.degrees(1.0)) if angle else 1.0
+        factor, unit = shown_unit(estimate["unit"])
         names.append(estimate["name"])
         factors.append(factor)
         parameters.append(
             {
                 "name": estimate["name"],
-                "unit": f"deg{estimate['unit'][3:]}" if angle else estimate["unit"],
+                "unit": unit,
                 "prior": factor * estimate["prior_std"],
                 "mean": None if estimate["mean"] is None else factor * estimate["mean"],
                 "std": factor * estimate["std"],

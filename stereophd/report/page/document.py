@@ -76,10 +76,12 @@ def _verdict(run: Run) -> str:
 
 def comparison(runs: Sequence[Run]) -> SummaryTable:
     """Return the figures of all runs side by side; rows that no run has are left out."""
-    rows = []
-    for name, values in zip(_FIGURES, zip(*(_figures(run) for run in runs), strict=True), strict=True):
-        if any(value is not None for value in values):
-            rows.append((name, *("-" if value is None else value for value in values)))
+    columns = [dict(zip(_FIGURES, _figures(run), strict=True)) for run in runs]
+    rows = [
+        (name, *(column[name] or "-" for column in columns))
+        for name in _FIGURES
+        if any(column[name] is not None for column in columns)
+    ]
     return SummaryTable("Summary", ("", *(run.name for run in runs)), tuple(rows))
 
 
@@ -106,13 +108,13 @@ def _figures(run: Run) -> Iterator[str | None]:
     yield f"{tracking['log_likelihood']:.1f}" if "log_likelihood" in tracking else None
     yield str(sum(c["status"] == "warning" for c in run.report["checks"])) if "checks" in run.report else None
     yield f"{number(score['ospa']['mean'])} {unit}" if score else None
-    yield f"{number(score['gospa']['mean'])} {unit}" if score else None
-    yield f"{number(score['rmse']['position'])} {unit}" if score else None
+    yield f"{number(score['gospa'].get('mean'))} {unit}" if score else None
+    yield f"{number(score['rmse'].get('position'))} {unit}" if score else None
     yield str(score["identity_switches"]) if score and score["identity_switches"] is not None else None
-    yield number(score["nees"]["position"]) if score else None
+    yield number(score["nees"].get("position")) if score else None
     yield number(score["nees"]["without_cameras"]) if score and "without_cameras" in score["nees"] else None
     part = tracking.get("cameras_part")
-    yield f"{number(part['common_std'])}, {number(part['other_std'])} {unit}" if part else None
+    yield f"{number(part.get('common_std'))}, {number(part.get('other_std'))} {unit}" if part else None
 
 
 def _details(run: Run, index: int) -> str:

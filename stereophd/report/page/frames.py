@@ -92,12 +92,7 @@ def residuals(run: Run, paths: Paths, budget: int, start_s: float) -> list[dict[
     if by_camera is None:
         return None
     return [
-        {
-            "t": packed(times - start_s),
-            "u": packed(values[:, 0]),
-            "v": packed(values[:, 1]),
-            "track": packed(tracks),
-        }
+        {"t": packed(times - start_s), "u": packed(values[:, 0]), "v": packed(values[:, 1]), "track": packed(tracks)}
         for times, values, tracks in by_camera
     ]
 

@@ -93,7 +93,10 @@ def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
 def _draw(results: Results) -> Figure:
     settings = results.config.figure
     quantities = _quantities(results)
-    over = settings.over or (None if _vary_with_time(results, quantities) else next(iter(results.config.cases), None))
+    shown = [summary for cell in results.cells for summary in cell.summaries if summary.quantity in quantities]
+    varies = any(summary.times_s is not None for summary in shown)
+    over = settings.over or (None if varies else next(iter(results.config.cases), None))
+    unit_of_axis = "" if over is None else results.config.cases[over].unit
     groups = _groups(results, over)
     panels = [(quantity, ratio) for quantity in quantities for ratio in _kinds_of_panel(results, quantity, over)]
     shape = (len(panels), len(groups))
@@ -110,7 +113,7 @@ def _draw(results: Results) -> Figure:
             if row == 0 and group:
                 axes.set_title(group, fontsize=10)
             if row == shape[0] - 1:
-                axes.set_xlabel("time [s]" if over is None else _axis_label(results, over))
+                axes.set_xlabel("time [s]" if over is None else over + (f" [{unit_of_axis}]" if unit_of_axis else ""))
         legend = grid[row, -1]
         if row == 0:
             legend_right(legend)
@@ -133,11 +136,6 @@ def _quantities(results: Results) -> list[str]:
     return list(dict.fromkeys(varying or [summary.quantity for summary in summaries]))
 
 
-def _vary_with_time(results: Results, quantities: Sequence[str]) -> bool:
-    summaries = [summary for cell in results.cells for summary in cell.summaries if summary.quantity in quantities]
-    return any(summary.times_s is not None for summary in summaries)
-
-
 def _groups(results: Results, over: str | None) -> dict[str, list[Cell]]:
     """Return the cells of every column of panels: cases that differ along an axis which the figure does not show."""
     axes = list(results.config.cases)
@@ -146,11 +144,6 @@ def _groups(results: Results, over: str | None) -> dict[str, list[Cell]]:
         others = [f"{axis} {name}" for axis, name in zip(axes, cell.settings, strict=True) if axis != over]
         groups.setdefault(", ".join(others), []).append(cell)
     return groups
-
-
-def _axis_label(results: Results, over: str) -> str:
-    unit = results.config.cases[over].unit
-    return over + (f" [{unit}]" if unit else "")
 
 
 def _kinds_of_panel(results: Results, quantity: str, over: str | None) -> tuple[bool, ...]:

@@ -143,7 +143,8 @@ def _draw_estimates(
     rows = rows[:: max(1, -(-len(rows) // MOST_POINTS_DRAWN))]
     labels = estimates.label[rows]
     labelled = bool((labels > UNLABELLED).any())
-    ranks = _ranks(labels) if labelled else np.zeros(len(rows), dtype=np.int64)
+    # numbered in order of size, so that neighbouring tracks differ in colour
+    ranks = np.unique(labels, return_inverse=True)[1] if labelled else np.zeros(len(rows), dtype=np.int64)
     colours = np.array(TRACK_COLOURS)[ranks % len(TRACK_COLOURS)] if labelled else np.full(len(rows), BLUE)
     rounds = ranks // len(TRACK_COLOURS) % len(TRACK_MARKERS)
     for number in np.unique(rounds).tolist():
@@ -168,11 +169,6 @@ def _mark_false(axes: Axes, points: Array, labels: Integers, false_tracks: froze
     if len(false):
         false = false[:: max(1, len(false) // MOST_CROSSES)]
         axes.plot(*points[false].T, "x", color=WRONG, markersize=7, zorder=5, label="false tracks")
-
-
-def _ranks(labels: Integers) -> Integers:
-    """Number the labels in order of size, so that neighbouring tracks differ in colour."""
-    return np.unique(labels, return_inverse=True)[1].astype(np.int64)
 
 
 def _draw_truth(axes: Axes, pictures: Pictures, view: SceneView, rows: Any) -> None:

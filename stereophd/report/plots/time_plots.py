@@ -77,10 +77,7 @@ def draw_cardinality(pictures: Pictures) -> Figure:
         axes.fill_between(
             bins.time_s, low, high, step="mid", color=BLUE, alpha=0.15, linewidth=0, label="least to most"
         )
-    for name, label, colour, width in (
-        ("n_truth", "truth", INK, 3.2),
-        ("n_estimates", "estimates", BLUE, 1.4),
-    ):
+    for name, label, colour, width in (("n_truth", "truth", INK, 3.2), ("n_estimates", "estimates", BLUE, 1.4)):
         axes.plot(
             bins.time_s,
             bins.mean(columns[name]),

@@ -63,13 +63,9 @@ def draw_track_plot(run: Run, plot: str) -> Figure:
         return makers[plot]()
 
 
-def _positions(tracks: Paths) -> NDArray[np.float64]:
-    return np.stack([tracks.columns[axis] for axis in "xyz"], axis=1)
-
-
 def _draw_view(run: Run, tracks: Paths, name: str) -> Figure:
     """Draw tracks as lines with their numbers, and the cameras, from above or from the side."""
-    points = _positions(tracks)
+    points = np.stack([tracks.columns[axis] for axis in "xyz"], axis=1)
     time = float(tracks.times.min()) if len(tracks.times) else 0.0
     cameras = [camera.at(time) for camera in run.cameras]
     scene = np.concatenate([points, *(camera.pose.center[None] for camera in cameras)])

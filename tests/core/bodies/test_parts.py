@@ -17,6 +17,7 @@ from stereophd.core.bodies.shapes.ellipsoid import Extent
 from stereophd.core.disparity.events import make_event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.region import box_half_spaces, pack_region
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from tests.core.bodies.cameras import camera_at, people, standing
 
@@ -116,7 +117,7 @@ def test_density_of_a_newborn_is_the_integral_over_the_prior() -> None:
 
 def test_a_region_decides_where_bodies_are_born() -> None:
     boxes = seen(np.stack([standing(2.0, 2.0), standing(8.0, 6.0)]))
-    region = np.array([0.0, 4.0, 0.0, 4.0, 0.0, 0.1, 0.0, np.inf])
+    region = pack_region((0.0, np.inf), box_half_spaces({"x": (0.0, 4.0), "y": (0.0, 4.0), "z": (0.0, 0.1)}))
     inside = newborn_bodies(boxes, CAMERA, people(), 0.7, region).log_densities
     anywhere = newborn_bodies(boxes, CAMERA, people(), 0.7, None).log_densities
     gain = np.sort(inside - anywhere)

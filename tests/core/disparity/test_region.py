@@ -16,10 +16,10 @@ from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.disparity.trips import REGION_SLACK, region_mask
+from stereophd.core.geometry.region import are_inside, box_half_spaces, half_spaces, pack_region
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.motion.static import Static
 from stereophd.core.numerics.samples import RESERVE_SAMPLES, RESERVE_WIDTH, draw_sample_sets
-from stereophd.pipeline.build import build_region
 from tests.core.disparity.cases import (
     converging,
     in_deviations,
@@ -31,23 +31,18 @@ from tests.core.disparity.cases import (
 )
 from tests.core.disparity.moves import METHODS, Case, figure_7, nearly_linear, sample_sets
 
-EVERYWHERE = np.tile([-np.inf, np.inf], 4)
+EVERYWHERE = np.array([-np.inf, np.inf])
 
 
-def box(**limits: tuple[float, float]) -> np.ndarray:
-    """A packed region: x, y, z in the world and depth before the home camera; infinite where not given."""
-    region = EVERYWHERE.copy()
-    for name, pair in limits.items():
-        at = 2 * ("x", "y", "z", "depth").index(name)
-        region[at : at + 2] = pair
-    return region
+def box(depth: tuple[float, float] = (-np.inf, np.inf), **limits: tuple[float, float]) -> np.ndarray:
+    """A packed region: depth before the home camera, and x, y, z in the world; infinite where not given."""
+    return pack_region(depth, box_half_spaces(limits))
 
 
 def inside(world: np.ndarray, home: DisparitySpace, region: np.ndarray) -> np.ndarray:
     """Which world points (n, 3), of samples in front of their home camera, are in the region."""
     depth = (world - home.camera.pose.center) @ home.camera.pose.rotation[2]
-    values = np.column_stack([world, depth])
-    return ((values >= region[::2]) & (values <= region[1::2])).all(axis=1)
+    return are_inside(world, half_spaces(region)) & (depth >= region[0]) & (depth <= region[1])
 
 
 def run(
@@ -61,10 +56,9 @@ def run(
 
 
 def test_packed_region_of_a_configuration() -> None:
-    assert build_region(None) is None
-    np.testing.assert_array_equal(build_region(RegionConfig(depth=(3.0, 200.0))), box(depth=(3.0, 200.0)))
+    np.testing.assert_array_equal(RegionConfig(depth=(3.0, 200.0)).packed(), box(depth=(3.0, 200.0)))
     both = RegionConfig.model_validate({"box": {"x": [-1, 1], "y": [-2, 2], "z": [0, 5]}, "depth": [1, 9]})
-    np.testing.assert_array_equal(build_region(both), [-1, 1, -2, 2, 0, 5, 1, 9])
+    np.testing.assert_array_equal(both.packed(), box(depth=(1, 9), x=(-1, 1), y=(-2, 2), z=(0, 5)))
 
 
 @settings(max_examples=100)
@@ -85,9 +79,10 @@ def test_region_mask(seed: int, spread: float, size: int) -> None:
     z_a = home.camera.pose.to_camera(world)[:, 2]
     points[-1] = z_b / z_a  # rho times the depth before the destination: negative behind it
     limits = np.sort(rng.normal([1.0, 2.0, 110.0], 1.5 * spread, (2, 3)), axis=0)
-    region = np.concatenate([limits.T.ravel(), np.sort(np.abs(rng.normal(110.0, 2.0 * spread, 2)))])
+    depth = np.sort(np.abs(rng.normal(110.0, 2.0 * spread, 2)))
+    region = box(depth=tuple(depth), **{axis: tuple(pair) for axis, pair in zip("xyz", limits.T, strict=True)})
     sample_weights, weights = rng.uniform(0.1, 2.0, count), np.empty(count)
-    share = region_mask(points, destination.packed(), home.packed(), region, sample_weights, weights)
+    share = region_mask(points, destination.packed(), home.packed(), region, REGION_SLACK, sample_weights, weights)
     good = inside(world, home, region) & (at_home[:, 2] > 0.0)
     expected = sample_weights @ good / sample_weights.sum()
     if expected >= REGION_SLACK:

@@ -9,6 +9,7 @@ import pytest
 
 from stereophd.core.disparity.moments import move
 from stereophd.core.disparity.moved import IN_VIEW, PARTLY_IN_VIEW
+from stereophd.core.geometry.region import box_half_spaces, pack_region
 from stereophd.core.numerics.samples import SampleSets, cubature_points
 from tests.core.disparity.moves import Case, figure_7, nearly_linear, sample_sets
 
@@ -74,7 +75,7 @@ def test_across_the_border_of_the_image_components_are_sampled() -> None:
 
 def test_outside_the_region_components_are_sampled() -> None:
     case = nearly_linear(6)
-    region = np.array([-50.0, 50.0, -50.0, 50.0, 0.0, 110.0, 0.0, np.inf])
+    region = pack_region((0.0, np.inf), box_half_spaces({"x": (-50.0, 50.0), "y": (-50.0, 50.0), "z": (0.0, 110.0)}))
     moved = [
         move(
             case.sources, case.destination.packed(), sample_sets(method, 64, case.motion), 0, region=region

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stereophd.core.geometry.region import box_half_spaces
 from stereophd.core.metrics.identities import clear_mot_figures
 from stereophd.core.metrics.matching.clear_mot import match_within
 from stereophd.core.metrics.scans import PointSets, score_scans
@@ -29,7 +30,7 @@ def test_what_is_outside_a_region_is_left_out() -> None:
     truth = point_sets([{0: 1.0, 1: 8.0}, {1: 8.0}])
     # beside the first object, although outside; of the second object; of none; inside
     estimates = point_sets([{5: -0.2, 6: 8.1, 7: 20.0, 8: 4.0}, {6: 8.1}])
-    estimates, truth, emptied = leave_out_outside(estimates, truth, {"x": (0.0, 5.0)}, 2.0, 2.0)
+    estimates, truth, emptied = leave_out_outside(estimates, truth, box_half_spaces({"x": (0.0, 5.0)}), 2.0, 2.0)
     assert truth.label.tolist() == [0]
     assert estimates.label.tolist() == [5, 8]
     assert emptied.tolist() == [False, True]

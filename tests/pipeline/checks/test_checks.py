@@ -147,7 +147,7 @@ def test_tracks_of_one_camera_are_reported() -> None:
     def run(right: int) -> list[str | None]:
         tracks = [{"n_detections": {"left": 100, "right": right}, "n_estimates": 120}]
         counts = {"detections": 400, "frames": 200}
-        summary = {"tracks": tracks, "left_out": {"burst_detections": 0}}
+        summary = {"tracks": tracks, "left_out": {"burst_detections": 0}, "cameras": {}}
         return [found.cause for found in check_tracking(summary, counts, CAMERAS) if found.cause]
 
     assert run(95) == []
@@ -297,6 +297,7 @@ def test_detections_that_no_track_explains_are_compared_with_the_stated_clutter(
     clutter = CAMERAS[0].detector.clutter_per_frame
     for unexplained, warns in ((clutter, False), (2.0 + 4.0 * clutter, True)):
         figures = {"frames": 200, "detections": 1000, "explained_detections": 1000 - 200 * unexplained}
+        figures["outside_region"] = 0
         summary = {"tracks": [{}], "cameras": {camera.name: figures for camera in CAMERAS}}
         assert bool(list(check_detections(summary, tuple(CAMERAS)))) == warns
 

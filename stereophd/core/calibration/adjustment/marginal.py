@@ -91,15 +91,16 @@ class MarginalOptimum:
     noise_factor: float  # Noise of the motion, in units of the scene's scale, over what is stated
 
 
-def marginal_optimum(problem: Problem, found: Adjustment) -> MarginalOptimum:
+def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 1.0) -> MarginalOptimum:
     """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
 
-    Values that the problem holds stay, and keep the covariance of the prior. Returns the adjustment given, not
+    Values that the problem holds stay, and keep the covariance of the prior. The search begins at a factor on the noise
+    of the motion. Returns the adjustment given, not
     converged, at the noise stated, where the normal equations are singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
-    unknowns = np.append(found.values, np.zeros(int(len(problem.knots.links()) > 0)))
+    unknowns = np.append(found.values, np.full(int(len(problem.knots.links()) > 0), np.log(noise_factor)))
     try:
         for _ in range(MOST_WEIGHTINGS):
             posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
@@ -177,10 +178,20 @@ class MarginalPosterior:
             value_vector=np.append(found.value_vector, found.energy - log_noise / std**2),
         )
 
+    @property
+    def _flat(self) -> float:
+        """Half the power of the scene's scale in the density of the knots; what stands still has no velocity."""
+        knots = self.linearisation.problem.knots
+        return (6.0 if knots.motion.moves else 3.0) * len(knots.times)
+
     def _volume(self, unknowns: Array, factor: Array) -> float:
         problem, (values, noise) = self.linearisation.problem, self._parted(unknowns)
         scale, _ = log_scale(problem.parameters, problem.reference, values)
-        return float(np.log(factor[0]).sum()) + 6.0 * len(problem.knots.times) * scale + 6.0 * self.links * noise
+        return float(np.log(factor[0]).sum()) + self._flat * scale + 6.0 * self.links * noise
+
+    def of_answer(self, values: Array, states: Array, noise_factor: float) -> Point:
+        """Return the point of values (m,), at a noise of the motion over what is stated, near given knots."""
+        return self.at(np.append(values, np.full(self.size - len(values), np.log(noise_factor))), states)
 
     def at(self, unknowns: Array, states: Array) -> Point:
         """Return the point of unknowns, its knots minimised from the given ones.
@@ -223,7 +234,7 @@ class MarginalPosterior:
         factor, slopes = _factor(equations.bands), self.slopes(at)
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
         by_noise = float(slopes.by_noise.sum())
-        direct = linearisation.of_values(slopes.by_value) + (6.0 * len(problem.knots.times) + by_noise) * by_scale
+        direct = linearisation.of_values(slopes.by_value) + (self._flat + by_noise) * by_scale
         direct = np.append(direct, np.full(self.size - len(values), by_noise + 6.0 * self.links))
         across = self._knots_against(at, factor, linearisation.of_states(slopes.path, slopes.by_point))
         step = _short(equations.bands, across)

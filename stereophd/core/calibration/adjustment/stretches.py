@@ -16,10 +16,10 @@ from __future__ import annotations
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
-from stereophd.core.calibration.adjustment.marginal import MarginalPosterior
+from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, Point
 from stereophd.core.calibration.adjustment.problem import Problem
-from stereophd.core.calibration.adjustment.solver import Adjustment, eliminate, posterior_covariance
+from stereophd.core.calibration.adjustment.solver import Adjustment, eliminate
 from stereophd.core.calibration.adjustment.trajectories import motion_links
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.unknowns.scale import log_scale
@@ -29,25 +29,18 @@ from stereophd.core.calibration.unknowns.scale import log_scale
 STRETCHES, JOINED, BEYOND_CHANCE = 64, (1, 2, 4), 1.5
 
 
-def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, log_noise: float | None) -> tuple[Array, float]:
+def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, noise_factor: float) -> tuple[Array, float]:
     """Return the covariance (m, m) that disagreeing stretches add to that of a fit, and by how much it widens it most.
 
-    At the marginal optimum `log_noise` is the logarithm of the noise of the motion over what is stated, and the problem
-    has the stated one; None if the fit is the joint optimum. The factor is one of standard deviations, 1 where the
-    stretches agree.
+    The fit is the marginal optimum, at a noise of the motion over what is stated; the problem has the stated one. The
+    factor is one of standard deviations, 1 where the stretches agree.
     """
     size = problem.parameters.size
     linearisation = Linearisation.of(problem.weighted(problem.weights(adjustment.distances)))
-    if log_noise is None:
-        equations = linearisation.at(adjustment.values, adjustment.states)
-        covariance, volume = posterior_covariance(equations, problem.parameters.prior_std), None
-        prior_std = problem.parameters.prior_std
-    else:
-        posterior = MarginalPosterior(linearisation)
-        point = posterior.at(np.append(adjustment.values, log_noise), adjustment.states)
-        equations, covariance, volume = point.equations, posterior.covariance(point), posterior.slopes(point)
-        prior_std = posterior.prior_std
-    scores = _scores(linearisation, adjustment.values, adjustment.states, log_noise or 0.0, equations, volume)
+    posterior = MarginalPosterior(linearisation)
+    point = posterior.of_answer(adjustment.values, adjustment.states, noise_factor)
+    covariance, prior_std = posterior.covariance(point), posterior.prior_std
+    scores = _scores(linearisation, point, float(np.log(noise_factor)), posterior.slopes(point))
     if problem.held is not None:
         scores[:, :size][:, problem.held] = 0.0
     determined = max(float((1.0 - np.diag(covariance) / prior_std**2).sum()), 1.0)
@@ -73,26 +66,19 @@ def widening(scores: Array, determined: float) -> Array:
     return root
 
 
-def _scores(
-    linearisation: Linearisation,
-    values: Array,
-    states: Array,
-    log_noise: float,
-    equations: NormalEquations,
-    volume: VolumeSlopes | None,
-) -> Array:
+def _scores(linearisation: Linearisation, point: Point, log_noise: float, volume: VolumeSlopes) -> Array:
     """Scores (b, u) of the stretches of a log, each of as many detections, by all unknowns."""
     problem, observations = linearisation.problem, linearisation.problem.observations
-    unknowns = equations.coupling.shape[1]
+    unknowns, states = len(point.unknowns), point.states
+    values = point.unknowns[: problem.parameters.size]
     assert observations.weights is not None
-    eliminated, _ = eliminate(equations, 0.0)
+    eliminated, _ = eliminate(point.equations, 0.0)
     following = -eliminated[:, :-1].reshape(len(states), 2, 3, unknowns)
     path, errors, visible, by_point, by_value = linearisation.residuals(values, states)
     pulls = np.einsum("n,nij,nj->ni", visible * observations.weights, observations.precisions, errors)
     direct = np.einsum("nrq,nr->nq", np.where(visible[:, None, None], by_value, 0.0), pulls)
     of_point = np.einsum("nra,nr->na", np.where(visible[:, None, None], by_point, 0.0), pulls)
-    if volume is not None:
-        direct, of_point = direct - volume.by_value, of_point - volume.by_point
+    direct, of_point = direct - volume.by_value, of_point - volume.by_point
     ends = np.quantile(observations.times, np.linspace(0.0, 1.0, STRETCHES + 1))[1:-1]
     scores, after = np.zeros((STRETCHES, unknowns)), np.minimum(path.knot + 1, len(states) - 1)
     rows_of = np.searchsorted(ends, observations.times)
@@ -112,8 +98,7 @@ def _scores(
     product = links.precisions @ both
     forces = -density * (product - links.pull)
     energies = (density * ((both * (product - 2.0 * links.pull)).sum(axis=1) + links.energy)).sum(axis=1)
-    if volume is not None:
-        energies = energies - volume.by_noise - 6.0
+    energies = energies - volume.by_noise - 6.0
     stretch_of = np.searchsorted(ends, 0.5 * (knots.times[links.knot] + knots.times[links.knot + 1]))
     _, by_scale = log_scale(problem.parameters, problem.reference, values)
     by_energy = np.append(by_scale, np.ones(unknowns - len(by_scale)))

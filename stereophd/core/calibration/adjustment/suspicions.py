@@ -24,7 +24,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import MarginalPosterior
 from stereophd.core.calibration.adjustment.problem import Problem
-from stereophd.core.calibration.adjustment.solver import Adjustment, eliminate
+from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves
 from stereophd.core.calibration.unknowns.held import EnlargedSet, HeldGroup
 from stereophd.core.numerics.covariance_factors import covariance_factor
@@ -66,31 +66,22 @@ class QuadraticPosterior:
 
 
 def quadratic_posterior(
-    problem: Problem, enlarged: EnlargedSet, adjustment: Adjustment, log_noise: float | None
+    problem: Problem, enlarged: EnlargedSet, adjustment: Adjustment, noise_factor: float
 ) -> QuadraticPosterior:
     """Return the posterior of everything about a fit, in units of the prior standard deviations.
 
-    At the marginal optimum `log_noise` is the logarithm of the noise of the motion over what is stated, and the problem
-    has the stated one; None if the fit is the joint optimum.
+    The fit is the marginal optimum, at a noise of the motion over what is stated; the problem has the stated one.
     """
     parameters = enlarged.parameters
-    std = parameters.prior_std
     weighted = problem.weighted(problem.weights(adjustment.distances))
     linearisation = Linearisation.of(replace(weighted, parameters=parameters, held=None))
     values = np.append(adjustment.values, np.zeros(parameters.size - len(adjustment.values)))
-    if log_noise is None:
-        equations = linearisation.at(values, adjustment.states)
-        eliminated, precision = eliminate(equations, 0.0)
-        gradient = equations.coupling.T @ eliminated[:, -1] - equations.value_vector
-    else:
-        posterior = MarginalPosterior(linearisation)
-        unknowns = np.append(values, np.full(posterior.size - len(values), log_noise))
-        point = posterior.at(unknowns, adjustment.states)
-        equations = point.equations
-        gradient, _ = posterior.gradient(point)
-        precision = np.asarray(np.linalg.inv(posterior.covariance(point)), dtype=np.float64)
-        std = posterior.prior_std
-    tracks = TrackMoves.of(problem, adjustment.values, adjustment.states, equations)
+    posterior = MarginalPosterior(linearisation)
+    point = posterior.of_answer(values, adjustment.states, noise_factor)
+    gradient, _ = posterior.gradient(point)
+    precision = np.asarray(np.linalg.inv(posterior.covariance(point)), dtype=np.float64)
+    std = posterior.prior_std
+    tracks = TrackMoves.of(problem, adjustment.values, adjustment.states, point.equations)
     tracks = replace(tracks, slopes=tracks.slopes * std, scale=tracks.scale * std)
     return QuadraticPosterior(gradient * std, (precision + precision.T) / 2.0 * np.outer(std, std), tracks)
 

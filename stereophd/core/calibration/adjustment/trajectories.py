@@ -74,7 +74,6 @@ def place_knots(
     `KNOTS_PER_DETECTION` knots for each: the work of an adjustment then grows no faster than the detections. Only
     cameras that are badly wrong would need more: those that place objects so near that the noise is almost no length.
     """
-    std = motion.noise_std
     pieces = []
     for j, (start, end) in enumerate(spans):
         parts = 0
@@ -88,9 +87,15 @@ def place_knots(
         times,
         first,
         np.asarray(spans, dtype=np.float64).reshape(-1, 2),
-        np.maximum(std, LEAST_AXIS * std.max()),
+        least_noise(motion),
         motion,
     )
+
+
+def least_noise(motion: Motion) -> Array:
+    """Return the standard deviations (3,) of the noise of a motion, none exactly zero while others are not."""
+    std = motion.noise_std
+    return np.asarray(np.maximum(std, LEAST_AXIS * std.max()))
 
 
 def knot_spacing(motion: Motion, noise: float) -> float:

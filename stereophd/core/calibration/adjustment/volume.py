@@ -100,7 +100,7 @@ class VolumeSlopes:
         links = motion_links(knots)
         moved_by_noise = np.zeros(len(links.knot))
         density = np.exp(-2.0 * linearisation.log_scale_of_noise(values, log_noise))
-        for axis in range(3):
+        for axis in range(3 if len(links.knot) else 0):
             for b in range(4):
                 for c in range(4):
                     row, column = 6 * links.knot + 3 * b + axis, 6 * links.knot + 3 * c + axis

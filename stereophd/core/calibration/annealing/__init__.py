@@ -10,7 +10,6 @@ fit                    detections of a trajectory             holds             
 ``tracked_fit``        tracks of the filter, noise inflated   the unknowns of its pass    Cauchy  ``starts.run_start``
 ``refitted``           chosen anew by the trajectories        nothing, or all values      floor   ``starts``, ``method``
 ``adjusted_to``        those given                            what the fit given held     floor   the others below
-``without_left_out``   those that the loss did not leave out  as the fit given            floor   ``starts.run_start``
 ``fit_until``          those until a time                     as the fit given            floor   ``method.history_of``
 ``restricted_fit``     as the fit given                       unknowns not selected       floor   ``method.selected``
 ``rescaled``           as the fit given                       as the fit given            floor   ``at_known_scale``
@@ -22,8 +21,7 @@ fit                    detections of a trajectory             holds             
 
 ``stated_fit`` integrates the trajectories out, with the weights that the floor loss gave at the optimum;
 ``with_lengths`` adds pairs of objects at a known distance, ``with_control`` a control track of one object. Detections
-that share errors count less (`adjustment.shared_errors`): in the third refit of a start as its residuals show, in what
-is stated as those of the marginal optimum do. The noise of the motion is what is stated until ``stated_fit`` has found
-another; the noise of the detections until ``method.believe`` has. A known scale is held by the task, and counts in
-every fit.
+that share errors count less (`adjustment.shared_errors`) in what is stated, as the residuals there show. The noise of
+the motion is what is stated until ``stated_fit`` has found another; the noise of the detections until
+``method.believe`` has. A known scale is held by the task, and counts in every fit.
 """

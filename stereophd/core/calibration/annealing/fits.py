@@ -11,7 +11,7 @@ from scipy.linalg import solveh_banded
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import LEFT_OUT, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import marginal_optimum
 from stereophd.core.calibration.adjustment.problem import Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.shared_errors import shared_errors
 from stereophd.core.calibration.adjustment.solver import adjust, damped_bands, posterior_covariance
@@ -20,6 +20,7 @@ from stereophd.core.calibration.adjustment.trajectories import (
     fit_states,
     interpolation,
     knot_spacing,
+    least_noise,
     place_knots,
     positions,
 )
@@ -46,10 +47,9 @@ ANNEALED_LOSS = Loss(normal_equations.CAUCHY, 2.0)
 FITTED_LOSS = Loss(normal_equations.FLOOR, 1e-3)
 # Spread of the draws about clock offsets that motion shows, in parts of the prior's.
 SEARCHED_PART = 0.1
-# Iterations of an adjustment; and where more than poses is unknown, of one that others follow and of one for the
-# history.
+# Iterations of an adjustment, of one that others follow, and of one for the history where more than poses is unknown.
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
-# Relative change of the cost at which an adjustment ends, and one that others follow where more than poses is unknown.
+# Relative change of the cost at which an adjustment ends, and one that others follow.
 TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 3
@@ -57,8 +57,6 @@ FITTED_PASSES = 3
 PADDED_FRAMES = 2.0
 # Times at most that trajectories of marginal optima choose their detections, and the change of a weight that counts.
 MOST_CHOICES, SAME_WEIGHT = 2, 0.1
-# Passes are weighted from this one on.
-FIRST_WEIGHTED = 2
 
 
 def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list[Pairing]:
@@ -87,7 +85,7 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
-    return _fit(task, problem, pairing.values, states, detections, *_annealed(task))
+    return _fit(task, problem, pairing.values, states, detections, ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
 
 
 def with_clocks(task: Task, draws: Array) -> Array:
@@ -124,22 +122,14 @@ def tracked_fit(
     precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
-    return _fit(task, problem, values, states, detections, *_annealed(task))
+    return _fit(task, problem, values, states, detections, ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
 
 
-def _annealed(task: Task) -> tuple[int, float]:
-    """Most iterations and tolerance of an adjustment that others follow: with many unknowns its optimum is flat."""
-    only_moves = task.parameters.only_moves
-    return (MOST_ITERATIONS, TOLERANCE) if only_moves else (ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
-
-
-def refitted(
-    task: Task, fit: Fit, tracked: bool = False, weighted: bool = False, last: bool = True, still: bool = False
-) -> Fit | None:
+def refitted(task: Task, fit: Fit, tracked: bool = False, last: bool = True, still: bool = False) -> Fit | None:
     """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
 
-    `weighted`: detections whose errors are shared count less (`adjustment.shared_errors`), as the residuals of the
-    fit show. `last`: no other adjustment follows. `still`: the cameras stay, and only the trajectories are adjusted.
+    `last`: no other adjustment follows. `still`: the fit is a marginal optimum, its cameras stay, and detections whose
+    errors are shared count less (`adjustment.shared_errors`), as its residuals show.
     """
     cameras = task.parameters.build(fit.adjustment.values)
     scans = task.tracked_scans(cameras) if tracked else task.all_scans(cameras)
@@ -160,10 +150,10 @@ def refitted(
     of_log = scans.source[detections[rows]]
     fit = replace(fit, held=np.ones(task.parameters.size, dtype=np.bool_) if still else None)
     observations = task.observations(cameras, numbers, of_log)
-    if weighted and task.settings.shared_error_px > 0.0:
+    if still and task.settings.shared_error_px > 0.0:
         weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), of_log)
         observations = replace(observations, weights=weights)
-    tolerance = TOLERANCE if last or task.parameters.only_moves else ANNEALED_TOLERANCE
+    tolerance = TOLERANCE if last else ANNEALED_TOLERANCE
     return adjusted_to(task, fit, observations, trajectories[rows], of_log, tolerance=tolerance)
 
 
@@ -187,9 +177,9 @@ def _weights(task: Task, fit: Fit, observations: Observations, detections: Integ
 def fit_from(task: Task, values: Array) -> Fit | None:
     """Fit cameras and trajectories to what is tracked with the cameras of `values`; None if nothing is shared."""
     fit = tracked_fit(task, values, 1.0)
-    for number in range(FITTED_PASSES):
+    for _ in range(FITTED_PASSES):
         if fit is not None:
-            fit = refitted(task, fit, weighted=number >= FIRST_WEIGHTED)
+            fit = refitted(task, fit)
     return fit
 
 
@@ -198,17 +188,6 @@ def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
     # with many unknowns the optimum of a part of the log is flat: the history need not end at its last digit
     most = MOST_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
     return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), most)
-
-
-def without_left_out(task: Task, fit: Fit) -> Fit:
-    """Adjust again without the detections that the last adjustment left out, if any.
-
-    Where a trajectory ends with one of them, its last knots have no information but the motion's, and lie anywhere.
-    """
-    rows = np.flatnonzero(fit.adjustment.distances <= LEFT_OUT)
-    if len(rows) == len(fit.detections):
-        return fit
-    return _part(task, fit, rows, MOST_ITERATIONS) or fit
 
 
 def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None:
@@ -308,15 +287,13 @@ def _with_held_unknown(task: Task, fit: Fit) -> Fit:
     return replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
 
 
-def marginal_fit(task: Task, fit: Fit) -> tuple[Fit, float]:
+def marginal_fit(task: Task, fit: Fit, factor: float = 1.0) -> tuple[Fit, float]:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
-    Values that are held stay. Not for objects of one knot each, which stand still: the volume counts a velocity with
-    every knot, and would take the scene for too small. Also returns the noise of the motion over what is stated.
+    Values that are held stay. Also returns the noise of the motion over that of the fit; it is looked for from a factor
+    on.
     """
-    if not len(fit.knots.links()):
-        return fit, 1.0
-    found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment)
+    found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment, factor)
     cameras = task.parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
@@ -330,16 +307,12 @@ def stated_fit(task: Task, joint: Fit) -> tuple[Fit, float]:
     The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
     residuals look like shared errors.
     """
-    if joint.observations.weights is not None:
-        seen = replace(joint.observations, weights=None)
-        joint = adjusted_to(task, joint, seen, seen.trajectories, joint.detections)
     stated, factor = marginal_fit(task, joint)
-    for _ in range(MOST_CHOICES if stated is not joint and stated.adjustment.converged else 0):
-        begin = replace(stated, knots=replace(stated.knots, noise_std=joint.knots.noise_std))
-        again = refitted(task, begin, weighted=True, still=True)
+    for _ in range(MOST_CHOICES if stated.adjustment.converged else 0):
+        again = refitted(task, stated, still=True)
         if again is None or _same_members(again, stated):
             break
-        better, new_factor = marginal_fit(task, replace(again, held=joint.held))
+        better, new_factor = marginal_fit(task, with_stated_motion(task, replace(again, held=joint.held)), factor)
         if not better.adjustment.converged:
             break
         stated, factor = better, new_factor
@@ -357,10 +330,9 @@ def _same_members(one: Fit, other: Fit) -> bool:
     return bool(np.allclose(first, second, rtol=SAME_WEIGHT))
 
 
-def at_marginal_optimum(task: Task, fit: Fit) -> Fit:
-    """Move a fit to the maximum of the marginal posterior, and keep the stated noise of the motion."""
-    found, _ = marginal_fit(task, fit)
-    return replace(found, knots=fit.knots)
+def with_stated_motion(task: Task, fit: Fit) -> Fit:
+    """Return a fit that others follow: the noise of its motion is what is stated, whatever was found."""
+    return replace(fit, knots=replace(fit.knots, noise_std=least_noise(task.filter.motion)))
 
 
 def _fit(

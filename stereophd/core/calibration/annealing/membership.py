@@ -63,7 +63,8 @@ class Predictions:
         covariances_of_points(self.inverse, path.knot, path.weights, path.weights, spread)
         spans = knots.spans[seen.trajectories]
         beyond = np.maximum(np.maximum(spans[:, 0] - seen.times, seen.times - spans[:, 1]), 0.0)
-        spread += knots.motion.noise(beyond).position[:, None, None] * np.diag(knots.noise_std**2)
+        noise = np.exp(linearisation.log_scale_of_noise(self.adjustment.values, 0.0)) * knots.noise_std
+        spread += knots.motion.noise(beyond).position[:, None, None] * np.diag(noise**2)
         total = np.zeros((len(seen), 2, len(self.adjustment.values)))
         for place in range(12):
             rows = np.minimum(6 * path.knot + place, len(self.following) - 1)

@@ -28,6 +28,7 @@ from stereophd.core.calibration.annealing.fits import (
     refitted,
     restricted_fit,
     stated_fit,
+    with_stated_motion,
 )
 from stereophd.core.calibration.annealing.known_lengths import with_lengths
 from stereophd.core.calibration.annealing.known_scale import measured_scale, rescaled
@@ -100,8 +101,7 @@ class HistoryRow:
 class Answer:
     """What is stated of a fit."""
 
-    joint: Fit  # The optimum of cameras and trajectories together, with the selected unknowns.
-    fit: Fit  # What is stated: the marginal optimum; the joint one of objects that stand still.
+    fit: Fit  # The marginal optimum.
     noise_factor: float  # Noise of the motion over what is stated.
     comparison: Comparison | None  # Of sets of unknowns.
 
@@ -226,7 +226,7 @@ def state(task: Task, fit: Fit, choices: Choices) -> Answer:
     """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
     joint, comparison = selected(task, fit, choices)
     stated, noise_factor = stated_fit(task, joint)
-    return Answer(joint, stated, noise_factor, comparison)
+    return Answer(stated, noise_factor, comparison)
 
 
 def selected(task: Task, fit: Fit, choices: Choices) -> tuple[Fit, Comparison | None]:
@@ -262,10 +262,10 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and doubted: these cameras are the best so far"
             remarks = (Remark("time", text, is_reservation=True), *noise_remarks(task, noise), *freed_remarks(given_up))
-            return Believed(task, Answer(fit, fit, 1.0, None), noise, tuple(given_up), freed, remarks)
+            return Believed(task, Answer(fit, 1.0, None), noise, tuple(given_up), freed, remarks)
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
-        basis = replace(answer.fit, knots=replace(answer.fit.knots, noise_std=answer.joint.knots.noise_std))
+        basis = with_stated_motion(task, answer.fit)
         rng = np.random.default_rng(NOISE_SEED)
         estimate = noise_factors(problem_of(task, answer.fit), answer.fit.adjustment, rng)
         hides = estimate.hides & (loosened < MOST_LOOSENED)
@@ -289,25 +289,21 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
 def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
     """Test what an answer holds as stated; the statement of the greatest evidence against it first."""
     enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
-    problem, log_noise = problem_of_answer(task, answer)
-    quadratic = quadratic_posterior(problem, enlarged, answer.fit.adjustment, log_noise)
+    quadratic = quadratic_posterior(
+        problem_of_answer(task, answer), enlarged, answer.fit.adjustment, answer.noise_factor
+    )
     return enlarged, suspect(quadratic, enlarged, free_of(task.parameters, answer.fit.held))
 
 
-def problem_of_answer(task: Task, answer: Answer) -> tuple[Problem, float | None]:
-    """Return the problem that an answer solves, and the logarithm of its noise of the motion if that is an unknown."""
-    problem = replace(problem_of(task, answer.fit), held=answer.fit.held)
-    if answer.fit is answer.joint:
-        return problem, None
-    # the knots of the answer have the noise that was found
-    knots = replace(answer.fit.knots, noise_std=answer.fit.knots.noise_std / answer.noise_factor)
-    return replace(problem, knots=knots), float(np.log(answer.noise_factor))
+def problem_of_answer(task: Task, answer: Answer) -> Problem:
+    """Return the problem that an answer solves, with the noise of the motion that is stated."""
+    return replace(problem_of(task, with_stated_motion(task, answer.fit)), held=answer.fit.held)
 
 
 def widened(task: Task, answer: Answer) -> tuple[Answer, tuple[Remark, ...]]:
     """Widen the covariance of an answer by what stretches of the log disagree, and say so where it is much."""
-    problem, log_noise = problem_of_answer(task, answer)
-    more, factor = disagreement_of_stretches(problem, answer.fit.adjustment, log_noise)
+    problem = problem_of_answer(task, answer)
+    more, factor = disagreement_of_stretches(problem, answer.fit.adjustment, answer.noise_factor)
     adjustment = answer.fit.adjustment
     fit = replace(answer.fit, adjustment=replace(adjustment, covariance=adjustment.covariance + more))
     text = (
@@ -338,7 +334,7 @@ def adjusted_anew(task: Task, fit: Fit) -> Fit:
     trajectories = fit.observations.trajectories
     observations = task.observations(cameras, trajectories, fit.detections)
     adjusted = adjusted_to(task, replace(fit, held=None), observations, trajectories, fit.detections)
-    chosen = refitted(task, adjusted, weighted=True)
+    chosen = refitted(task, adjusted)
     return adjusted if chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections) else chosen
 
 

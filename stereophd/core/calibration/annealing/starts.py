@@ -17,14 +17,13 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.annealing.fits import (
-    FIRST_WEIGHTED,
     FITTED_PASSES,
-    at_marginal_optimum,
     paired_fit,
     pairings_of,
     refitted,
+    stated_fit,
     tracked_fit,
-    without_left_out,
+    with_stated_motion,
 )
 from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
 from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio
@@ -94,26 +93,20 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
         values = fit.adjustment.values
         history.append(values)
     assert fit is not None
-    for number_of_pass in range(FITTED_PASSES + 1):
-        if number_of_pass == FITTED_PASSES and fit.observations.weights is None:
-            break  # one more pass only where the last one found weights
+    for number_of_pass in range(FITTED_PASSES):
         if not task.limit.begin(f"{about} {count - FITTED_PASSES + number_of_pass + 1} of {count}") and number_of_pass:
             break  # judged as it is
-        again = refitted(
-            task, fit, tracked=number_of_pass == 0, weighted=number_of_pass >= FIRST_WEIGHTED,
-            last=number_of_pass >= FIRST_WEIGHTED,
-        )  # fmt: skip
+        again = refitted(task, fit, tracked=number_of_pass == 0, last=number_of_pass == FITTED_PASSES - 1)
         if again is None:
             return failed("the fitted trajectories are not shared by two cameras", fit)
         fit = again
         history.append(fit.adjustment.values)
-    fit = without_left_out(task, fit)
     values = fit.adjustment.values
     part = explained(task, fit)
     why = disagreement(task, fit)
     if why is not None and task.parameters.prior_disagreement(values) is not None:
         # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
-        fit = at_marginal_optimum(task, fit)
+        fit = with_stated_motion(task, stated_fit(task, fit)[0])
         values = fit.adjustment.values
         history.append(values)
         why = disagreement(task, fit)

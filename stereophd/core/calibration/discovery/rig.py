@@ -49,20 +49,17 @@ class Spread:
     rotation: float  # rad
     direction: float  # of its centre from the reference: a share of the distance
     offset_s: float
-    rate: float
     focal: float
-    lens: float
 
 
 @dataclass(frozen=True)
-class RigHypothesis:
-    """Cameras that were found, those of one hypothesis."""
+class Rig:
+    """Cameras that were found."""
 
     cameras: tuple[Camera, ...]  # in the order of the views; the reference at the origin
     spreads: tuple[Spread, ...]
     pairs: tuple[PairResult, ...]  # those that join the cameras, the greatest gain first
     doubts: tuple[str, ...]  # why the cameras may be wrong; empty if they are believed
-    gain: float
 
     def depth(self, reference: int) -> float:
         """Return the median depth of the objects before the reference, in units of the first baseline."""
@@ -72,10 +69,10 @@ class RigHypothesis:
 
 @dataclass(frozen=True)
 class Discovery:
-    """What was found: rigs, the best first; none with the reason."""
+    """What was found."""
 
-    rigs: tuple[RigHypothesis, ...]
-    reason: str = ""
+    rig: Rig | None
+    reason: str  # why nothing was found that is believed; empty if something was
 
 
 def discover(
@@ -88,7 +85,7 @@ def discover(
     names = [view.camera.name for view in views]
     found = slope_tracks([view.camera for view in views], raw)
     if (reason := doubts_of_tracks(found, names)) is not None:
-        return Discovery((), reason)
+        return Discovery(None, reason)
     results = {}
     every = list(combinations(range(len(views)), 2))
     for number, two in enumerate(every):
@@ -103,23 +100,16 @@ def discover(
     placed = {camera for two in tree for camera in two}
     if missing := [name for number, name in enumerate(names) if number not in placed]:
         if limit.is_over:
-            return Discovery((), f"{TIME_OVER} before {', '.join(missing)} could be found")
-        return Discovery((), f"no tracks of {', '.join(missing)} agree with those of another camera at any offset")
+            return Discovery(None, f"{TIME_OVER} before {', '.join(missing)} could be found")
+        return Discovery(None, f"no tracks of {', '.join(missing)} agree with those of another camera at any offset")
     if len(tree) < len(views) - 1:
-        return Discovery((), "the cameras fall into groups without common objects")
+        return Discovery(None, "the cameras fall into groups without common objects")
     chosen = [results[two] for two in tree]
     others = [results[two] for two in results if two not in tree]
-    rigs = [_rig(views, found, reference, chosen, others)]
-    # another optimum of the pair with the smallest gap is the second hypothesis
-    doubtful = min(range(len(chosen)), key=lambda k: chosen[k].gap)
-    for other in chosen[doubtful].fits[1:3]:
-        pairs = list(chosen)
-        pairs[doubtful] = replace(chosen[doubtful], fits=(other, *chosen[doubtful].fits))
-        rigs.append(_rig(views, found, reference, pairs, others))
-    placed_rigs = tuple(rig for rig in rigs if rig is not None)
-    if not placed_rigs:
-        return Discovery((), "no object is seen by three cameras at one time: the baselines cannot be compared")
-    return Discovery(placed_rigs)
+    rig = _rig(views, found, reference, chosen, others)
+    if rig is None:
+        return Discovery(None, "no object is seen by three cameras at one time: the baselines cannot be compared")
+    return Discovery(rig, "; ".join(rig.doubts))
 
 
 def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, float]:
@@ -139,14 +129,14 @@ def _rig(
     reference: int,
     pairs: Sequence[PairResult],
     others: Sequence[PairResult],
-) -> RigHypothesis | None:
+) -> Rig | None:
     """Place cameras along the tree of pairs, the reference first; None if the baselines cannot be compared."""
     scales = _scales(found, reference, pairs)
     if scales is None:
         return None
     poses = {reference: Pose(np.eye(3), np.zeros(3))}
     clocks = {reference: (0.0, 1.0)}  # true time by the prior mean clock of each camera: offset and rate
-    variances = {reference: np.zeros(4)}  # rotation, direction, offset, rate
+    variances = {reference: np.zeros(3)}  # rotation, direction, offset
     while len(poses) < len(views):
         for pair, scale in zip(pairs, scales, strict=True):
             a, b = pair.cameras
@@ -163,20 +153,20 @@ def _rig(
             pose = poses[known]
             poses[new] = Pose(turn @ pose.rotation, pose.center + step @ pose.rotation)
             clocks[new] = (clocks[known][0] + clocks[known][1] * relation[0], clocks[known][1] * relation[1])
-            stds = np.array([fit.stds[:3].max(), fit.stds[3:5].max(), fit.stds[5], fit.stds[6]])
+            stds = np.array([fit.stds[:3].max(), fit.stds[3:5].max(), fit.stds[5]])
             variances[new] = variances[known] + stds**2
     cameras, spreads = [], []
     for number, view in enumerate(views):
         focal, focal_std = _averaged(pairs, number, 7)
-        lens, lens_std = _averaged(pairs, number, 9)
+        lens, _ = _averaged(pairs, number, 9)
         camera, clock = view.camera, clocks[number]
         cameras.append(replace(
             camera, pose=poses[number], fx=camera.fx * float(np.exp(focal)), fy=camera.fy * float(np.exp(focal)),
             lens=Lens("radial", k1=lens) if view.lens_is_unknown else camera.lens,
             clock=Clock(clock[0] + clock[1] * camera.clock.offset_s, clock[1] * camera.clock.rate),
         ))  # fmt: skip
-        rotation, direction, offset, rate = np.sqrt(variances[number]).tolist()
-        spreads.append(Spread(rotation, direction, offset, rate, focal_std, lens_std))
+        rotation, direction, offset = np.sqrt(variances[number]).tolist()
+        spreads.append(Spread(rotation, direction, offset, focal_std))
     names = [view.camera.name for view in views]
     confirmed, closed = _confirmed(poses, pairs, others)
     doubts = [
@@ -184,9 +174,7 @@ def _rig(
         for pair in pairs
         for text in doubts_of_pair(pair, names, pair.cameras in confirmed, pair.cameras in closed)
     ]
-    return RigHypothesis(
-        tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts), sum(pair.best.gain for pair in pairs)
-    )
+    return Rig(tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts))
 
 
 def _confirmed(

@@ -39,16 +39,10 @@ def pair_gains(pairs: TrackPairs, distances: Array, tolerance: float) -> Array:
 def choose_pairs(pairs: TrackPairs, gains: Array) -> tuple[Integers, float]:
     """Pair tracks one to one for each two cameras, at the greatest total gain; return the pairs and the total."""
     chosen, total = [], 0.0
-    for i, j in pairs.camera_pairs:
-        here = np.flatnonzero((pairs.cameras == (i, j)).all(axis=1))
-        firsts, row = np.unique(pairs.tracks[here, 0], return_inverse=True)
-        seconds, column = np.unique(pairs.tracks[here, 1], return_inverse=True)
-        table = np.zeros((len(firsts), len(seconds)))
-        number = np.full(table.shape, -1)
-        table[row, column] = np.maximum(gains[here], 0.0)
-        number[row, column] = here
-        for r, c in zip(*linear_sum_assignment(-table), strict=True):
-            if table[r, c] > 0.0:
-                chosen.append(number[r, c])
-                total += float(table[r, c])
-    return np.array(chosen, dtype=np.int64), total
+    for number in pairs.tables:
+        table = np.where(number >= 0, np.maximum(gains[number], 0.0), 0.0)
+        row, column = linear_sum_assignment(-table)
+        kept = table[row, column] > 0.0
+        chosen.append(number[row[kept], column[kept]])
+        total += float(table[row, column].sum())
+    return np.concatenate([np.empty(0, dtype=np.int64), *chosen]), total

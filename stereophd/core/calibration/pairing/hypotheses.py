@@ -13,6 +13,7 @@ Distances are linearised about the cameras of a start, so that a hypothesis take
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -74,9 +75,14 @@ def _of_two(
         return choose_pairs(part, pair_gains(part, linear.distances_at(offsets), FIRST))
 
     best: dict[bytes, tuple[float, Array]] = {}
+    first_rows = np.searchsorted(part.pair, np.arange(len(members) + 1))
     for pair in range(len(members)):
-        alone = linear.take(part.rows_of([pair]))
+        rows = np.arange(first_rows[pair], first_rows[pair + 1])
+        alone = linear.take(rows)
         offsets = alone.fitted(TOLERANCES[-1], alone.fitted(FIRST, linear.offsets))
+        own = replace(part, pair=part.pair[rows])
+        if pair_gains(own, alone.distances_at(offsets), NEXT[1])[pair] <= 0.0:
+            continue  # under the prior it is no one object
         chosen, _ = chosen_at(offsets)
         offsets = linear.take(part.rows_of(chosen)).fitted(FIRST, offsets)
         chosen, total = chosen_at(offsets)

@@ -43,6 +43,18 @@ class TrackPairs:
         """Each two cameras that have pairs, in order."""
         return [(int(i), int(j)) for i, j in np.unique(self.cameras, axis=0)]
 
+    @cached_property
+    def tables(self) -> list[Integers]:
+        """Pairs (i, j) of the tracks of each two cameras, -1 where there is none."""
+        out = []
+        for two in self.camera_pairs:
+            members = np.flatnonzero((self.cameras == two).all(axis=1))
+            firsts, row = np.unique(self.tracks[members, 0], return_inverse=True)
+            seconds, column = np.unique(self.tracks[members, 1], return_inverse=True)
+            out.append(np.full((len(firsts), len(seconds)), -1))
+            out[-1][row, column] = members
+        return out
+
     def rays_of(self, cameras: Sequence[Camera], rows: Integers) -> Rays:
         """Return the rays of some rows by cameras."""
         if self.is_fixed:

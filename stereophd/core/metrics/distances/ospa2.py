@@ -159,10 +159,7 @@ def _base_distances(run: _Run, chunk: _Chunk) -> tuple[Array, NDArray[np.bool_],
     shape = (chunk.scans, len(chunk.tracks), len(chunk.targets))
     begin = run.earliest(chunk.first)
     lives, rows, offset = [], [], (int(run.estimates.start[begin]), int(run.truth.start[begin]))
-    for points, number, names in (
-        (run.estimates, run.track, chunk.tracks),
-        (run.truth, run.target, chunk.targets),
-    ):
+    for points, number, names in ((run.estimates, run.track, chunk.tracks), (run.truth, run.target, chunk.targets)):
         rows.append(np.searchsorted(names, number[_rows(points, begin, chunk.last)]))
         scan = np.repeat(np.arange(begin, chunk.last), points.counts[begin : chunk.last])
         steps = np.zeros((chunk.scans, len(names)), dtype=np.int64)

@@ -108,27 +108,25 @@ def register(
         registration = replace(start, at_s=middle, shift_s=shift)
     columns = freedom.columns
     for number in range(MOST_STEPS):
-        found = residuals(registration, time_s, positions, truth, max_gap_s)
-        if len(found.rows) < LEAST_ESTIMATES:
-            raise ValueError(
-                f"expected {LEAST_ESTIMATES} or more estimates at times of the truth, found {len(found.rows)}"
-            )
-        weights = np.ones(len(found.rows)) if number < EQUAL_STEPS else found.weights
-        jacobian = found.jacobian[:, :, columns]
+        fit = residuals(registration, time_s, positions, truth, max_gap_s)
+        if len(fit.rows) < LEAST_ESTIMATES:
+            raise ValueError(f"expected {LEAST_ESTIMATES} or more estimates at times of the truth, fit {len(fit.rows)}")
+        weights = np.ones(len(fit.rows)) if number < EQUAL_STEPS else fit.weights
+        jacobian = fit.jacobian[:, :, columns]
         # all columns of one size, those of the rotation together: what the estimates leave open then stays as it is
         sizes = np.maximum(np.sqrt((jacobian**2).sum(axis=(0, 1))), 1e-300)
         sizes[columns < 3] = sizes[columns < 3].max(initial=1e-300)
         roots = np.sqrt(weights)
         solved = np.linalg.lstsq(
             (roots[:, None, None] * jacobian / sizes).reshape(-1, len(columns)),
-            (roots[:, None] * found.errors).ravel(),
+            (roots[:, None] * fit.errors).ravel(),
             1e-9,
         )[0]
         step = np.zeros(9)
         step[columns] = solved / sizes
-        registration = stepped(registration, step, found.center, len(found.rows))
+        registration = stepped(registration, step, fit.center, len(fit.rows))
         change = np.abs(jacobian @ step[columns]).max()
-        if number >= EQUAL_STEPS and change <= TOLERANCE * found.reach:
+        if number >= EQUAL_STEPS and change <= TOLERANCE * fit.reach:
             break
     return registration
 
@@ -176,14 +174,14 @@ def derivatives(from_center: Array, velocities: Array, elapsed: Array) -> Array:
     return out
 
 
-def stepped(found: Registration, step: Array, center: Array, estimates: int) -> Registration:
+def stepped(before: Registration, step: Array, center: Array, estimates: int) -> Registration:
     """Return a registration that is turned and scaled about a centre, moved, and timed anew."""
     turn, factor = rotation_from_vector(step[:3]), float(np.exp(step[6]))
-    translation = center + step[3:6] + factor * turn @ (found.translation - center)
-    rate = found.rate + float(step[8])
+    translation = center + step[3:6] + factor * turn @ (before.translation - center)
+    rate = before.rate + float(step[8])
     if not LOWEST_RATE < rate < HIGHEST_RATE:
-        raise ValueError(f"expected clocks of nearly one rate, found a ratio of {rate:.3g}")
+        raise ValueError(f"expected clocks of nearly one rate, before a ratio of {rate:.3g}")
     return Registration(
-        turn @ found.rotation, translation, factor * found.scale, found.at_s, found.shift_s + float(step[7]), rate,
+        turn @ before.rotation, translation, factor * before.scale, before.at_s, before.shift_s + float(step[7]), rate,
         estimates
     )  # fmt: skip

@@ -1,11 +1,11 @@
 """What is scored: objects that enough cameras have seen lately, on a plane, and within a region."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.geometry.region import are_inside
 from stereophd.core.metrics.matching.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.numerics.times import SAME_TIME_S
@@ -52,9 +52,9 @@ def _latest_before(detected_at: Array, detected: Integers, time_s: Array, object
     order = np.lexsort((is_question, time, label))
     place = np.maximum.accumulate(np.where(is_question[order], -1, np.arange(len(order))))
     source = order[np.maximum(place, 0)]
-    found = (place >= 0) & (label[source] == label[order])
+    was_detected = (place >= 0) & (label[source] == label[order])
     latest = np.empty(len(order))
-    latest[order] = np.where(found, time[source], -np.inf)
+    latest[order] = np.where(was_detected, time[source], -np.inf)
     return latest[len(detected) :]
 
 
@@ -76,9 +76,6 @@ def leave_out_unseen(
     return fewer_estimates, fewer_truth, emptied
 
 
-AXES = ("x", "y", "z")
-
-
 def on_plane(points: PointSets, normal: Array) -> PointSets:
     """Return points moved onto the plane through the origin with a normal (3,), without their covariances."""
     unit = normal / np.linalg.norm(normal)
@@ -87,28 +84,20 @@ def on_plane(points: PointSets, normal: Array) -> PointSets:
 
 
 def leave_out_outside(
-    estimates: PointSets, truth: PointSets, region: Mapping[str, tuple[float, float]], order: float, cutoff: float
+    estimates: PointSets, truth: PointSets, region: Array, order: float, cutoff: float
 ) -> tuple[PointSets, PointSets, Booleans]:
     """Leave out what is outside a region: objects with the estimates assigned to them, and estimates near no other.
 
     An estimate outside that is nearer than the cutoff to an object inside stays: it may be the estimate of that object.
-    The region has the least and greatest value of some axes (`AXES`); order and cutoff are those of `score_scans`.
+    The region is half-spaces (h, 4) (`stereophd.core.geometry.region`); order and cutoff are those of `score_scans`.
     Returns the remaining estimates and true points of each scan, and the scans (k,) that lost points and have none
     left.
     """
     had = estimates.counts + truth.counts > 0
     estimates, truth, _ = leave_out_unseen(
-        estimates, truth, _is_inside(truth, region), order, cutoff, mahalanobis=False
+        estimates, truth, are_inside(truth.position, region), order, cutoff, mahalanobis=False
     )
-    kept = _is_inside(estimates, region)
+    kept = are_inside(estimates.position, region)
     kept[near_pairs(estimates, truth, cutoff).estimate] = True
     estimates = estimates.keep_points(kept)
     return estimates, truth, had & (estimates.counts + truth.counts == 0)
-
-
-def _is_inside(points: PointSets, region: Mapping[str, tuple[float, float]]) -> Booleans:
-    inside = np.ones(len(points.label), dtype=np.bool_)
-    for axis, (low, high) in region.items():
-        values = points.position[:, AXES.index(axis)]
-        inside &= (values >= low) & (values <= high)
-    return inside

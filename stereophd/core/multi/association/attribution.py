@@ -51,7 +51,7 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: In
     where several share the probability.
     """
     order = stable_order(labels)
-    found, made = np.empty(len(labels), dtype=np.int64), np.empty(len(labels), dtype=np.int64)
+    detected, made = np.empty(len(labels), dtype=np.int64), np.empty(len(labels), dtype=np.int64)
     shares = np.zeros(len(labels) - n_missed - len(updated))
     count, start = 0, 0
     while start < len(order):
@@ -62,7 +62,7 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: In
             whole += weights[k]
             end += 1
         if label >= 0 and balance > 0.0:
-            found[count], made[count] = label, UNDECIDED
+            detected[count], made[count] = label, UNDECIDED
             # the components of one label and detection are alternatives
             for i in range(start, end):
                 if order[i] >= n_missed:
@@ -76,7 +76,7 @@ def detected_labels(labels: Integers, weights: Array, n_missed: int, updated: In
             count += 1
         start = end
     # copies: filters keep them for many events, and slices would keep the arrays of all outcomes
-    return found[:count].copy(), made[:count].copy()
+    return detected[:count].copy(), made[:count].copy()
 
 
 @compiled

@@ -52,18 +52,18 @@ def association_marginals(
     for level in range(len(WEAK_LINKS)):
         last = level + 1 == len(WEAK_LINKS)
         members, bounds = _clusters(tracks, detections, odds, todo, WEAK_LINKS[level], n_tracks, n_detections)
-        left = 0
+        remaining = 0
         for c in range(len(bounds) - 1):
             cluster = members[bounds[c] : bounds[c + 1]]
-            found, value = _solve(tracks, detections, odds, cluster, last, numbers, pair, missed, unclaimed)
+            is_solved, value = _solve(tracks, detections, odds, cluster, last, numbers, pair, missed, unclaimed)
             log_evidence += value
             for p in cluster:
-                solved[p] = found
-                if not found:
-                    todo[left] = p
-                    left += 1
-        todo = todo[:left]
-        if left == 0:
+                solved[p] = is_solved
+                if not is_solved:
+                    todo[remaining] = p
+                    remaining += 1
+        todo = todo[:remaining]
+        if remaining == 0:
             break
     log_evidence += _add_weak_pairs(tracks, detections, odds, solved, pair, missed, unclaimed)
     return pair, missed, unclaimed, log_evidence
@@ -92,14 +92,14 @@ def _clusters(
     # the number of each cluster, then a sort by counting
     number = np.full(n_tracks + n_detections, -1, dtype=np.int64)
     bounds = np.zeros(count + 1, dtype=np.int64)
-    found = 0
+    n_clusters = 0
     for i in range(count):
         root = _root(parent, tracks[pairs[i]])
         if number[root] < 0:
-            number[root] = found
-            found += 1
+            number[root] = n_clusters
+            n_clusters += 1
         bounds[number[root] + 1] += 1
-    for c in range(found):
+    for c in range(n_clusters):
         bounds[c + 1] += bounds[c]
     free = bounds.copy()
     members = np.empty(count, dtype=np.int64)
@@ -107,7 +107,7 @@ def _clusters(
         c = number[_root(parent, tracks[pairs[i]])]
         members[free[c]] = pairs[i]
         free[c] += 1
-    return members, bounds[: found + 1]
+    return members, bounds[: n_clusters + 1]
 
 
 @compiled
@@ -220,7 +220,7 @@ def _add_weak_pairs(
     """Give the pairs left out their marginals to first order; return what they add to the log-evidence."""
     by_track, by_detection = np.zeros(len(missed)), np.zeros(len(unclaimed))
     log_evidence = 0.0
-    found = False
+    has_weak = False
     for p in range(len(odds)):
         if not solved[p]:
             gain = odds[p] * missed[tracks[p]] * unclaimed[detections[p]]
@@ -228,8 +228,8 @@ def _add_weak_pairs(
             by_track[tracks[p]] += gain
             by_detection[detections[p]] += gain
             log_evidence += math.log1p(gain)
-            found = True
-    if found:
+            has_weak = True
+    if has_weak:
         for p in range(len(odds)):
             pair[p] /= 1.0 + by_track[tracks[p]]
         for i in range(len(missed)):

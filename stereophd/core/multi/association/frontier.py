@@ -71,24 +71,24 @@ def make_table(rows: Integers, columns: Integers, odds: Array, n_rows: int, n_co
 def make_plan(table: Table, most_width: int) -> Plan:
     """Choose an order of the rows that keeps the frontier narrow; give up above a width."""
     n_rows = len(table.starts) - 1
-    left = np.zeros(table.n_columns, dtype=np.int64)
+    uses_left = np.zeros(table.n_columns, dtype=np.int64)
     for column in table.columns:
-        left[column] += 1
+        uses_left[column] += 1
     order = np.arange(n_rows) if n_rows <= MOST_ROWS_TO_ORDER else _by_position(table)
     active = np.zeros(table.n_columns, dtype=np.bool_)
     frontier, width, room, cost = 0, 0, 0, 0.0
     for step in range(n_rows):
         if n_rows <= MOST_ROWS_TO_ORDER:
-            _bring_forward(table, order, step, left, active)
+            _bring_forward(table, order, step, uses_left, active)
         row = order[step]
         shared, leaving = 0, 0
         for p in range(table.starts[row], table.starts[row + 1]):
             column = table.columns[p]
-            left[column] -= 1
-            if active[column] or left[column] > 0:
+            uses_left[column] -= 1
+            if active[column] or uses_left[column] > 0:
                 shared += 1
                 frontier += 0 if active[column] else 1
-                active[column] = left[column] > 0
+                active[column] = uses_left[column] > 0
                 leaving += 0 if active[column] else 1
         if frontier > most_width:
             return Plan(order, frontier, 0, math.inf)
@@ -112,7 +112,7 @@ def _by_position(table: Table) -> Integers:
 
 
 @compiled
-def _bring_forward(table: Table, order: Integers, step: int, left: Integers, active: NDArray[np.bool_]) -> None:
+def _bring_forward(table: Table, order: Integers, step: int, uses_left: Integers, active: NDArray[np.bool_]) -> None:
     """Put the remaining row that leaves the narrowest frontier next, keeping the order of the others."""
     best, least = step, np.int64(1 << 62)
     for place in range(step, len(order)):
@@ -120,7 +120,7 @@ def _bring_forward(table: Table, order: Integers, step: int, left: Integers, act
         joining, leaving = 0, 0
         for p in range(table.starts[row], table.starts[row + 1]):
             column = table.columns[p]
-            if left[column] == 1:
+            if uses_left[column] == 1:
                 leaving += 1 if active[column] else 0
             elif not active[column]:
                 joining += 1
@@ -147,9 +147,9 @@ def eliminate(table: Table, plan: Plan) -> tuple[Array, Array, Array, float]:
     starts = np.empty(n_rows, dtype=np.int64)
     widths = np.empty((n_rows, 2), dtype=np.int64)
     frontiers = np.empty((n_rows, max(plan.width, 1)), dtype=np.int64)
-    left = np.zeros(table.n_columns, dtype=np.int64)
+    uses_left = np.zeros(table.n_columns, dtype=np.int64)
     for column in table.columns:
-        left[column] += 1
+        uses_left[column] += 1
     bit = np.full(table.n_columns, -1, dtype=np.int64)
     leaves = np.zeros((n_rows, max(plan.width, 1)), dtype=np.bool_)
     message, after = np.zeros(size), np.empty(size)
@@ -165,8 +165,8 @@ def eliminate(table: Table, plan: Plan) -> tuple[Array, Array, Array, float]:
         private = 1.0
         for p in range(begin, end):
             column = table.columns[p]
-            left[column] -= 1
-            if bit[column] < 0 and left[column] == 0:
+            uses_left[column] -= 1
+            if bit[column] < 0 and uses_left[column] == 0:
                 private += table.odds[p]
             elif bit[column] < 0:
                 bit[column] = width
@@ -181,8 +181,8 @@ def eliminate(table: Table, plan: Plan) -> tuple[Array, Array, Array, float]:
         kept = 0
         for b in range(width):
             column = frontiers[step, b]
-            leaves[step, b] = left[column] == 0
-            if left[column] > 0:
+            leaves[step, b] = uses_left[column] == 0
+            if uses_left[column] > 0:
                 frontier[kept] = column
                 kept += 1
         for b in range(width - 1, -1, -1):

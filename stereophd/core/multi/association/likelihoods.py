@@ -85,10 +85,10 @@ def pair_likelihoods(
     # room grows: of thousands of objects whose depth is unknown, few of the pairs near in u are near in v
     room = min(total, ROOM_FOR_PAIRS * (count + 1))
     components, detections, densities = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64), np.empty(room)
-    found = 0
+    n_pairs = 0
     for k in range(count):
-        begin = found
-        if found + high[k] - low[k] > room:
+        begin = n_pairs
+        if n_pairs + high[k] - low[k] > room:
             room = min(total, 2 * room + high[k] - low[k])
             components, detections = _enlarged(components, room), _enlarged(detections, room)
             densities = _enlarged(densities, room)
@@ -120,13 +120,13 @@ def pair_likelihoods(
             squared = weighted / determinant
             if squared > sigmas * sigmas:
                 continue
-            components[found] = k
-            detections[found] = j
-            densities[found] = areas[j] * math.exp(-0.5 * squared) / norm
-            found += 1
-        if found - begin > most:
-            found = begin + _keep_densest(detections[begin:found], densities[begin:found], most)
-    return components[:found], detections[:found], densities[:found]
+            components[n_pairs] = k
+            detections[n_pairs] = j
+            densities[n_pairs] = areas[j] * math.exp(-0.5 * squared) / norm
+            n_pairs += 1
+        if n_pairs - begin > most:
+            n_pairs = begin + _keep_densest(detections[begin:n_pairs], densities[begin:n_pairs], most)
+    return components[:n_pairs], detections[:n_pairs], densities[:n_pairs]
 
 
 @compiled

@@ -76,15 +76,15 @@ def room_for(event: Event, known: float, detector: Detector) -> float:
 
     `known` is the expected number of detections of known objects; the detector is that of the event's camera.
     """
-    found = len(event.points)
-    surplus = found - detector.clutter_per_frame - known + math.sqrt(found)
+    count = len(event.points)
+    surplus = count - detector.clutter_per_frame - known + math.sqrt(count)
     return max(surplus / max(detector.p_detect, 1e-9), UNCHECKED_BIRTHS)
 
 
 def expected_births(
     before: Undetected | None,
     prior: BirthPrior,
-    left: Array,
+    remaining: Array,
     elapsed: float,
     event: Event,
     detector: Detector,
@@ -93,12 +93,12 @@ def expected_births(
 ) -> tuple[float, Undetected]:
     """Expected number of undetected objects in view of an event, and what the event leaves of them.
 
-    `before` is what the last event left (None before the first), `elapsed` the time since then, s. `left` (c,), a
+    `before` is what the last event left (None before the first), `elapsed` the time since then, s. `remaining` (c,), a
     column of `undetected_shares`, has for each camera the share of the objects in its view that the frame leaves. The
     detector is that of the event's camera; `known` is the expected number of detections of known objects. Nothing is
     born from a burst of clutter (`burst_of` the event), and the objects remain undetected.
     """
-    before = before or Undetected(np.zeros(len(left)), np.ones(len(left)), np.zeros(len(left)))
+    before = before or Undetected(np.zeros(len(remaining)), np.ones(len(remaining)), np.zeros(len(remaining)))
     counts, share = before.counts + prior.per_s * elapsed, before.initial_share
     if burst:
         return 0.0, Undetected(counts, share, before.peaks)
@@ -113,7 +113,7 @@ def expected_births(
     counts[event.camera] += initial
     peaks = np.maximum(before.peaks, counts)
     peaks[event.camera] = 0.0
-    return float(counts[event.camera]), Undetected(counts * left, share * left, peaks)
+    return float(counts[event.camera]), Undetected(counts * remaining, share * remaining, peaks)
 
 
 def _initial(event: Event, prior: BirthPrior, detector: Detector) -> float:
@@ -191,8 +191,8 @@ def view_overlap(rig: Rig, prior: BirthPrior) -> Array:
 
 def _scale(rig: Rig, camera: int) -> float:
     """Depth times disparity of a camera."""
-    one = rig.cameras[camera]
-    return float((one.fx if rig.rectification == "horizontal" else one.fy) * rig.baseline)
+    reference = rig.cameras[camera]
+    return float((reference.fx if rig.rectification == "horizontal" else reference.fy) * rig.baseline)
 
 
 def _objects_in_view(width: int, height: int, disparity: Sequence[float]) -> Array:
@@ -219,7 +219,7 @@ def birth_moments(
     """Gaussians of the objects that the detections of an event may have given birth to, given the detection.
 
     Means (m, d) and covariances (m, d, d) are in the camera's packed disparity space (30,); `size`, their d, is 6, or 3
-    for static objects. In a `region` (8,) (`stereophd.core.disparity.events.Rig.region`), where objects can be, depths
+    for static objects. In a `region` (r,) (`stereophd.core.disparity.events.Rig.region`), where objects can be, depths
     along a ray are those inside it.
     """
     first = newborn_prior(space, prior, region)

@@ -69,7 +69,7 @@ def predict(
 
     The components of hypothesis h are those from ``begins[h]`` to ``ends[h]`` of the mixture, and `spaces` (k, c, 30)
     has the packed disparity spaces of its cameras; the motion has an interval for each component of the mixture, and
-    the region is that of `stereophd.core.disparity.trips.region_mask`, or empty. Returns the weights (n,) of the
+    the region is that of `stereophd.core.geometry.region`, or empty. Returns the weights (n,) of the
     components of these hypotheses, one hypothesis after the other, if they survive and are not forgotten; and the same
     in the event's space.
     """

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
+from stereophd.core.geometry.region import are_inside
 from stereophd.core.multi.association.attribution import Claims
 
 
@@ -29,6 +30,11 @@ class Estimates:
         variance = np.trace(self.covariances[:, :3, :3], axis1=1, axis2=2)
         tentative = None if self.tentative is None else self.tentative.certain(max_position_std)
         return replace(self.take(variance <= max_position_std**2), tentative=tentative)
+
+    def inside(self, half_spaces: Array) -> Estimates:
+        """Return the estimates inside all half-spaces (h, 4)."""
+        tentative = None if self.tentative is None else self.tentative.inside(half_spaces)
+        return self.take(are_inside(self.states[:, :3], half_spaces), tentative)
 
     def with_tentative(self) -> Estimates:
         """Return confirmed and tentative estimates as one."""

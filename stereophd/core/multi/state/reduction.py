@@ -42,7 +42,7 @@ def merge_sorted(
         if used[leader]:
             continue
         members[0] = leader
-        found = 1
+        n_members = 1
         begin = leader + 1
         _mark_candidates(
             cameras[leader], times[leader], first[leader], reaches[leader] if mutual else np.inf,
@@ -72,23 +72,23 @@ def merge_sorted(
             if mutual and not factored[leader]:
                 factored[leader] = cholesky(covariances[leader], factors[leader])
             if not mutual or (factored[leader] and squared_distance(difference, factors[leader], scratch) <= distance):
-                members[found] = k
-                found += 1
-        if found == 1:
+                members[n_members] = k
+                n_members += 1
+        if n_members == 1:
             # most are alone: the sums below, of one part
             out_weights[merged], leaders[merged] = weights[leader], leader
             copy_gaussian(means, covariances, leader, out_means, out_covariances, merged)
             merged += 1
             continue
         total, whole = 0.0, 0.0
-        for m in range(found):
+        for m in range(n_members):
             used[members[m]] = True
             total += weights[members[m]]
             whole += shares[members[m]]
         mean = out_means[merged]
         for a in range(size):
             mean[a] = 0.0
-        for m in range(found):
+        for m in range(n_members):
             part = shares[members[m]] / whole
             for a in range(size):
                 mean[a] += part * means[members[m], a]
@@ -96,7 +96,7 @@ def merge_sorted(
         for a in range(size):
             for b in range(size):
                 covariance[a, b] = 0.0
-        for m in range(found):
+        for m in range(n_members):
             k = members[m]
             part = shares[k] / whole
             for a in range(size):
@@ -152,20 +152,20 @@ def reduce_mixture(
     """
     heavy = places(mixture.weights >= prune_weight)
     order = picked(heavy, stable_order(-picked(mixture.weights, heavy)))
-    found = take_components(mixture, order)
-    if merge_distance > 0.0 and len(found.weights) > 1:
+    reduced = take_components(mixture, order)
+    if merge_distance > 0.0 and len(reduced.weights) > 1:
         weights, means, covariances, leaders = merge_sorted(
-            found.weights, picked(shares, order), found.means, found.covariances, found.cameras, found.times,
+            reduced.weights, picked(shares, order), reduced.means, reduced.covariances, reduced.cameras, reduced.times,
             merge_distance, mutual
         )  # fmt: skip
-        found = GaussianMixture(
-            weights, means, covariances, found.cameras[leaders], found.times[leaders], found.labels[leaders],
-            found.tracks[leaders], found.reported[leaders]
+        reduced = GaussianMixture(
+            weights, means, covariances, reduced.cameras[leaders], reduced.times[leaders], reduced.labels[leaders],
+            reduced.tracks[leaders], reduced.reported[leaders]
         )  # fmt: skip
-    left_out = max(len(found.weights) - max_components, 0)
+    left_out = max(len(reduced.weights) - max_components, 0)
     if left_out > 0:
-        kept = np.zeros(len(found.weights), dtype=np.bool_)
-        for k in stable_order(-found.weights)[:max_components]:
+        kept = np.zeros(len(reduced.weights), dtype=np.bool_)
+        for k in stable_order(-reduced.weights)[:max_components]:
             kept[k] = True
-        found = take_components(found, places(kept))
-    return found, left_out
+        reduced = take_components(reduced, places(kept))
+    return reduced, left_out

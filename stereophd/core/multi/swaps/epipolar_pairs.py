@@ -35,7 +35,7 @@ class NewObjects(NamedTuple):
     means: Array
     stds: Array
     velocity_std: float
-    region: Array  # (8,) or empty: where objects can be
+    region: Array  # (r,) or empty: where objects can be
 
 
 class Past(NamedTuple):
@@ -95,7 +95,7 @@ def swap_candidates(
     order = stable_order(angles)
     out = np.empty((most, 2), dtype=np.int64)
     one_ghost, other_ghost = np.empty(3), np.empty(3)
-    found = 0
+    n_pairs = 0
     # another beginning at every event, at distances that repeat for no rhythm of the cameras: every track has its turn
     start = int(event * GOLDEN_SECTION % 1.0 * count)
     for k in range(min(count, MOST_TRACKS)):
@@ -122,11 +122,11 @@ def swap_candidates(
                 one, other = min(one, other), max(one, other)
                 if _waits(one, other, cameras[1], deferred, event):
                     continue
-                out[found, 0], out[found, 1] = one, other
-                found += 1
-                if found == most:
+                out[n_pairs, 0], out[n_pairs, 1] = one, other
+                n_pairs += 1
+                if n_pairs == most:
                     return out
-    return out[:found]
+    return out[:n_pairs]
 
 
 @compiled

@@ -78,15 +78,15 @@ class History:
         kept = self.sightings if recent is None else self.sightings[-recent:]
         labels = np.concatenate([one.labels for one in kept])
         detections = np.concatenate([one.detections for one in kept])
-        found = np.flatnonzero(((labels == first) | (labels == second)) & (detections != UNDECIDED))
+        claimed = np.flatnonzero(((labels == first) | (labels == second)) & (detections != UNDECIDED))
         ends = np.cumsum([len(one.labels) for one in kept])
-        own = [kept[event] for event in np.searchsorted(ends, found, side="right").tolist()]
-        rows = [(one, slice(k, k + 1)) for one, k in zip(own, detections[found].tolist(), strict=True)]
-        rolling = any(one.readings is not None for one in own)
+        events = [kept[event] for event in np.searchsorted(ends, claimed, side="right").tolist()]
+        rows = [(one, slice(k, k + 1)) for one, k in zip(events, detections[claimed].tolist(), strict=True)]
+        rolling = any(one.readings is not None for one in events)
         return ClaimedRows(
-            np.array([one.camera for one in own], dtype=np.int64),
-            np.array([one.time_s for one in own], dtype=np.float64),
-            labels[found],
+            np.array([one.camera for one in events], dtype=np.int64),
+            np.array([one.time_s for one in events], dtype=np.float64),
+            labels[claimed],
             np.concatenate([_NO_POINT, *(one.points[row] for one, row in rows)]),
             np.concatenate([_NO_NOISE, *(one.noises[row] for one, row in rows)]),
             np.concatenate([_NO_READING if one.readings is None else one.readings[row] for one, row in rows])

@@ -136,9 +136,11 @@ class SwapTest:
         A ghost shares a ray with both objects, and either may continue its identity.
         """
         heads = [int(np.flatnonzero(mixture.labels == label)[0]) for label in labels]
-        here = [_place(mixture.means[k], homes[k], time_s - mixture.times[k]) for k in heads]
-        there = [_place(one.mean, self.rig.space(one.camera, one.time_s), time_s - one.time_s) for one in tracks]
-        moves = np.linalg.norm(np.array(here)[:, None] - np.array(there), axis=2)
+        places_now = [_place(mixture.means[k], homes[k], time_s - mixture.times[k]) for k in heads]
+        places_swapped = [
+            _place(one.mean, self.rig.space(one.camera, one.time_s), time_s - one.time_s) for one in tracks
+        ]
+        moves = np.linalg.norm(np.array(places_now)[:, None] - np.array(places_swapped), axis=2)
         return bool(moves[0, 1] + moves[1, 0] < moves[0, 0] + moves[1, 1])
 
     def explain(
@@ -159,30 +161,30 @@ class SwapTest:
         self, rows: ClaimedRows, first: int, camera: int, prior: NewObjects
     ) -> tuple[float, tuple[Track, Track] | None]:
         """`explain` for all detections of two labels, of which one is the `first`."""
-        there, other = rows.cameras == camera, rows.labels != first
-        for mine in (~other, other):
-            if min(np.count_nonzero(mine & there), np.count_nonzero(mine & ~there)) < LEAST_DETECTIONS:
+        of_camera, of_second = rows.cameras == camera, rows.labels != first
+        for mine in (~of_second, of_second):
+            if min(np.count_nonzero(mine & of_camera), np.count_nonzero(mine & ~of_camera)) < LEAST_DETECTIONS:
                 return 0.0, None
         # backwards: what a label claimed last is most probably its own
-        rows, other, there = rows.backwards(), other[::-1], there[::-1]
-        owners = np.stack([other, other ^ there]).astype(np.int64)
-        found = self._explain(rows, owners, prior)
+        rows, of_second, of_camera = rows.backwards(), of_second[::-1], of_camera[::-1]
+        owners = np.stack([of_second, of_second ^ of_camera]).astype(np.int64)
+        explained = self._explain(rows, owners, prior)
         # as Python's floats: infinities of both give NaN, without a warning of NumPy
-        (mine_as_is, other_as_is), (mine_swapped, other_swapped) = found.log_likelihoods.tolist()
+        (mine_as_is, other_as_is), (mine_swapped, other_swapped) = explained.log_likelihoods.tolist()
         odds = -mine_as_is + mine_swapped - other_as_is + other_swapped
         if not odds > self.threshold:
             return (0.0 if math.isnan(odds) else odds), None
-        forwards = [np.flatnonzero(found.fits[1] & (owners[1] == track))[::-1] for track in (0, 1)]
+        forwards = [np.flatnonzero(explained.fits[1] & (owners[1] == track))[::-1] for track in (0, 1)]
         one, two = (self.filter_again(rows.take(index), prior) for index in forwards)
         return odds, (one, two)
 
     def filter_again(self, rows: ClaimedRows, prior: NewObjects) -> Track:
         """Filter the detections of one track again, in the order of the rows."""
-        found = self._explain(rows, np.zeros((1, len(rows.times)), dtype=np.int64), prior)
-        return Track(
-            float(found.log_likelihoods[0, 0]), found.fits[0], found.means[0, 0], found.covariances[0, 0],
-            int(rows.cameras[-1]), float(rows.times[-1])
-        )  # fmt: skip
+        explained = self._explain(rows, np.zeros((1, len(rows.times)), dtype=np.int64), prior)
+        log_likelihood = float(explained.log_likelihoods[0, 0])
+        mean, covariance = explained.means[0, 0], explained.covariances[0, 0]
+        camera, time_s = int(rows.cameras[-1]), float(rows.times[-1])
+        return Track(log_likelihood, explained.fits[0], mean, covariance, camera, time_s)
 
     def _explain(self, rows: ClaimedRows, owners: Integers, prior: NewObjects) -> ExplainedRows:
         """Filter detections again, each in the track (h, n) that an explanation gives it to."""

@@ -23,7 +23,7 @@ def read_document(path: Path) -> dict[str, Any]:
     """
     content = read_bytes(path)
     if content[:2] == b"PK":
-        return {name: _unwrapped(array) for name, array in load_npz(path).items()}
+        return {name: array if array.ndim else array.item() for name, array in load_npz(path).items()}
     with expecting("YAML, XML, JSON or NPZ", path):
         text = content.decode("utf-8-sig")
         if text.lstrip().startswith("<"):
@@ -35,10 +35,6 @@ def read_document(path: Path) -> dict[str, Any]:
     if not isinstance(document, dict):
         raise InputError(f"{path}: expected named values, found something else")
     return document
-
-
-def _unwrapped(array: np.ndarray[Any, Any]) -> Any:
-    return array.item() if array.ndim == 0 else array
 
 
 def _read_yaml(text: str, where: str) -> Any:

@@ -29,8 +29,9 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
         yield Finding("detector.estimate", "warning", text, cause="not_converged")
     for name, estimate in report["cameras"].items():
         correlation, points = estimate["residual_correlation"], "sigma_px" in estimate
-        # the errors of boxes last as poses of bodies do: their filter allows for that
-        if points and correlation is not None and max(correlation) > LASTING:
+        # beyond two standard errors; the errors of boxes last as poses of bodies do: their filter allows for that
+        lasts = correlation is not None and max(correlation) - 2.0 / np.sqrt(estimate["residuals"]) > LASTING
+        if points and lasts:
             text = (
                 f"{name}: errors last from frame to frame (correlation {correlation[0]:.2f}, {correlation[1]:.2f} "
                 "along u, v): of pose, clock or lens, or of smoothed labels; with noise estimated from them tracks "
@@ -47,15 +48,15 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
             ratio = estimate["residual_ratio"]
             seen = "no track gave residuals" if ratio is None else f"the residuals of tracks are {ratio:.2g} times it"
             text = (
-                f"{name}: no tracks confirm the estimated noise ({seen}): it stays at {noise}, what the rays and "
+                f"{name}: tracks do not confirm the estimated noise ({seen}): it stays at {noise}, what the rays and "
                 "the usual noise of detectors say"
             )
             remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
             yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")
         elif (error := _unsure(estimate, key)) > UNSURE:
             text = (
-                f"{name}: {estimate['residuals']:.0f} detections of tracks that two cameras saw are few: the estimated "
-                f"noise of {noise} is known to a factor of {np.exp(2.0 * error):.1f}"
+                f"{name}: the estimated noise of {noise} is known to a factor of {np.exp(2.0 * error):.1f} only, from "
+                f"{estimate['residuals']:.0f} detections of tracks that two cameras saw"
             )
             remedy = f"state cameras.{name}.detector.{key} if you know it, or take a longer log"
             yield Finding(

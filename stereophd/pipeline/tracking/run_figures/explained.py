@@ -56,6 +56,7 @@ class CameraSums:
 
     frames: int = 0
     detections: int = 0
+    outside: int = 0  # Those that see nothing of the region, or are of tracks beside it
     explained: float = 0.0
     residuals: int = 0
     total: Array = field(default_factory=lambda: np.zeros(2))
@@ -109,6 +110,7 @@ class CameraSums:
         return {
             "frames": self.frames,
             "detections": self.detections,
+            "outside_region": self.outside,
             "explained_detections": self.explained,
             "explained_share": finite_or_none(self.explained / self.detections) if self.detections else None,
             "residuals": count,

@@ -83,6 +83,7 @@ class RunFigures:
             sums = self.cameras.setdefault(record.camera, CameraSums())
             sums.frames += 1
             sums.detections += record.n_detections
+            sums.outside += record.outside
         self.log_likelihood += record.info.log_likelihood
         self.new_detections += record.n_detections
         self.new_log_likelihood += record.info.log_likelihood

@@ -17,6 +17,9 @@ from stereophd.core.calibration.annealing.task import Fit
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
 from stereophd.core.motion.ballistic import Ballistic
 from stereophd.core.motion.base import Motion
+from stereophd.core.motion.static import Static
+from tests.core.calibration.adjustment.test_solver import solve
+from tests.core.calibration.scenes import make_problem
 
 from ..problems_of_unknowns import ACCELERATION, MOTION, observe, problem_of, rig, some_problem, unknowns
 
@@ -179,17 +182,15 @@ def test_held_centres_stay_although_the_noise_of_the_motion_is_in_units_of_their
     np.testing.assert_allclose(found.covariance[held], np.diag(problem.parameters.prior_std**2)[held], atol=1e-12)
 
 
-def test_still_objects_keep_the_joint_optimum() -> None:
-    """One knot each, without a velocity, as objects that stand still have."""
-    problem, states, drawn = some_problem(("center", "rotation"))
-    begin = problem.knots.first[:-1]
-    knots = replace(problem.knots, times=problem.knots.times[begin], first=np.arange(len(begin) + 1))
-    assert len(knots.links()) == 0
-    fit = Fit(adjust(problem, drawn, states), knots, problem.observations, np.arange(len(problem.observations)))
-    task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
-    kept, factor = marginal_fit(task, fit)
-    assert kept is fit
-    assert factor == 1.0
+def test_the_scale_of_objects_that_stand_still_is_left_to_the_prior() -> None:
+    """Their knots have no velocity: a volume that counts one would take the scene for too small."""
+    made = make_problem(3, objects=8, still=True)
+    problem, joint = solve(made, Static())
+    assert len(problem.knots.links()) == 0
+    found = marginal_optimum(problem, joint)
+    assert found.noise_factor == 1.0
+    std = np.sqrt(np.diag(found.adjustment.covariance))
+    np.testing.assert_allclose(found.adjustment.values, joint.values, atol=0.2 * std.max())
 
 
 def test_a_noise_of_the_motion_far_from_what_is_stated_is_found_and_used() -> None:

@@ -24,6 +24,7 @@ from stereophd.core.calibration.adjustment.trajectories import (
 from stereophd.core.calibration.unknowns.observability import DETERMINED, UNDETERMINED, observability, pose_spread
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, log_scale
 from stereophd.core.geometry.camera import Detector
+from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from tests.core.calibration.scenes import STDS, MadeUp, make_problem
 
@@ -31,7 +32,7 @@ STRAIGHT = ConstantVelocity([0.0, 0.0, 0.0])
 
 
 def solve(
-    problem: MadeUp, motion: ConstantVelocity = STRAIGHT, loss: Loss = SQUARED, scale: ScaleMeasurement | None = None
+    problem: MadeUp, motion: Motion = STRAIGHT, loss: Loss = SQUARED, scale: ScaleMeasurement | None = None
 ) -> tuple[Problem, Adjustment]:
     """Adjust from the guess, the trajectories begun at a common depth."""
     observations = problem.observations

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
+from stereophd.core.calibration.adjustment.marginal import MarginalOptimum, marginal_optimum
 from stereophd.core.calibration.adjustment.noise import NoiseFactors, noise_factors
 from stereophd.core.calibration.adjustment.problem import Problem
-from stereophd.core.calibration.adjustment.solver import Adjustment, adjust
+from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.adjustment.suspicions import (
     QuadraticPosterior,
     Suspicion,
@@ -28,24 +29,24 @@ PERIODS = np.array([0.1, 1 / 7, 0.2])
 POSES = ("center", "rotation")
 
 
-def posed(lens: Lens, stated: Lens) -> tuple[Problem, Adjustment]:
+def posed(lens: Lens, stated: Lens) -> tuple[Problem, MarginalOptimum]:
     """Poses adjusted to detections by cameras of one lens, where another is stated."""
     true = tuple(replace(camera, lens=lens) for camera in rig())
     observations, _, points = observe(true, 1, 4, 8.0)
     cameras: tuple[Camera, ...] = tuple(replace(camera, lens=stated) for camera in true)
     problem, states = problem_of(unknowns(cameras, POSES), observations, points)
-    return problem, adjust(problem, np.zeros(problem.parameters.size), states)
+    return problem, marginal_optimum(problem, adjust(problem, np.zeros(problem.parameters.size), states))
 
 
-def suspicions_of(problem: Problem, adjustment: Adjustment) -> tuple[EnlargedSet, list[Suspicion]]:
+def suspicions_of(problem: Problem, found: MarginalOptimum) -> tuple[EnlargedSet, list[Suspicion]]:
     enlarged = enlarge(problem.parameters, 0, PERIODS)
-    quadratic = quadratic_posterior(problem, enlarged, adjustment, None)
+    quadratic = quadratic_posterior(problem, enlarged, found.adjustment, found.noise_factor)
     return enlarged, suspect(quadratic, enlarged, np.arange(problem.parameters.size))
 
 
 def test_a_lens_that_was_stated_as_none_is_named_with_its_value() -> None:
-    problem, adjustment = posed(Lens("radial", k1=-0.1), Lens())
-    enlarged, suspicions = suspicions_of(problem, adjustment)
+    problem, found = posed(Lens("radial", k1=-0.1), Lens())
+    enlarged, suspicions = suspicions_of(problem, found)
     worst = suspicions[0]
     assert worst.is_contradicted
     assert worst.group.quantity == "distortion"
@@ -54,8 +55,8 @@ def test_a_lens_that_was_stated_as_none_is_named_with_its_value() -> None:
 
 
 def test_what_is_stated_right_is_not_contradicted() -> None:
-    problem, adjustment = posed(Lens(), Lens())
-    _, suspicions = suspicions_of(problem, adjustment)
+    problem, found = posed(Lens(), Lens())
+    _, suspicions = suspicions_of(problem, found)
     assert not any(suspicion.is_contradicted for suspicion in suspicions)
     assert max(suspicion.expected_move for suspicion in suspicions) < 1.0
 
@@ -89,7 +90,8 @@ def test_a_move_of_tracks_is_counted_but_for_the_growth_of_the_cameras() -> None
 
 @pytest.mark.parametrize("factor", [0.2, 1.0, 4.0])
 def test_the_noise_of_a_camera_is_found_whatever_is_stated(factor: float) -> None:
-    problem, adjustment = posed(Lens(), Lens())
+    problem, begin = posed(Lens(), Lens())
+    adjustment = begin.adjustment
     stated = np.array([1.0, 1.0 / factor, 1.0])  # what is stated over the true noise
     for number in range(4):  # tracks follow the cameras whose noise is stated too small until it is known
         observations = problem.observations

@@ -23,7 +23,7 @@ def found(true: tuple[Camera, ...], paths: list, seed: int = 1, **known) -> Disc
 def largest_error_deg(discovery: Discovery, true: tuple[Camera, ...]) -> float:
     """Largest error of a rotation, or of the direction of a centre, from the first camera."""
     first, errors = true[0].pose, []
-    for one, other in zip(discovery.rigs[0].cameras[1:], true[1:], strict=True):
+    for one, other in zip(discovery.rig.cameras[1:], true[1:], strict=True):
         turn = other.pose.rotation @ first.rotation.T
         center = first.rotation @ (other.pose.center - first.center)
         cosine = one.pose.center @ center / np.linalg.norm(center) / np.linalg.norm(one.pose.center)
@@ -33,7 +33,7 @@ def largest_error_deg(discovery: Discovery, true: tuple[Camera, ...]) -> float:
 
 def test_two_cameras_before_one_curve() -> None:
     discovery = found(cameras()[:2], [curved(np.random.default_rng(1))])
-    rig = discovery.rigs[0]
+    rig = discovery.rig
     assert not rig.doubts
     assert np.linalg.norm(rig.cameras[1].pose.center) == pytest.approx(1.0)
     # the target for a focal length within 5 %
@@ -43,14 +43,14 @@ def test_two_cameras_before_one_curve() -> None:
 def test_straight_tracks_of_several_objects() -> None:
     rng = np.random.default_rng(0)
     discovery = found(cameras()[:2], [straight(rng) for _ in range(5)])
-    assert not discovery.rigs[0].doubts
+    assert not discovery.rig.doubts
     assert largest_error_deg(discovery, cameras()[:2]) < 3.0
 
 
 def test_a_clock_that_is_seconds_off() -> None:
     true = cameras((0.0, 2.7, 0.0))[:2]
     discovery = found(true, [curved(np.random.default_rng(1))], clocks=True)
-    rig = discovery.rigs[0]
+    rig = discovery.rig
     assert not rig.doubts
     assert rig.cameras[1].clock.offset_s == pytest.approx(2.7, abs=0.02)
     assert largest_error_deg(discovery, true) < 3.0
@@ -60,7 +60,7 @@ def test_three_cameras_have_one_scale() -> None:
     rng = np.random.default_rng(2)
     true = cameras()
     discovery = found(true, [curved(rng) for _ in range(3)])
-    rig = discovery.rigs[0]
+    rig = discovery.rig
     assert not rig.doubts
     assert largest_error_deg(discovery, true) < 4.0
     lengths = [float(np.linalg.norm(camera.pose.center)) for camera in rig.cameras[1:]]
@@ -71,14 +71,14 @@ def test_three_cameras_have_one_scale() -> None:
 def test_objects_that_stand_still_show_nothing() -> None:
     rng = np.random.default_rng(3)
     discovery = found(cameras()[:2], [still(rng) for _ in range(4)])
-    assert not discovery.rigs
+    assert discovery.rig is None
     assert "nothing moves before cam0, cam1" in discovery.reason
 
 
 def test_one_straight_line_is_not_believed() -> None:
     for seed in range(3):
         discovery = found(cameras()[:2], [straight(np.random.default_rng(seed))])
-        assert discovery.reason or discovery.rigs[0].doubts
+        assert discovery.reason or discovery.rig.doubts
 
 
 def test_cameras_at_one_place_are_named() -> None:
@@ -86,7 +86,7 @@ def test_cameras_at_one_place_are_named() -> None:
     first, second = cameras()[:2]
     turned = replace(second, pose=Pose(second.pose.rotation @ second.pose.rotation.T, first.pose.center))
     discovery = found((first, turned), [curved(rng) for _ in range(3)])
-    assert any("stand at one place" in doubt for doubt in discovery.rigs[0].doubts)
+    assert any("stand at one place" in doubt for doubt in discovery.rig.doubts)
 
 
 def test_no_common_times() -> None:
@@ -94,13 +94,13 @@ def test_no_common_times() -> None:
     raw = tracks_of(true, [curved(np.random.default_rng(5))], np.random.default_rng(1))
     late = replace(raw, log_times=raw.log_times + np.where(raw.cameras == 1, 100.0, 0.0).repeat(np.diff(raw.first)))
     discovery = discover(views_of(true), late, 0, np.random.default_rng(0))
-    assert not discovery.rigs
+    assert discovery.rig is None
     assert "cam0, cam1" in discovery.reason
 
 
 def test_the_same_tracks_give_the_same_cameras() -> None:
     paths = [curved(np.random.default_rng(7)) for _ in range(2)]
-    one, other = (found(cameras((0.0, 1.0, 0.0))[:2], paths, clocks=True).rigs[0].cameras[1] for _ in range(2))
+    one, other = (found(cameras((0.0, 1.0, 0.0))[:2], paths, clocks=True).rig.cameras[1] for _ in range(2))
     np.testing.assert_array_equal(one.pose.rotation, other.pose.rotation)
     assert one.clock == other.clock
     assert isinstance(one.clock, Clock)

@@ -8,6 +8,7 @@ import pytest
 from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.geometry.region import box_half_spaces, pack_region
 from stereophd.core.multi.births.undetected import birth_moments
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from tests.core.disparity.cases import LENSES, make_camera, make_space
@@ -92,8 +93,8 @@ def test_a_region_is_a_prior_of_the_depths_along_a_ray() -> None:
     event = make_event(camera, 0, 0.0, PIXELS)
     prior = BirthPrior(depth_range=(1.0, 50.0), velocity_std=1.0)
     plain, _ = birth_moments(event, space.packed(), prior, 6)
-    open_sides = [-np.inf, np.inf]
-    slab = np.array([*open_sides, *open_sides, 10.0, 10.4, -np.inf, np.inf])
+    everywhere = (-np.inf, np.inf)
+    slab = pack_region(everywhere, box_half_spaces({"z": (10.0, 10.4)}))
     forward = camera.pose.rotation.T @ np.array([0.0, 0.0, 1.0])
     directions = camera.rays(PIXELS) @ camera.pose.rotation
     depths = ((np.array([[10.0], [10.4]]) - camera.pose.center[2]) / directions[:, 2]).T
@@ -104,6 +105,6 @@ def test_a_region_is_a_prior_of_the_depths_along_a_ray() -> None:
         assert means[k, 2] == pytest.approx(ends.mean())
         assert np.sqrt(covariances[k, 2, 2]) == pytest.approx((ends[0] - ends[1]) / 4.0)
     # no region, one without limits, and one that no ray meets: the prior as it is
-    for region in (np.array([*open_sides * 4]), np.array([*open_sides, *open_sides, -9.0, -8.0, *open_sides])):
+    for region in (np.array(everywhere), pack_region(everywhere, box_half_spaces({"z": (-9.0, -8.0)}))):
         same, _ = birth_moments(event, space.packed(), prior, 6, region)
         np.testing.assert_array_equal(same, plain)

@@ -29,6 +29,8 @@ STEP = 0.5
 FRAMES = 25
 CAP = 25
 TOLERANCE = 1e-10
+# Differences over parts of standard deviations of 3e-6 of the disparity leave rounding.
+LINEAR_TOLERANCE = 1e-8
 
 
 @dataclass(frozen=True)
@@ -122,7 +124,9 @@ def detections(rng: np.random.Generator, speed: float) -> list[np.ndarray]:
     return frames
 
 
-def assert_same(found: GaussianMixture, expected: list[tuple[float, np.ndarray, np.ndarray]]) -> None:
+def assert_same(
+    found: GaussianMixture, expected: list[tuple[float, np.ndarray, np.ndarray]], tolerance: float = TOLERANCE
+) -> None:
     """Every component agrees: its weight relatively, its mean and covariance in its standard deviations."""
     assert found.size == len(expected)
     weights = np.array([w for w, _, _ in expected])
@@ -132,10 +136,10 @@ def assert_same(found: GaussianMixture, expected: list[tuple[float, np.ndarray, 
     mean_error = np.abs(found.means[:, None] - means) / np.maximum(std, np.abs(means))
     cost = mean_error.max(axis=2) + np.abs(found.weights[:, None] / weights - 1.0)
     rows, columns = linear_sum_assignment(np.minimum(cost, 1.0))
-    assert cost[rows, columns].max() <= TOLERANCE
+    assert cost[rows, columns].max() <= tolerance
     scale = std[columns][:, :, None] * std[columns][:, None, :]
     error = np.abs(found.covariances[rows] - covariances[columns]) / scale
-    assert error.max() <= TOLERANCE
+    assert error.max() <= tolerance
 
 
 @pytest.mark.parametrize("method", ["qmc", "linear"])
@@ -149,15 +153,15 @@ def test_agrees_with_the_textbook(case: LinearCase, method: str, seed: int) -> N
     rng = np.random.default_rng(seed)
     multi_filter, textbook = case.filter(method), case.textbook()
     state = multi_filter.init()
-    components = 0
+    components, tolerance = 0, LINEAR_TOLERANCE if method == "linear" else TOLERANCE
     for k, pixels in enumerate(detections(rng, 0.0 if isinstance(case.motion, Static) else 2.0)):
         expected = textbook.step(pixels[np.argsort(pixels[:, 0])])
         event = make_event(case.camera, 0, STEP * k, pixels)
         state, info = multi_filter.update(state, multi_filter.predict(state, event), event)
-        assert info.log_likelihood == pytest.approx(expected, rel=TOLERANCE)
+        assert info.log_likelihood == pytest.approx(expected, rel=tolerance)
         assert info.n_components == len(textbook.mixture)
-        assert info.cardinality_mean == pytest.approx(sum(w for w, _, _ in textbook.mixture), rel=TOLERANCE)
-        assert_same(state.mixture, textbook.mixture)
+        assert info.cardinality_mean == pytest.approx(sum(w for w, _, _ in textbook.mixture), rel=tolerance)
+        assert_same(state.mixture, textbook.mixture, tolerance)
         components = max(components, info.n_components)
     assert components == CAP  # also the cap is reached
     assert info.cardinality_mean == pytest.approx(4.0, abs=1.5)
