@@ -115,7 +115,7 @@ class WholeRun:
             distances, log_determinants = squared_distances(self.points[what] - points, spread)
         densities = np.log(self.areas[what]) - np.log(2.0 * np.pi) - 0.5 * (distances + log_determinants)
         # of a track that follows nothing rounding may leave no covariance: it gains nothing
-        near = (distances <= GATE) & np.isfinite(densities)
+        near = (distances >= 0.0) & (distances <= GATE) & np.isfinite(densities)
         out[seen] = np.where(near, densities + self._log_odds[0][self.looks[event]], -np.inf).reshape(
             len(seen), count
         )
