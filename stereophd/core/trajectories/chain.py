@@ -116,9 +116,7 @@ class WholeRun:
         densities = np.log(self.areas[what]) - np.log(2.0 * np.pi) - 0.5 * (distances + log_determinants)
         # of a track that follows nothing rounding may leave no covariance: it gains nothing
         near = (distances >= 0.0) & (distances <= GATE) & np.isfinite(densities)
-        out[seen] = np.where(near, densities + self._log_odds[0][self.looks[event]], -np.inf).reshape(
-            len(seen), count
-        )
+        out[seen] = np.where(near, densities + self._log_odds[0][self.looks[event]], -np.inf).reshape(len(seen), count)
         return out
 
     def squared_residuals(self, events: Integers, states: Array, detections: Integers) -> Array:
