@@ -14,8 +14,9 @@ seconds are left out.
 from __future__ import annotations
 
 import argparse
+import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -189,30 +190,38 @@ def scores(estimates: dict[int, Estimates], scene: Scene) -> dict[str, float]:
     }
 
 
-def run(name: str, args: argparse.Namespace, ready: Callable[[int], tuple[Any, ...]]) -> None:
-    """Print a line of the table."""
+HEADS = ("MOTA", "OSPA, limits", "T-GOSPA, limits", "missed", "false", "switches", "NEES, ground", "NEES, height",
+         "error, m", "ms")  # fmt: skip
+COLUMNS = ("mota", "ospa_ratio", "tgospa_ratio", "missed", "false", "switches", "nees_position", "nees_height",
+           "error_m", "ms")  # fmt: skip
+
+
+def run(name: str, loaded: Any, scene: Scene, events: list[Event], best: dict[str, float]) -> dict[str, float]:
+    """Return the figures of the filter, or of one that differs in an ingredient, on a scene."""
     changes, in_filter, in_reduction = VARIANTS[name]
-    rows = []
-    for seed in range(args.first, args.first + args.scenes):
-        loaded, scene, events, _, best = ready(seed)
-        shape = replace(loaded.config.object, **changes)
-        estimator = BodyFilter(
-            make_rig(scene.cameras, 1.0, "horizontal"), build_motion(loaded.config, CONFIG), shape, loaded.config.filter
-        )
-        if name == "cameras_reversed":
-            events = sorted(events, key=lambda event: (event.time_s, -event.camera))
-        with patched(body_filter, in_filter), patched(reduction, in_reduction):
-            estimates, seconds = filtered(estimator, events)
-        row = scores(estimates, scene)
-        row |= {f"{key}_ratio": row[key] / best[key] for key in ("ospa", "tgospa")}
-        rows.append({**row, "ms": 1e3 * seconds})
-    cells = []
-    for key in ("mota", "ospa_ratio", "tgospa_ratio", "missed", "false", "switches", "nees_position", "nees_height",
-                "error_m", "ms"):  # fmt: skip
-        values = np.array([row[key] for row in rows])
-        half = 1.96 * values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else float("nan")
-        cells.append(f"{values.mean():.3f} ± {half:.3f}")
-    print(f"| {args.count} | {name} | " + " | ".join(cells) + " |", flush=True)
+    rig = make_rig(scene.cameras, 1.0, "horizontal")
+    shape = replace(loaded.config.object, **changes)
+    estimator = BodyFilter(rig, build_motion(loaded.config, CONFIG), shape, loaded.config.filter)
+    if name == "cameras_reversed":
+        events = sorted(events, key=lambda event: (event.time_s, -event.camera))
+    with patched(body_filter, in_filter), patched(reduction, in_reduction):
+        estimates, seconds = filtered(estimator, events)
+    row = scores(estimates, scene)
+    return {**row, "ms": 1e3 * seconds, **{f"{key}_ratio": row[key] / best[key] for key in ("ospa", "tgospa")}}
+
+
+def table(rows: list[dict[str, Any]]) -> Iterator[str]:
+    """Yield the lines of the table of all rows."""
+    yield f"| people | filter | scenes | {' | '.join(HEADS)} |"
+    yield "|" + "---|" * 13
+    for count, name in dict.fromkeys((row["count"], row["name"]) for row in rows):
+        chosen = [row for row in rows if (row["count"], row["name"]) == (count, name)]
+        cells = []
+        for key in COLUMNS:
+            values = np.array([row[key] for row in chosen if key in row])
+            half = 1.96 * values.std(ddof=1) / np.sqrt(len(values)) if len(values) > 1 else float("nan")
+            cells.append(f"{values.mean():.3f} ± {half:.3f}" if len(values) else "")
+        yield f"| {count} | {name} | {len(chosen)} | " + " | ".join(cells) + " |"
 
 
 def main() -> None:
@@ -223,23 +232,24 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=10.0)
     parser.add_argument("--first", type=int, default=1000, help="seed of the first scene")
     parser.add_argument("--only", nargs="*", choices=list(VARIANTS), default=list(VARIANTS))
+    parser.add_argument(
+        "--rows", type=Path, help="keep the figures of each scene here, and print the table of them all"
+    )
     args = parser.parse_args()
-    kept: dict[int, tuple[Any, ...]] = {}
-
-    def ready(seed: int) -> tuple[Any, ...]:
-        if seed not in kept:
-            loaded, scene, events, owners = simulated(seed, args.count, args.duration)
-            rig = make_rig(scene.cameras, 1.0, "horizontal")
-            known = BodyFilter(rig, build_motion(loaded.config, CONFIG), loaded.config.object, loaded.config.filter)
-            kept[seed] = (loaded, scene, events, owners, scores(limit(known, events, owners), scene))
-        return kept[seed]
-
-    print("| people | filter | MOTA | OSPA, limits | T-GOSPA, limits | missed | false | switches | NEES, ground | "
-          "NEES, height | error, m | ms |\n|" + "---|" * 12)  # fmt: skip
-    for name in args.only:
-        run(name, args, ready)
-    limits = [values[4] for values in kept.values()]
-    print("limit:", {key: round(float(np.mean([row[key] for row in limits])), 4) for key in limits[0]})
+    rows: list[dict[str, Any]] = []
+    if args.rows is not None and args.rows.exists():
+        rows = [json.loads(line) for line in args.rows.read_text().splitlines()]
+    for seed in range(args.first, args.first + args.scenes):
+        loaded, scene, events, owners = simulated(seed, args.count, args.duration)
+        rig = make_rig(scene.cameras, 1.0, "horizontal")
+        known = BodyFilter(rig, build_motion(loaded.config, CONFIG), loaded.config.object, loaded.config.filter)
+        best = scores(limit(known, events, owners), scene)
+        new = [{"name": "limit", **best}]
+        new += [{"name": name, **run(name, loaded, scene, events, best)} for name in args.only]
+        rows += [{"count": args.count, "seed": seed, **row} for row in new]
+        if args.rows is not None:
+            args.rows.write_text("".join(json.dumps(row) + "\n" for row in rows))
+    print("\n".join(table(rows)))
 
 
 if __name__ == "__main__":

@@ -22,8 +22,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from stereophd.commands.recalibrate import Recalibration, with_pose
+from stereophd.commands.track import CAMERAS_FILE, FILES, track
 from stereophd.config.loading import LoadedConfig, variant
-from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
@@ -36,7 +36,6 @@ from stereophd.io.streams.documents import (
     LiveEvent,
     Ready,
     Recalibrated,
-    RecordDocument,
     Status,
 )
 from stereophd.io.streams.messages import Message
@@ -44,8 +43,9 @@ from stereophd.io.streams.rows import JsonLines, Publisher, RowSink, document_of
 from stereophd.io.streams.sources import Arrivals
 from stereophd.pipeline.build import report_times
 from stereophd.pipeline.live.frames import FrameChecks
+from stereophd.pipeline.live.lagged import LaggedRecords
 from stereophd.pipeline.live.recording import read_recording, write_log
-from stereophd.pipeline.live.run import LiveRecord, LiveRun, warm_up_messages, without_collections
+from stereophd.pipeline.live.run import LiveRun, warm_up_messages, without_collections
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run import TrackingRun, build_tracking, estimated_cameras
@@ -91,20 +91,28 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
             held.enter_context(output_lock(outputs.folder))
         recorded, stream = _recording(outputs, held)
         if outputs.folder is not None:
-            output_folder(outputs.folder, outputs.force or outputs.resume, _files())
+            output_folder(outputs.folder, outputs.force or outputs.resume, FILES)
         with without_collections("" if loaded.config.filter is None else loaded.config.filter.kind):
             warming_up = variant(loaded, [("warm-up", {"input.on_bad_row": "drop", "live.recalibrate": False})])
             _Session(warming_up, tracking, LiveOutputs([JsonLines(io.StringIO())])).work(
                 warm_up_messages(tracking.cameras), "warm-up"
             )
             session = _Session(loaded, tracking, outputs)
-            session.tell(Ready([_described(camera) for camera in tracking.cameras]))
+            poses = [(camera.name, camera.pose) for camera in tracking.cameras]
+            session.tell(Ready([CameraPlace(n, pose.center.tolist(), pose.rotation[2].tolist()) for n, pose in poses]))
             session.work(itertools.chain(recorded, session.recording_to(stream, arrivals)), source)
         if outputs.folder is not None and session.checks.counts["frames"]:
             _write_files(session.found, outputs)
         if outputs.recording is None and outputs.frames is not None:
             os.truncate(outputs.frames, 0)  # the folder holds all frames
-    return {"frames": session.checks.counts, **_summary(session.run)}
+    counts = session.run.counts
+    return {
+        "frames": session.checks.counts,
+        "late_frames": counts.late,
+        "revised_events": counts.revised,
+        "latency_ms": counts.latency.percentiles_ms(),
+        "processor_ms": counts.processor.percentiles_ms(),
+    }
 
 
 def _tracking(loaded: LoadedConfig) -> TrackingRun:
@@ -126,7 +134,9 @@ class _Session:
         self.found = self._tracked_by = loaded
         self.checks = FrameChecks(tracking.cameras, config.input.on_bad_row, config.input.image_margin_px)
         times = report_times(config.report, config.region)
-        self.run = LiveRun(tracking.estimator, times, self.checks, config.live, self._keep)
+        lag_s, self._is_lagged = config.report.lag_s, config.report.lag_s is not None
+        lagged = None if lag_s is None else LaggedRecords(tracking.motion, lag_s)
+        self.run = LiveRun(tracking.estimator, times, self.checks, config.live, self._keep, lagged)
         self._outputs, self._rows = outputs, outputs.rows
         self._stream: IO[str] | None = None
         self._most_std = config.report.max_position_std
@@ -153,10 +163,10 @@ class _Session:
             ending.enter_context(contextlib.suppress(KeyboardInterrupt))
             ending.callback(self._checkpoint.stop)
             for live in self.run.records(arrivals, source):
-                if self._rows and live.record.reported:
-                    document = _document(live, self._most_std)
-                    for sink in self._rows:
-                        sink.add(document)
+                if not self._is_lagged:
+                    self._show(live.record, live.is_revised)
+                elif not live.is_revised:
+                    self._show_late()
                 if not live.is_revised:
                     before_s, processor_s = processor_s, time.thread_time()
                     self.run.counts.add_row(live.arrived_s, processor_s - before_s)
@@ -165,6 +175,21 @@ class _Session:
                     self._told_s = time.monotonic()
                     self._tell_status()
                     self._save()
+            self._show_late(is_over=True)
+
+    def _show(self, record: Record, is_revised: bool) -> None:
+        """Give a record to every sink."""
+        if not self._rows or not record.reported:
+            return
+        shown = record.estimates if self._most_std is None else record.estimates.certain(self._most_std)
+        document = document_of(record.time_s, record.camera, record.frame, shown, is_revised)
+        for sink in self._rows:
+            sink.add(document)
+
+    def _show_late(self, is_over: bool = False) -> None:
+        """Give the smoothed records that are due to every sink."""
+        for record in self.run.late_records(is_over):
+            self._show(record, False)
 
     def _tell_status(self) -> None:
         """Tell those who watch how the run goes."""
@@ -200,7 +225,8 @@ class _Session:
         if record.knock is not None and record.knock != self._knock:
             self._knock = record.knock
             self.tell(Knocked(**asdict(record.knock)))
-            if self.found.config.live.recalibrate:
+            # another pose for a camera that stands still would be a confident wrong answer
+            if self.found.config.live.recalibrate and not record.knock.others:
                 self._recalibration = Recalibration(self._tracked_by, record.knock, record)
                 self.run.pass_over(record.knock.camera)
         if self._recalibration is None:
@@ -218,11 +244,6 @@ class _Session:
             self._recalibration = None
 
 
-def _described(camera: Camera) -> CameraPlace:
-    """Return where a camera stands and looks, for those who draw the tracks."""
-    return CameraPlace(camera.name, camera.pose.center.tolist(), camera.pose.rotation[2].tolist())
-
-
 def _check(loaded: LoadedConfig) -> None:
     """Refuse what needs the whole log."""
     if isinstance(loaded.config.filter, SingleSettings):
@@ -232,13 +253,6 @@ def _check(loaded: LoadedConfig) -> None:
             f"{loaded.path}: detector: expected the detectors of all cameras for a live run, found estimate; estimate "
             "them from a recording first (`stereophd track`)"
         )
-
-
-def _files() -> tuple[str, ...]:
-    """Return the names of all files of a run."""
-    from stereophd.commands.track import FILES
-
-    return FILES
 
 
 def _recording(outputs: LiveOutputs, held: contextlib.ExitStack) -> tuple[Arrivals, IO[str] | None]:
@@ -262,36 +276,11 @@ def _recording(outputs: LiveOutputs, held: contextlib.ExitStack) -> tuple[Arriva
     return read_recording(path), stream
 
 
-def _document(live: LiveRecord, max_position_std: float | None) -> RecordDocument:
-    record = live.record
-    estimates = record.estimates if max_position_std is None else record.estimates.certain(max_position_std)
-    return document_of(record.time_s, record.camera, record.frame, estimates, live.is_revised)
-
-
-def _summary(run: LiveRun) -> dict[str, Any]:
-    counts = run.counts
-    return {
-        "late_frames": counts.late,
-        "revised_events": counts.revised,
-        "latency_ms": counts.latency.percentiles_ms(),
-        "processor_ms": counts.processor.percentiles_ms(),
-    }
-
-
 def _remove_empty(path: Path) -> None:
     """Remove a recording without frames."""
     with contextlib.suppress(OSError):
         if not path.stat().st_size:
             path.unlink()
-
-
-@dataclass(frozen=True)
-class _Files:
-    """What is to be written where."""
-
-    loaded: LoadedConfig
-    recording: Path
-    folder: Path
 
 
 def _write_files(loaded: LoadedConfig, outputs: LiveOutputs, worker: WorkerProcess | None = None) -> int:
@@ -301,24 +290,22 @@ def _write_files(loaded: LoadedConfig, outputs: LiveOutputs, worker: WorkerProce
     """
     assert outputs.folder is not None
     assert outputs.frames is not None
-    with OutputFolder(outputs.folder, _files(), force=True) as out:
-        files = _Files(loaded, outputs.frames, out.path(LOG_FILE).parent)
-        frames: int = track_recording(files) if worker is None else worker.call(track_recording, files)
+    with OutputFolder(outputs.folder, FILES, force=True) as out:
+        task = loaded, outputs.frames, out.path(LOG_FILE).parent
+        frames: int = track_recording(task) if worker is None else worker.call(track_recording, task)
     return frames
 
 
-def track_recording(files: _Files) -> int:
-    """Turn a recording into a log, and track it as a batch run does; return the number of its frames."""
-    from stereophd.commands.track import CAMERAS_FILE, track
-
-    loaded = files.loaded
+def track_recording(task: tuple[LoadedConfig, Path, Path]) -> int:
+    """Turn a recording into a log in a folder, and track it as a batch run does; return the number of its frames."""
+    loaded, recording, place = task
     with tempfile.TemporaryDirectory() as folder:
         log = Path(folder) / LOG_FILE
-        write_log(loaded, files.recording, log)
-        report = track(loaded, log, files.folder)
+        write_log(loaded, recording, log)
+        report = track(loaded, log, place)
         if any(camera.poses for camera in loaded.cameras.values()):
-            write_cameras(files.folder / CAMERAS_FILE, loaded.cameras, loaded.config.units.length)
+            write_cameras(place / CAMERAS_FILE, loaded.cameras, loaded.config.units.length)
         # after the other files: the log lies beside them, and is no output of `track`
-        shutil.copyfile(log, files.folder / LOG_FILE)
+        shutil.copyfile(log, place / LOG_FILE)
     frames: int = report["input"]["frames"]
     return frames

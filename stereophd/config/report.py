@@ -114,6 +114,13 @@ class ReportConfig(Model):
         "smooth every track over the whole log, which is then held in memory; by default tracks are not smoothed",
         default=None,
     )
+    lag_s: PositiveDuration | None = parameter(
+        "live runs: rows come this much later, smoothed with what the cameras have seen since; by default they come at "
+        "once",
+        default=None,
+        unit="s",
+        advice="about as long as an object takes to turn or to brake; more costs time and gains little.",
+    )
 
 
 class InputConfig(Model):

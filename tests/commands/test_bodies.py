@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
@@ -64,6 +65,22 @@ def test_pieces_and_a_grid_of_times(log: Path, tmp_path: Path) -> None:
     assert report["pieces"]["count"] == 2
 
 
+def test_smoothed_bodies_go_on_after_a_gap(log: Path, tmp_path: Path) -> None:
+    table = pq.read_table(log)
+    times, objects = table["time_s"].to_numpy(), table["object_id"].to_numpy()
+    gone = (objects == 2) & (times > 2.5) & (times < 4.0)
+    pq.write_table(table.filter(~gone), tmp_path / "gap.parquet")
+    smooth = [*SMALL, "report.smooth={max_gap_s: 2}"]
+    report = track(load_config(CONFIG, smooth), tmp_path / "gap.parquet", tmp_path / "out")
+    assert lasting(report) == 4
+    tracks = pq.read_table(tmp_path / "out" / "tracks.parquet")
+    for one in report["tracks"]:
+        own = tracks.filter(pc.equal(tracks["track_id"], one["track_id"]))
+        assert np.abs(own["height"].to_numpy() - 1.7).max() < 0.4
+    inside = (tracks["time_s"].to_numpy() > 3.2) & (tracks["time_s"].to_numpy() < 3.8)
+    assert len(set(tracks["track_id"].to_numpy()[inside])) == 3
+
+
 def test_points_do_not_read_boxes(log: Path, tmp_path: Path) -> None:
     bare = tmp_path / "bare.parquet"
     pq.write_table(pq.read_table(log).drop_columns(["width_px", "height_px"]), bare)
@@ -83,7 +100,7 @@ def test_points_do_not_read_boxes(log: Path, tmp_path: Path) -> None:
     [
         (["filter.kind=phd"], "filter.kind: expected pmb .*, found phd"),
         (["motion={model: static}"], "motion.model: expected one whose objects move .*, found static"),
-        (["report.smooth={}"], "report.smooth: expected none"),
+        (["report.smooth={reassociate: true}"], "report.smooth.reassociate: expected false"),
         (["cameras.northeast.readout_s=0.01"], "cameras.northeast.readout_s: expected 0"),
         (["object={shape: point}"], "filter.birth: expected exactly one of disparity and depth_range, found none"),
         (["object.up=null"], "object: expected width and up, or neither of them"),

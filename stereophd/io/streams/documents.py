@@ -111,6 +111,7 @@ class Knocked(LiveEvent):
     since_s: Annotated[float, msgspec.Meta(description="when it happened, s")]
     turn_deg: float
     shift_px: list[float]
+    others: Annotated[list[str], msgspec.Meta(description="cameras that may be the one in its place")] = []
 
 
 class Recalibrated(LiveEvent):

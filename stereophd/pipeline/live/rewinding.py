@@ -68,6 +68,11 @@ class RewindingRun:
         return new
 
     @property
+    def records(self) -> list[Record]:
+        """The records of the events that are kept, in order, those of late ones in their places."""
+        return [record for step in self._steps for record in step.records]
+
+    @property
     def knocks(self) -> KnockTest:
         """The test for cameras that were knocked, after the last event."""
         return self._run.knocks

@@ -23,6 +23,7 @@ from stereophd.io.logs.reading import Frame
 from stereophd.io.streams.messages import Message
 from stereophd.io.streams.sources import Arrivals
 from stereophd.pipeline.live.frames import FrameChecks
+from stereophd.pipeline.live.lagged import LaggedRecords
 from stereophd.pipeline.live.rewinding import RewindingRun
 from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes
 
@@ -78,7 +79,10 @@ class LiveCounts:
 
 
 class LiveRun:
-    """Track messages as they arrive, and call `keep` with each that is used; estimates are reported at `times`."""
+    """Track messages as they arrive, and call `keep` with each that is used; estimates are reported at `times`.
+
+    With `lagged`, records are not to be shown as they come: `late_records` gives smoothed ones.
+    """
 
     def __init__(
         self,
@@ -87,11 +91,14 @@ class LiveRun:
         checks: FrameChecks,
         settings: LiveConfig,
         keep: Callable[[Message], object],
+        lagged: LaggedRecords | None = None,
     ) -> None:
         self.counts = LiveCounts()
         self._cameras: Sequence[Camera] = estimator.rig.cameras
         self._checks, self._settings, self._keep = checks, settings, keep
-        self._run = RewindingRun(estimator, times, settings.span_s)
+        self._lagged = lagged
+        span_s = settings.span_s if lagged is None else max(settings.span_s, lagged.span_s)
+        self._run = RewindingRun(estimator, times, span_s)
         self._waiting: list[tuple[float, int, int, Frame, float]] = []
         self._newest = np.full(len(self._cameras), -np.inf)
         self._newest_arrived_s, self._on_grid = 0.0, times.grid_s is not None
@@ -127,6 +134,12 @@ class LiveRun:
         yield from self._release(np.inf)
         now = time.perf_counter()
         yield from (LiveRecord(record, False, now) for record in self._run.finish())
+
+    def late_records(self, is_over: bool = False) -> Iterator[Record]:
+        """Yield smoothed records that are due; at the end all that are left."""
+        newest_s = math.inf if is_over else float(self._newest.max())
+        if self._lagged is not None and self._lagged.is_due(newest_s):
+            yield from self._lagged.take(self._run.records, newest_s)
 
     def _predict(self) -> Iterator[LiveRecord]:
         """Yield predictions to the times of a grid that have come: now is as long after the newest frame as it came."""

@@ -6,12 +6,13 @@ without a turn. A detection is any one of the track's neighbours, or false, or m
 hundred standard deviations is as visible as one of three. The log-likelihood ratios of the tracks add up to one of the
 frame, and those of the frames to a CUSUM for each turn, which never falls below 0. Without a knock a CUSUM exceeds c
 with a probability of at most exp(-c) (Wald). A camera is knocked when one is beyond the value that is exceeded once in
-`FALSE_ALARM_S` by chance, over all looks, turns and cameras. In a frame a track speaks for a turn no louder than the
-others can bear, and half of the tracks, two at least, must speak for it: a wrong track is no knock.
+`FALSE_ALARM_S` by chance, over all looks, turns and cameras. In a frame a track speaks for a turn at most twice
+as loud as all others together, and half of the tracks, two at least, must speak for it: a wrong track is no knock.
 
-A small steady misfit of lens, pose or motion is no knock either: the spread of the residuals, which follows their
-median within a minute, widens all likelihoods. Objects that move as one, such as the corners of a board, may be off
-together: the ratios are divided by the factor by which the sum of their residuals spreads more than it would alone.
+A small steady misfit of lens, pose or motion is no knock either: the spread of the residuals, which follows
+their tail, widens all likelihoods. Objects that move as one, such as the corners of a board, may be off
+together, and stay so while they brake: the ratios are divided by the factor by which the running mean of the residuals
+spreads more than that of independent ones.
 """
 
 from __future__ import annotations
@@ -40,19 +41,21 @@ LEAST_AGE_S = 1.0
 FORGET_S = 5.0
 # Part of the threshold from which a camera may be the one that was knocked, if another is beyond it.
 SUSPICIOUS = 0.4
-# Part of the tracks that must agree, if it is more than the fewest; most that one adds in a look, in thresholds.
-AGREEING, LOUDEST = 0.5, 0.25
+# Part of the tracks that must agree, if it is more than the fewest.
+AGREEING = 0.5
 # A frame whose median squared residual is below this, in variances, is passed over while no CUSUM is above 0.
-CALM = 3.0
-# Factor of the variances in the test: an object may turn or brake harder than the motion model leads to expect.
-MISFIT = 2.0
+CALM = 2.0
+# Part of the running mean of residuals that stays from look to look.
+LASTING = 0.8
 # Squared residual, in variances, within which a detection belongs to a track.
 TAKEN = 16.0
 # Least probability that a track has no detection: it may be wrong, or hidden.
 MISSED = 0.1
-# The median of a squared residual in variances (two dimensions), and the rates at which factors follow it, at last and
-# at first; looks before an alarm.
-MEDIAN, RATE, FIRST_RATE, FIRST_LOOKS = 2.0 * math.log(2.0), 2e-3, 0.3, 30
+# A factor of variances follows a quantile: the squared residual in variances (two dimensions), the part beyond it, and
+# the rate for each residual. That of single ones is in the tail: an object may turn or brake harder than the motion
+# model leads to expect. At first rates are higher; looks before the sums begin.
+TAIL, MEDIAN = (-2.0 * math.log(0.05), 0.05, 5e-3), (2.0 * math.log(2.0), 0.5, 4e-3)
+FIRST_RATE, FIRST_LOOKS = 0.3, 30
 
 
 @dataclass(frozen=True)
@@ -64,6 +67,7 @@ class Knock:
     since_s: float  # When it happened, estimated
     turn_deg: float  # Angle that explains it best, degrees
     shift_px: tuple[float, float]  # How far the image of the scene has moved, px
+    others: tuple[str, ...] = ()  # Cameras that may be the one in its place
 
 
 @dataclass(frozen=True)
@@ -82,7 +86,9 @@ class CameraLooks:
     looked_s: float = -math.inf
     looks: int = 0
     spread: float = 1.0  # Factor of the variances
-    coherence: float = 1.0  # Factor of the variance of the sum of the residuals of a frame
+    # (2,): Running mean of the sum of the residuals of a frame, in the deviations of residuals that are independent
+    lasting: Array | None = None
+    coherence: float = 1.0  # Factor of the variance of that mean
     sums: Array | None = None  # CUSUM of each turn (h,); None: all are 0
     since_s: Array | None = None  # Since when each is above 0, s
     suspicion: SuspectedTurn | None = None
@@ -125,52 +131,58 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     # what belongs to a track that is not looked at speaks for no turn of the others
     detections = event.points[~(squares[others] < TAKEN * known.spread).any(axis=0)]
     nearest = squares[chosen].argmin(axis=1)
-    ids, points, noise, residuals, squares = (
-        ids[chosen], points[chosen], noise[chosen], residuals[chosen, nearest], squares[chosen, nearest]
+    points, noise, residuals, squares = (
+        points[chosen], noise[chosen], residuals[chosen, nearest], squares[chosen, nearest]
     )  # fmt: skip
     sums, rising_s = (None, None) if event.time_s > known.looked_s + FORGET_S else (known.sums, known.since_s)
-    threshold = _threshold(len(cameras))
-    if sums is not None or np.median(squares) > CALM * known.spread:
+    if known.looks >= FIRST_LOOKS and (sums is not None or np.median(squares) > CALM * known.spread):
         turns, p_detect = all_turns(), camera.detector.p_detect
         ratios = turn_ratios(
-            points, noise * (MISFIT * known.spread), detections, (camera.fx, camera.fy, camera.cx, camera.cy),
+            points, noise * known.spread, detections, (camera.fx, camera.fy, camera.cx, camera.cy),
             (turns.shifts, turns.linear, turns.spread), max(1.0 - p_detect, MISSED),
             p_detect * camera.width * camera.height / len(event.points),
         )  # fmt: skip
-        sums, rising_s = _added(sums, rising_s, ratios, known.coherence, threshold, event.time_s)
-    spread = _followed(known.spread, squares / known.spread, known.looks)
+        sums, rising_s = _added(sums, rising_s, ratios, known.coherence, event.time_s)
+    spread = _followed(known.spread, squares / known.spread, TAIL, known.looks)
     good = squares < TAKEN * known.spread
-    mean, variance = residuals[good].sum(axis=0), noise[good].sum(axis=0) * known.spread
-    together = np.array([mean @ np.linalg.solve(variance, mean)]) if good.any() else np.empty(0)
-    coherence = _followed(known.coherence, together / known.coherence, known.looks)
-    ratio, suspicion = _suspicion(sums, rising_s, threshold, event.time_s, known.suspicion)
-    looks = CameraLooks(event.time_s, known.looks + 1, spread, coherence, sums, rising_s, suspicion)
+    lasting, together = known.lasting, np.empty(0)
+    if good.any():
+        variance = noise[good].sum(axis=0) * known.spread
+        alone = np.linalg.solve(np.linalg.cholesky(variance), residuals[good].sum(axis=0))
+        lasting = alone if lasting is None else LASTING * lasting + math.sqrt(1.0 - LASTING**2) * alone
+        together = np.array([lasting @ lasting])
+    coherence = _followed(known.coherence, together / known.coherence, MEDIAN, known.looks)
+    ratio, suspicion = _suspicion(sums, rising_s, _threshold(len(cameras)), event.time_s, known.suspicion)
+    looks = CameraLooks(event.time_s, known.looks + 1, spread, lasting, coherence, sums, rising_s, suspicion)
     test = replace(test, cameras={**test.cameras, name: looks})
-    if known.looks < FIRST_LOOKS or ratio < 1.0:
-        return test, None
-    # the tracks follow a camera that is wrong, and then others seem to be: it was the first
+    return (test, None) if ratio < 1.0 else (KnockTest(is_over=True), _knock(test, cameras, event.time_s))
+
+
+def _knock(test: KnockTest, cameras: tuple[Camera, ...], time_s: float) -> Knock:
+    """Return which camera was knocked: the tracks follow it, and then others seem to be; it was the first."""
     suspects = [(c, test.cameras[c.name].suspicion) for c in cameras if c.name in test.cameras]
-    turned, first = min(((c, s) for c, s in suspects if s is not None), key=lambda each: each[1].first_s)
-    turns = all_turns()
-    u, v = (turns.shifts[first.turn] * (turned.fx, turned.fy)).tolist()
-    turn_deg = math.degrees(turns.size(first.turn))
-    return KnockTest(is_over=True), Knock(turned.name, event.time_s, first.since_s, turn_deg, (u, v))
+    (camera, first), *others = sorted(((c, s) for c, s in suspects if s is not None), key=lambda each: each[1].first_s)
+    u, v = (all_turns().shifts[first.turn] * (camera.fx, camera.fy)).tolist()
+    turn_deg = math.degrees(all_turns().size(first.turn))
+    return Knock(camera.name, time_s, first.since_s, turn_deg, (u, v), tuple(c.name for c, _ in others))
 
 
-def _followed(factor: float, squares: Array, looks: int) -> float:
-    """Return a factor of variances after more squared residuals in such variances: at least 1, and half are within."""
-    step = float(np.sign(squares - MEDIAN).sum()) * max(RATE, FIRST_RATE / (looks + 1))
+def _followed(factor: float, squares: Array, quantile: tuple[float, float, float], looks: int) -> float:
+    """Return a factor of variances, at least 1, after more squared residuals in such variances."""
+    level, beyond, rate = quantile
+    step = float((squares > level).sum() - beyond * len(squares)) * max(rate, FIRST_RATE / (looks + 1))
     return max(factor * math.exp(min(max(step, -FIRST_RATE), FIRST_RATE)), 1.0)
 
 
 def _added(
-    sums: Array | None, since_s: Array | None, ratios: Array, coherence: float, threshold: float, time_s: float
+    sums: Array | None, since_s: Array | None, ratios: Array, coherence: float, time_s: float
 ) -> tuple[Array | None, Array | None]:
     """Return CUSUMs, and since when they are above 0, with the ratios (n, h) of the tracks of a look."""
-    loud = np.minimum(ratios, LOUDEST * threshold)
+    # no track speaks more than twice as loud as all others together
+    total = np.minimum(ratios.sum(axis=0), 3.0 * (ratios.sum(axis=0) - ratios.max(axis=0)))
     agreeing = (ratios > 0.0).sum(axis=0) >= max(FEWEST_TRACKS, AGREEING * len(ratios))
     # neighbours hide together, and a turn may bring others into their places: those speak against it
-    total = np.where(agreeing, loud.sum(axis=0), np.minimum(ratios, 0.0).sum(axis=0)) / coherence
+    total = np.where(agreeing, total, np.minimum(ratios, 0.0).sum(axis=0)) / coherence
     before = np.zeros(len(total)) if sums is None else sums
     after = np.maximum(before + total, 0.0)
     if not after.any():

@@ -66,8 +66,8 @@ class TrackingRun:
             events = with_boxes(stream)
         elif single:
             events = at_most_one(stream)
-        region = self.loaded.config.region
-        return reported_records(self.estimator, self.motion, events, self.report, not single, kept, run, region)
+        region, points = self.loaded.config.region, not (single or self.boxes)
+        return reported_records(self.estimator, self.motion, events, self.report, points, kept, run, region)
 
     def keep_in(self, unfinished: UnfinishedRun) -> UnfinishedTracking:
         """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end.
@@ -163,11 +163,6 @@ def build_tracking(loaded: LoadedConfig, threads: int = 1, cameras: tuple[Camera
     config = loaded.config
     _check_reassociation(loaded)
     if isinstance(config.object, EllipsoidSettings):
-        if config.report.smooth is not None:
-            raise InputError(
-                f"{loaded.path}: report.smooth: expected none where object.shape is ellipsoid: only tracks of points "
-                "are smoothed, found some"
-            )
         body_filter = build_bodies(config, cameras, loaded.path)
         return TrackingRun(loaded, threads, body_filter, body_filter.motion, cameras, config.report, boxes=True)
     if not isinstance(config.filter, SingleSettings):
@@ -193,6 +188,8 @@ def _check_reassociation(loaded: LoadedConfig) -> None:
     where = f"{loaded.path}: report.smooth.reassociate: expected false"
     if isinstance(config.filter, SingleSettings):
         raise InputError(f"{where} where filter.kind is single, found true")
+    if isinstance(config.object, EllipsoidSettings):
+        raise InputError(f"{where} where object.shape is ellipsoid: only points change tracks, found true")
     if config.motion is not None and config.motion.model == "static":
         raise InputError(f"{where} where motion.model is static, found true")
     if isinstance(config.report.times, GridTimes):

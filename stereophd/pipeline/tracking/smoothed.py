@@ -53,13 +53,15 @@ def smoothed_records(
     Every track reaches back to its first detection (beyond the filter's, with `back`), ends where it was last more
     probable than not, and is stitched to the track that it continues, if any. Predictions to the times of a grid are
     smoothed as events are that measure nothing: the state between two events given both, by the motion model.
-    Associations are those of tracks that are reported at least once, with `max_position_std` as certain as this.
+    Associations are those of tracks that are reported at least once, with `max_position_std` as certain as this. Bodies
+    have the size throughout that they had last.
     """
     whole = list(records)
+    extents = _last_extents(whole)
     run = make_run([record.event for record in whole], np.array([record.time_s for record in whole]), cameras, motion)
     claims = claims_of_run(whole, run)
     labels = np.array([record.first_label for record in whole], dtype=np.int64)
-    trajectories = _smoothed(_trajectories(whole, run.times), claims, run, labels)
+    trajectories = _smoothed(_trajectories(whole, run.times), claims, run, labels, chains=not extents)
     extended = [Extended(one) for one in trajectories]
     if back:
         extended = _reach_back(trajectories, run, settings.max_gap_s)
@@ -105,7 +107,7 @@ def smoothed_records(
         for track_id, count in seen.items():
             attributed.setdefault(name(track_id), Counter()).update(count)
         own.sort(key=lambda row: row[0])
-        yield replace(record, estimates=_estimates(own), attributed=attributed, associations=sightings)
+        yield replace(record, estimates=_estimates(own, extents), attributed=attributed, associations=sightings)
 
 
 def _names(continued: dict[int, int]) -> Callable[[int], int]:
@@ -209,19 +211,20 @@ def _trajectories(records: Sequence[Record], times: Array) -> list[tuple[Traject
 
 
 def _smoothed(
-    filtered: Sequence[tuple[Trajectory, int]], claims: RunClaims, run: WholeRun, first_labels: Integers
+    filtered: Sequence[tuple[Trajectory, int]], claims: RunClaims, run: WholeRun, first_labels: Integers, chains: bool
 ) -> list[Trajectory]:
     """Smooth tracks, and continue each back to the event of its first detection.
 
     A filtered state may leap to another hypothesis, which the smoother takes for motion. Where smoothed states explain
-    the detections of a track worse than the filtered ones, it is smoothed from these detections alone; if that is no
-    better, it keeps its filtered states, with a warning.
+    the detections of a track worse than the filtered ones, it is smoothed from these detections alone, with `chains` of
+    points; if that is no better, it keeps its filtered states, with a warning.
     """
     out, kept = [], []
     for track, label in filtered:
         smoothed, detections = smooth(track, run.motion), claims.detections_of(track, run)
         if _is_worse(smoothed, track, detections, run):
-            smoothed = make_chain(track, detections, run).smoothed().trajectory if run.motion.moves else track
+            can_chain = chains and run.motion.moves
+            smoothed = make_chain(track, detections, run).smoothed().trajectory if can_chain else track
             if _is_worse(smoothed, track, detections, run):
                 smoothed = track
                 kept.append(track.track_id)
@@ -249,11 +252,21 @@ def _is_worse(smoothed: Trajectory, track: Trajectory, detections: Integers, run
     return not after <= WORSE**2 * max(before, NOISE)
 
 
-def _estimates(rows: list[tuple[int, Trajectory, int]]) -> Estimates:
+def _last_extents(records: Sequence[Record]) -> dict[int, Array]:
+    """Return the last height and width (4,) of each body, and how certain they are; none of points."""
+    out: dict[int, Array] = {}
+    for found in (record.estimates for record in records):
+        if found.extents is not None:
+            out.update(zip(found.track_ids.tolist(), found.extents, strict=True))
+    return out
+
+
+def _estimates(rows: list[tuple[int, Trajectory, int]], extents: dict[int, Array]) -> Estimates:
     return Estimates(
         np.array([name for name, _, _ in rows], dtype=np.int64),
         np.array([t.states[k] for _, t, k in rows]).reshape(-1, 6),
         np.array([t.covariances[k] for _, t, k in rows]).reshape(-1, 6, 6),
         np.array([t.existence[k] for _, t, k in rows]),
         np.full(len(rows), -1),
+        extents=np.array([extents[t.track_id] for _, t, _ in rows]).reshape(-1, 4) if extents else None,
     )

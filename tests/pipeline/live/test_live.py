@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import stereophd.commands.track_live as commands
@@ -21,6 +22,7 @@ from stereophd.commands.recalibrate import Recalibration
 from stereophd.commands.track import track
 from stereophd.commands.track_live import LiveOutputs, track_live
 from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.streams.messages import Message
@@ -144,6 +146,37 @@ def test_rows_of_a_grid_are_predicted_to_now(loaded: LoadedConfig, frames: list[
     assert any(row["revised"] for row in rows if row["time_s"] > end_s)
     last = {row["time_s"]: row["tracks"] for row in rows}
     assert last == {row["time_s"]: row["tracks"] for row in run(gridded, frames)[1]}
+
+
+def test_rows_with_a_lag_are_smoothed(loaded: LoadedConfig, frames: list[Message]) -> None:
+    lagging = load_config(
+        loaded.path, ["report.times=events", "report.lag_s=0.8"], cameras_path=HALL / "hall" / "cameras.yaml"
+    )
+    lines = io.StringIO()
+
+    def arrivals() -> Iterator[Message]:
+        for frame in shuffled(frames, 0.1):
+            yield frame
+            for line in lines.getvalue().splitlines()[-1:]:
+                assert json.loads(line)["time_s"] < frame.time_s - 0.6
+
+    track_live(lagging, arrivals(), "frames", LiveOutputs([JsonLines(lines)]))
+    rows = [json.loads(line) for line in lines.getvalue().splitlines()]
+    at_once = run(loaded, frames)[1]
+    assert [(row["camera"], row["frame"]) for row in rows] == [(row["camera"], row["frame"]) for row in at_once]
+    table = pq.read_table(HALL / "hall" / "truth.parquet")
+    truth = np.stack([table[name].to_numpy() for name in ("time_s", "x", "y", "z")], axis=1)
+    assert error_of(rows, truth) < 0.8 * error_of(at_once, truth)
+
+
+def error_of(rows: Sequence[Any], truth: Array) -> float:
+    """Return the median distance of confirmed positions to the nearest object."""
+    out = []
+    for row in rows:
+        near = truth[abs(truth[:, 0] - row["time_s"]) < 0.03, 1:]
+        places = [[one[axis] for axis in "xyz"] for one in row["tracks"] if one["status"] == "confirmed"]
+        out += [np.linalg.norm(near - place, axis=1).min() for place in places if len(near)]
+    return float(np.median(out))
 
 
 def test_a_camera_that_stops_does_not_stop_the_others(loaded: LoadedConfig, frames: list[Message]) -> None:

@@ -104,12 +104,12 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
 def check_knocks(summary: Mapping[str, Any]) -> Iterator[Finding]:
     """Yield a warning for a camera that was knocked during the recording (``knocks`` of the figures of the run)."""
     for knock in summary["knocks"]:
-        name = knock["camera"]
+        name, others = knock["camera"], "".join(f", or {other}" for other in knock["others"])
         yield Finding(
             "tracking.knocked", "warning",
-            f"{name}: from {knock['since_s']:.6g} s on its detections lie where a camera would see the tracks that is "
-            f"turned by about {knock['turn_deg']:.2g} degrees (noticed at {knock['time_s']:.6g} s): it was knocked, or "
-            "moved; tracks after that are doubtful",
+            f"{name}{others}: from {knock['since_s']:.6g} s on its detections lie where a camera would see the tracks "
+            f"that is turned by about {knock['turn_deg']:.2g} degrees (noticed at {knock['time_s']:.6g} s): it was "
+            "knocked, or moved; tracks after that are doubtful",
             round(knock["since_s"], 3), None, name,
             f"calibrate cameras.{name} anew from the part of the log after that, and give it as poses with from_s",
             "knocked",
