@@ -8,11 +8,13 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from typing import Any
 
 import hypothesis
 import numpy as np
+import psutil
 import pytest
 
 # No test is timed: the first call of a kernel compiles it, and machines are busy.
@@ -30,26 +32,49 @@ HANDLED_SIGNALS = tuple(
 )
 
 
-# The process that compiles the kernels of the filters before several workers start.
+# The process that compiles the kernels of the filters, which each of several workers would compile by itself.
 LONGEST_COMPILATION_S = 300.0
 COMPILING = pytest.StashKey["subprocess.Popen[bytes]"]()
+# Tests that need few kernels: they run meanwhile.
+LIGHT = ("tests/config/", "tests/io/", "tests/test_documents.py", "tests/test_house.py")
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Compile the kernels of the filters while the workers collect: each of them would compile them by itself.
+    """Compile the kernels of the filters while the workers collect, and do what needs none of them.
 
     One process does so: two that compile from both ends are hardly faster, and take half as much processor time again.
     """
     several = config.getoption("numprocesses", None) and not config.getoption("collectonly")
     if several and not hasattr(config, "workerinput"):
-        config.stash[COMPILING] = subprocess.Popen([sys.executable, "-m", "stereophd.cli.app", "compile", "-q"])
+        compiling = subprocess.Popen([sys.executable, "-m", "stereophd.cli.app", "compile", "-q"])
+        config.stash[COMPILING] = compiling
+        threading.Thread(target=compiling.wait, daemon=True).start()  # that it ended shows to the workers
 
 
 @pytest.hookimpl(optionalhook=True)
-def pytest_xdist_node_collection_finished(node: Any) -> None:
-    """Tests begin when the kernels are there."""
+def pytest_configure_node(node: Any) -> None:
+    """Tell a worker which process compiles."""
     if compiling := node.config.stash.get(COMPILING, None):
-        compiling.wait(LONGEST_COMPILATION_S)
+        node.workerinput["compiling"] = compiling.pid
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """Begin both halves of the tests, which two workers take, with tests that need few kernels."""
+    if "compiling" in getattr(config, "workerinput", {}):
+        light = [item for item in items if item.nodeid.startswith(LIGHT)]
+        others = [item for item in items if not item.nodeid.startswith(LIGHT)]
+        middle = len(others) // 2
+        items[:] = [*light[::2], *others[:middle], *light[1::2], *others[middle:]]
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Wait with the first of the other tests until the kernels are there."""
+    if not item.nodeid.startswith(LIGHT):
+        compiling = getattr(item.config, "workerinput", {}).pop("compiling", None)
+        with contextlib.suppress(psutil.Error):
+            if compiling is not None:
+                psutil.Process(compiling).wait(LONGEST_COMPILATION_S)
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

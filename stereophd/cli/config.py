@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from enum import StrEnum
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -12,15 +11,6 @@ from stereophd.cli.parameters import command
 from stereophd.cli.terminal import load, print_data, print_report, to_json
 
 app = typer.Typer(help="Show or check a configuration, or print its JSON schema.", no_args_is_help=True)
-
-
-class Command(StrEnum):
-    """Commands that read a configuration, as `stereophd.commands.check_config.COMMANDS` names them."""
-
-    TRACK = "track"
-    CALIBRATE = "calibrate"
-    SIMULATE = "simulate"
-    EXPERIMENT = "experiment"
 
 
 @app.command("show", cls=options.PlainCommand, epilog="Example:\n  stereophd config show study/config.yaml")
@@ -48,7 +38,8 @@ def check_command(
     session: options.Session,
     words: options.ConfigWords,
     for_command: Annotated[
-        Command | None, typer.Option("--for", help="Check also what this command needs.", show_default=False)
+        Literal["track", "calibrate", "simulate", "experiment"] | None,
+        typer.Option("--for", help="Check also what this command needs.", show_default=False),
     ] = None,
 ) -> None:
     """Check a configuration, and print every fault.
@@ -58,7 +49,7 @@ def check_command(
     loaded = load(words)
     from stereophd.commands.check_config import check_config
 
-    check_config(loaded, None if for_command is None else for_command.value)
+    check_config(loaded, for_command)
     valid = {"ok": True, "cameras": list(loaded.cameras), "config_sha256": loaded.sha256}
     cameras_text, unit = ", ".join(loaded.cameras) or "none", loaded.config.units.length
     print_report(session, valid, lambda: f"{words.config}: ok (cameras: {cameras_text}; length in {unit})")

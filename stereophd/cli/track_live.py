@@ -29,6 +29,8 @@ def run_live(
     refuse(session, WHOLE_LOGS, "for a recording that has ended, found one that is still running")
     if live.follow is not None:
         refuse(session, ("resume",), "with - or --listen, found a log that is followed: it holds all frames still")
+    if options.resume and out is None and live.record is None:
+        raise InputError("--resume: expected --out or --record too, which say where the frames were recorded")
     arrivals, source = _source(log, live)
     events = None if session.quiet else sys.stderr
     rows: list[RowSink] = [ArrowRows(sys.stdout.buffer, events) if live.arrow else JsonLines(sys.stdout, events)]

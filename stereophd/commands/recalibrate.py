@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import tempfile
 from collections import deque
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -32,16 +31,6 @@ TRIES_S, SPAN_S = (5.0, 10.0, 20.0, 40.0, 60.0), 60.0
 # Standard deviations of the prior about the old pose: of the rotation, beside the turn that was noticed, and of the
 # centre, as a part of the distance of the tracks.
 ROTATION_STD_DEG, CENTER_STD = 2.0, 0.05
-
-
-@dataclass(frozen=True)
-class OneCamera:
-    """What the process solves."""
-
-    loaded: LoadedConfig
-    camera: str
-    prior: dict[str, float]
-    lines: tuple[str, ...]  # Frames as lines of JSON
 
 
 class Recalibration:
@@ -71,8 +60,8 @@ class Recalibration:
         """Begin a try when its time has come; return what one found, ``status`` and, if it is determined, ``pose``."""
         if not self._aside.is_busy and self._tries and time_s >= self._tries[0]:
             self._tries = [later for later in self._tries if later > time_s]
-            lines = tuple(message.to_line() for message in self._frames)
-            task = OneCamera(self._loaded, self.knock.camera, self._prior, lines)
+            lines = [message.to_line() + "\n" for message in self._frames]
+            task = self._loaded, self.knock.camera, self._prior, lines
             self._aside.start(lambda worker: worker.call(solve_camera, task))
         outcome = self._aside.take()
         return {"status": f"failed: {outcome}"} if isinstance(outcome, Exception) else outcome
@@ -83,16 +72,20 @@ class Recalibration:
         return not self._aside.is_busy and not self._tries
 
 
-def solve_camera(task: OneCamera) -> dict[str, Any]:
-    """Calibrate one camera from frames; return the status, and the pose where the frames determine it."""
+def solve_camera(task: tuple[LoadedConfig, str, dict[str, float], list[str]]) -> dict[str, Any]:
+    """Calibrate one camera under a prior from lines of frames.
+
+    Returns the status, and the pose where the frames determine it.
+    """
     from stereophd.commands.calibrate import CAMERAS_FILE, calibrate
 
-    reference = next(name for name in task.loaded.cameras if name != task.camera)
-    section = {"method": "annealed", "model": "as_stated", "reference": reference, "priors": {task.camera: task.prior}}
-    loaded = variant(task.loaded, [("live.recalibrate", {"calibration": section})])
+    known, camera, prior, lines = task
+    reference = next(name for name in known.cameras if name != camera)
+    section = {"method": "annealed", "model": "as_stated", "reference": reference, "priors": {camera: prior}}
+    loaded = variant(known, [("live.recalibrate", {"calibration": section})])
     with tempfile.TemporaryDirectory() as folder:
         recording, log, out = (Path(folder) / name for name in ("frames.jsonl", "detections.parquet", "out"))
-        recording.write_text("".join(line + "\n" for line in task.lines), encoding="utf-8")
+        recording.write_text("".join(lines), encoding="utf-8")
         try:
             write_log(loaded, recording, log)
             report = calibrate(loaded, log, out, plots=False)
@@ -100,7 +93,7 @@ def solve_camera(task: OneCamera) -> dict[str, Any]:
             return {"status": str(error)}
         if report["status"] != DETERMINED:
             return {"status": report["status"]}
-        pose = yaml.safe_load((out / CAMERAS_FILE).read_text(encoding="utf-8"))["cameras"][task.camera]["pose"]
+        pose = yaml.safe_load((out / CAMERAS_FILE).read_text(encoding="utf-8"))["cameras"][camera]["pose"]
         return {"status": report["status"], "pose": {name: pose[name] for name in ("center", "rotation_matrix")}}
 
 

@@ -130,7 +130,7 @@ def figures(
     parts of a mean distance do not add up to it: only those of a single scan do.
     """
     surplus = estimates.counts - truth.counts
-    normalised = errors.nees
+    normalised, alone = errors.nees, errors.nees_without_cameras
     known = np.isfinite(normalised)
     normalised = normalised[known]
     independent = independent_count(errors.whitened[known], truth.label[scores.pair_truth[known]])
@@ -172,7 +172,8 @@ def figures(
             "dimension": POSITION_DIMENSION,
             "n": len(normalised),
             "n_independent": independent,
-            **_without_cameras(errors),
+            # where uncertain cameras add to the covariance
+            **({} if alone is None else {"without_cameras": mean_of(alone[np.isfinite(alone)])}),
         },
     }
 
@@ -181,12 +182,6 @@ def _means(distances: Ospa | Gospa) -> dict[str, float]:
     """Return the means of a distance (as ``mean``) and of its parts."""
     parts = distances._asdict()
     return {"mean": mean_of(parts.pop("distance"))} | {name: mean_of(part) for name, part in parts.items()}
-
-
-def _without_cameras(errors: PairErrors) -> dict[str, float]:
-    """Return the mean NEES without what uncertain cameras add; nothing where they add nothing."""
-    alone = errors.nees_without_cameras
-    return {} if alone is None else {"without_cameras": mean_of(alone[np.isfinite(alone)])}
 
 
 def _confirmation(waits: Waits) -> dict[str, Any]:

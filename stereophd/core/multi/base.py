@@ -40,21 +40,19 @@ from stereophd.core.numerics.samples import SampleSets
 DEFAULT_MEMORY = 4e9
 
 
-def machine_memory() -> float:
-    """Return the memory of the machine, bytes."""
-    try:
-        return float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, OSError, ValueError):
-        return DEFAULT_MEMORY
-
-
 # Upper bound on the memory of one component, its moved forms and its updated forms, bytes.
 _COMPONENT_BYTES = 4096
 
 
 def most_components(stated: int | None) -> int:
     """Return the bound on the components: the one stated, or what an eighth of the memory holds."""
-    return int(machine_memory() / 8 / _COMPONENT_BYTES) if stated is None else int(stated)
+    if stated is not None:
+        return int(stated)
+    try:
+        memory = float(os.sysconf("SC_PHYS_PAGES")) * os.sysconf("SC_PAGE_SIZE")
+    except (AttributeError, OSError, ValueError):
+        memory = DEFAULT_MEMORY
+    return int(memory / 8 / _COMPONENT_BYTES)
 
 
 @dataclass(frozen=True)

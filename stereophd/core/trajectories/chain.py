@@ -111,11 +111,12 @@ class WholeRun:
         who, what = np.repeat(seen, count), np.tile(detections, len(seen))
         points, jacobians = self.look(np.full(len(who), event), states[who], what)
         spread = jacobians @ covariances[who] @ np.swapaxes(jacobians, 1, 2) + self.noises[what]
-        distances, log_determinants = squared_distances(self.points[what] - points, spread)
+        with np.errstate(invalid="ignore"):
+            distances, log_determinants = squared_distances(self.points[what] - points, spread)
         densities = np.log(self.areas[what]) - np.log(2.0 * np.pi) - 0.5 * (distances + log_determinants)
-        out[seen] = np.where(distances <= GATE, densities + self._log_odds[0][self.looks[event]], -np.inf).reshape(
-            len(seen), count
-        )
+        # of a track that follows nothing rounding may leave no covariance: it gains nothing
+        near = (distances >= 0.0) & (distances <= GATE) & np.isfinite(densities)
+        out[seen] = np.where(near, densities + self._log_odds[0][self.looks[event]], -np.inf).reshape(len(seen), count)
         return out
 
     def squared_residuals(self, events: Integers, states: Array, detections: Integers) -> Array:

@@ -96,7 +96,7 @@ def _accuracy(points: PointSets, views: _Views, pairs: np.ndarray, unit: str) ->
         "points_false": float(reported - len(pairs)),
         "position_error": _root(squared),
         "error_over_bound": _root(squared[shown]) / _root(limit),
-        "error_over_bound_median": _root_median(squared[shown] / limit),
+        "error_over_bound_median": float(np.sqrt(np.median(squared[shown] / limit))) if shown.any() else np.nan,
         "nees": float(nees.mean()) if len(nees) else np.nan,
     }
     return [
@@ -192,10 +192,6 @@ def _bounds_of(information: Array) -> Array:
 
 def _root(squared: Sequence[float] | Array) -> float:
     return float(np.sqrt(np.mean(squared))) if len(squared) else float("nan")
-
-
-def _root_median(squared: Array) -> float:
-    return float(np.sqrt(np.median(squared))) if len(squared) else float("nan")
 
 
 KIND = Kind(run, bounds, check)

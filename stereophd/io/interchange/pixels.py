@@ -13,21 +13,16 @@ ORIGINS = {"center": 0.0, "corner": 0.5, "one": 1.0}
 
 
 def native_pixels(
-    pixels: Array,
-    camera: str,
-    options: ImportOptions,
-    recording: ForeignRecording,
-    origin: str = "center",
-    rows_from: str = "top",
+    pixels: Array, camera: str, options: ImportOptions, recording: ForeignRecording, origin: str = "center"
 ) -> Array:
     """Return native pixels (n, 2): (0, 0) is the centre of the top-left pixel, rows count from the top.
 
-    The conventions are those that the user states in the options, else those of the format: `origin` is a key of
-    `ORIGINS`, `rows_from` is ``top`` or ``bottom``. Raises InputError when rows count from the bottom, and the image
-    height of the camera (its native name) is not known.
+    The conventions are those that the user states in the options, else the origin of the format, a key of `ORIGINS`,
+    and rows from the top. Raises InputError when rows count from the bottom, and the image height of the camera (its
+    native name) is not known.
     """
     shift = ORIGINS[options.pixel_origin or origin]
-    if (options.rows_from or rows_from) == "top":
+    if options.rows_from != "bottom":
         return pixels - shift
     size = image_size(camera, options, recording, "rows count from the bottom")
     result = pixels - shift

@@ -121,7 +121,7 @@ def on_grid(path: Path, options: ExportOptions) -> tuple[float, Array, dict[int,
         rate = options.rate_hz
         if not 0 < rate < np.inf:
             raise InputError(f"rate: expected a rate above 0, found {rate:g} Hz")
-        first, last = np.ceil(every[0] * rate - REGULAR), np.floor(every[-1] * rate + REGULAR)
+        first, last = np.ceil(float(every[0]) * rate - REGULAR), np.floor(float(every[-1]) * rate + REGULAR)
         _check_count(last - first, path)
         times = (np.arange(first, last + 1) + 0.0) / rate
         if not len(times):

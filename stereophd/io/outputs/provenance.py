@@ -81,14 +81,13 @@ def sha256_of(value: Any) -> str:
 def provenance(
     command: str,
     configuration: ConfigRecord | Mapping[str, Any],
-    seed: int | None = None,
     inputs: Mapping[str, Path | str] | None = None,
     length_unit: str | None = None,
 ) -> dict[str, Any]:
     """Return the provenance of a run of the command of this name, such as ``track``.
 
     The configuration is the record of the loaded one, or (of commands without one) their options as JSON-able values;
-    it gives the defaults of the seed and the unit of length. `inputs`, role -> path, are the files that were read
+    it gives the seed, and the default of the unit of length. `inputs`, role -> path, are the files that were read
     besides the configuration's own; only their hashes are kept.
 
     Returns ``version, command, config, config_sha256, seed, inputs {role: sha256}, origins {role: {command, sha256}},
@@ -96,14 +95,15 @@ def provenance(
     """
     hashes = {role: file_sha256(path) for role, path in (inputs or {}).items()}
     origins = {role: origin(path) for role, path in (inputs or {}).items()}
+    seed: int | None = None
     if isinstance(configuration, Mapping):
-        resolved: dict[str, Any] = dict(configuration)
+        resolved = dict(configuration)
         digest = sha256_of(resolved)
     else:
         resolved = dict(configuration.resolved)
         digest = configuration.sha256
         hashes = {**configuration.inputs, **hashes}
-        seed = configuration.seed if seed is None else seed
+        seed = configuration.seed
         length_unit = length_unit or configuration.length_unit
     return {
         "version": stereophd.__version__,

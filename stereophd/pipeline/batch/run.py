@@ -22,7 +22,7 @@ import stereophd
 from stereophd.errors import GateError, InputError, StereophdError
 from stereophd.io.outputs.atomic import TEMPORARY_PREFIX, atomic_write, output_folder, output_lock
 from stereophd.io.outputs.provenance import to_metadata
-from stereophd.io.tables.schemas import FLOAT, INTEGER, STRING
+from stereophd.io.tables.schemas import STRING
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.batch.names import expand, folder_names
 from stereophd.pipeline.runs.progress import Progress
@@ -234,11 +234,5 @@ def _write_summary(path: Path, rows: Sequence[Mapping[str, Any]], batch: Batch, 
     fields = [pa.field(name, kind, nullable=name not in COMMON) for name, kind in columns.items()]
     with atomic_write(path) as temporary, TableWriter(temporary, pa.schema(fields), metadata) as table:
         if rows:
-            table.append({name: _column([row[name] for row in rows], kind) for name, kind in columns.items()})
-
-
-def _column(values: list[Any], kind: pa.DataType) -> Any:
-    """Return a column as `TableWriter` takes it."""
-    if kind in (INTEGER, FLOAT):
-        return list(values)
-    return ["" if value is None else str(value) for value in values]
+            texts = {name: [str(row[name] or "") for row in rows] for name, kind in columns.items() if kind == STRING}
+            table.append({name: [row[name] for row in rows] for name in columns} | texts)

@@ -33,7 +33,8 @@ def registration_of(
     time_s, rows = tracks.confirmed_rows()
     used = in_window(time_s, options.from_s, options.to_s)
     try:
-        found = register(time_s[used], tracks.position[rows[used]], truth, max_gap_s, freedom)
+        with np.errstate(over="ignore", invalid="ignore"):  # a motion that is none is refused
+            found = register(time_s[used], tracks.position[rows[used]], truth, max_gap_s, freedom)
     except ValueError as error:
         raise InputError(f"{path}: `align`: {error}") from None
     LOGGER.info("tracks aligned with the truth: %s", registration_report(found))

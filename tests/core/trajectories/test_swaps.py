@@ -281,3 +281,6 @@ def test_the_gain_of_a_detection_is_its_likelihood_over_that_of_a_miss() -> None
     assert gains[place] == pytest.approx(np.log(0.9 * density / (0.1 * clutter)), abs=1e-3)
     # the corners are 35 pixels apart
     assert np.isinf(np.delete(gains, place)).all()
+    # of a track that follows nothing rounding may leave what is no covariance
+    wrong = np.diag([-1e4, -1e4, -1e4, 1.0, 1.0, 1.0])
+    assert np.isinf(run.gains(event, state[None], wrong[None])).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,15 +41,10 @@ class Estimates:
         """Return confirmed and tentative estimates as one."""
         if self.tentative is None:
             return self
-        one, other = self, self.tentative
-        return Estimates(
-            np.concatenate([one.track_ids, other.track_ids]),
-            np.concatenate([one.states, other.states]),
-            np.concatenate([one.covariances, other.covariances]),
-            np.concatenate([one.existence, other.existence]),
-            np.concatenate([one.labels, other.labels]),
-            extents=None if one.extents is None else np.concatenate([one.extents, other.extents]),
-        )
+        names = [name for name, values in vars(self).items() if isinstance(values, np.ndarray)]
+        pairs = {name: (getattr(self, name), getattr(self.tentative, name)) for name in names}
+        joined: dict[str, Any] = {name: np.concatenate(pair) for name, pair in pairs.items()}
+        return Estimates(**joined)
 
     def divided(self, confirmed: int) -> Estimates:
         """Return the first estimates, so many of them, with the others as the tentative ones."""

@@ -38,7 +38,9 @@ def can_make(folder: Path) -> bool:
 
 
 def make_folder(folder: Path) -> bool:
-    """Make a folder for this user alone, if it is not there; return whether it is trusted then, or raise OSError."""
+    """Make a folder for this user alone, if it may be; return whether it is trusted, or raise OSError."""
+    if not can_make(folder):
+        return is_trusted(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     folder.mkdir(mode=FOLDER_MODE, exist_ok=True)
     return is_trusted(folder)

@@ -50,6 +50,12 @@ def test_nobody_else_may_write_to_a_place(
         assert can_make(folder) is trusted
 
 
+def test_nothing_is_made_where_others_can_write(tmp_path: Path) -> None:
+    tmp_path.chmod(0o777)
+    assert not make_folder(tmp_path / "kernels")
+    assert not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize("place", [".", ".."])
 def test_another_owner_is_not_trusted(folder: Path, monkeypatch: pytest.MonkeyPatch, place: str) -> None:
     lstat, wanted = os.lstat, os.path.realpath(folder / place)
