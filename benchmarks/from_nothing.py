@@ -152,7 +152,7 @@ def write_paper(seed: int, folder: Path) -> tuple[Camera, ...]:
         place = np.array([-20.0 + 40.0 * k / (count - 1), *(rng.normal(0.0, 3.0, 2) if k else np.zeros(2))])
         pose = {"center": place.tolist(), "rotation_matrix": facing(place, np.array([0.0, 0.0, 75.0]))}
         tree["cameras"][f"cam{k}"] = {**left, "pose": pose}
-    tree["calibration"] = {"reference": "cam0"}
+    del tree["calibration"]
     tree["seed"] = seed
     (folder / "simulated.yaml").write_text(yaml.safe_dump(tree))
     simulate(load_config(folder / "simulated.yaml"), folder / "scene", force=True)
@@ -166,6 +166,7 @@ def write_paper(seed: int, folder: Path) -> tuple[Camera, ...]:
         for time_s, camera, frame, u, v in zip(*columns, strict=True)
     ])  # fmt: skip
     del tree["simulate"]
+    tree["calibration"] = {"reference": "cam0"}
     write_unknown(folder, tree, (1.0 + rng.uniform(-0.05, 0.05, count)).tolist(), True)
     return tuple(config.build(name) for name, config in load_cameras(folder / "scene" / "cameras.yaml").cameras.items())
 
