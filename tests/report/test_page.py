@@ -177,7 +177,6 @@ def test_paths_are_sorted_thinned_and_broken_at_gaps() -> None:
     assert paths.starts.tolist() == [0, 2, 5]
     # of two rows of one time the last one counts
     assert paths.columns["x"].tolist() == [1, 3, 0, 4, 5]
-    assert paths.positions_at(1, np.array([1.5, 40.0]))[:, 0] == pytest.approx([2.0, np.nan], nan_ok=True)
     long = Paths(np.array([0]), np.array([0, 1000]), {"time_s": np.append(np.arange(999.0), 5000.0)})
     few = thinned(long, 100)
     assert len(few.times) < 120

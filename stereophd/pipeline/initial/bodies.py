@@ -22,6 +22,7 @@ from stereophd.core.bodies.boxes import Boxes, boxes_of
 from stereophd.core.bodies.outline import BOTTOM, TOP, WIDTH, U
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.numerics.random_streams import GROUND_SEED
 from stereophd.pipeline.build import build_bodies
 from stereophd.pipeline.initial.template import Choice, rounded
 from stereophd.pipeline.tracking.loop import run_estimator
@@ -190,7 +191,7 @@ def _rays(values: Array, camera: Camera) -> Array:
 
 def _plane(places: Array, height: float, up: Array | None, true_share: float) -> tuple[Array, Array] | None:
     """Return a point of the plane of the middles and its upward normal; None where they lie in none."""
-    generator = np.random.default_rng(0)
+    generator = np.random.default_rng(GROUND_SEED)
     best: Booleans = np.zeros(len(places), dtype=np.bool_)
     normals = [] if up is None else [up]
     for _ in range(PLANES):

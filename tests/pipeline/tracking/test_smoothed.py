@@ -63,7 +63,7 @@ def test_a_track_that_leaps_is_smoothed_from_its_detections_alone(log: Path) -> 
     detections = claims.detections_of(track, run)
     assert np.count_nonzero(detections != NONE) > 20
     labels = np.array([record.first_label for record in whole])
-    (right,) = _smoothed([(track, label)], claims, run, labels)
+    (right,) = _smoothed([(track, label)], claims, run, labels, chains=True)
     middle = len(track.events) // 2
     states = track.states.copy()
     states[middle : middle + 4, :3] += 0.2 * np.linalg.norm(states[middle, :3] - cameras[0].pose.center)

@@ -49,9 +49,17 @@ class Scripted:
         return new, info, objects(confirmed, objects(tentative) if tentative else None)
 
 
-def events(count: int) -> list[SimpleNamespace]:
+class Instant(SimpleNamespace):
+    """An event of which the script alone says what it shows."""
+
+    def within(self, rig: SimpleNamespace) -> Instant:
+        return self
+
+
+def events(count: int) -> list[Instant]:
     return [
-        SimpleNamespace(time_s=float(k // 2), camera=k % 2, frame=k // 2, points=[], pixels=None) for k in range(count)
+        Instant(time_s=float(k // 2), camera=k % 2, frame=k // 2, points=[], pixels=None, outside=0)
+        for k in range(count)
     ]
 
 

@@ -110,7 +110,9 @@ def register(
     for number in range(MOST_STEPS):
         fit = residuals(registration, time_s, positions, truth, max_gap_s)
         if len(fit.rows) < LEAST_ESTIMATES:
-            raise ValueError(f"expected {LEAST_ESTIMATES} or more estimates at times of the truth, fit {len(fit.rows)}")
+            raise ValueError(
+                f"expected {LEAST_ESTIMATES} or more estimates at times of the truth, found {len(fit.rows)}"
+            )
         weights = np.ones(len(fit.rows)) if number < EQUAL_STEPS else fit.weights
         jacobian = fit.jacobian[:, :, columns]
         # all columns of one size, those of the rotation together: what the estimates leave open then stays as it is
