@@ -71,7 +71,7 @@ def test_a_track_that_leaps_is_smoothed_from_its_detections_alone(log: Path) -> 
     unseen = detections.copy()
     unseen[middle : middle + 4] = NONE
     kept = ~np.isin(claims.detections, detections[middle : middle + 4])
-    (found,) = _smoothed([(leaping, label)], claims.take(kept), run, labels)
+    (found,) = _smoothed([(leaping, label)], claims.take(kept), run, labels, chains=True)
     part = found.take(slice(len(found.events) - len(track.events), None))
     assert not _is_worse(part, leaping, unseen, run)
     there = right.take(slice(len(right.events) - len(track.events), None))
