@@ -222,3 +222,16 @@ def test_lines_of_documents_are_at_most_120_characters(document: Path) -> None:
         if len(line) > 120 and not code and not line.lstrip().startswith(("|", "$$", "![", "```")):
             long.append(number)
     assert long == []
+
+
+def test_rooms_that_docstrings_name_are_there() -> None:
+    """``core.multi.swaps.swap_test`` in backticks is a room or a module, or stands in one."""
+    lost, package = [], ROOT / "stereophd"
+    for path in package.rglob("*.py"):
+        for name in re.findall(r"`(?:stereophd\.)?((?:core|io|pipeline|multi)(?:\.\w+)+)`", path.read_text()):
+            parts = name.split(".")
+            places = [place.joinpath(*parts) for place in (package, package / "core")]
+            files = [file for place in places for file in (place, place.parent, place.parent.parent)]
+            if not any(place.is_dir() for place in places) and not any(f.with_suffix(".py").exists() for f in files):
+                lost.append(f"{path.relative_to(package)}: {name}")
+    assert not lost

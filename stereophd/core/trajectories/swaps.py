@@ -2,7 +2,7 @@
 
 A filter decides from the past alone. Where objects are near one another and seldom seen it takes one for its neighbour
 for an event or two, above all at the first frames, when it knows neither depth nor velocity. The smoother knows what
-follows, but it keeps the decision. (`core.multi.crosswise.swap` decides the same while the filter
+follows, but it keeps the decision. (`core.multi.swaps.swap_test` decides the same while the filter
 runs.) Here all detections of each track decide, by two proposals:
 
 1. *Windows.* At every event each track is predicted from its detections before and after, without those in a window

@@ -13,7 +13,7 @@ the swap is ahead by more than a threshold, the tracks take its Gaussians, and t
 Track swaps that remain in a whole run are decided in `core.trajectories.swaps`.
 
 The cost is bounded: only pairs in one epipolar plane are tested, of which both crosswise intersections lie before the
-cameras (`multi.crosswise.epipolar_pairs`); both explanations are followed from the last detections backwards, and
+cameras (`core.multi.swaps.epipolar_pairs`); both explanations are followed from the last detections backwards, and
 given up once the swap is `LATEST` nats behind; a pair that is far from a swap is left alone for a while; at
 most `MOST_TESTS` an event.
 """
