@@ -165,10 +165,12 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
     warn = recording.warnings.append
     if summaries and recording.cameras:
         for name in sorted(summaries.keys() - recording.cameras.keys()):
+            meant = next((known for known in recording.cameras if known in name), "NAME")
             warn(
-                f"camera {name} has detections, but the cameras ({', '.join(recording.cameras)}) have none of that name"
+                f"camera {name} has detections, but the cameras ({', '.join(recording.cameras)}) have none of that "
+                f"name (`rename` {name}={meant})"
             )
-        for name in recording.cameras.keys() - summaries.keys():
+        for name in sorted(recording.cameras.keys() - summaries.keys()):
             warn(f"camera {name} has no detections (the log has {', '.join(summaries)})")
     for name, summary in summaries.items():
         if not summary.detections:
