@@ -87,14 +87,16 @@ def ready(tmp_path_factory: pytest.TempPathFactory) -> Path:
         "wednesday",
         "day",
         "detections",
+        "recording/detections",
         "runs/run-1/detections",
         "runs/run-2/detections",
     ):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         shutil.copy(log, folder / f"{name}.parquet")
-    for name in ("truth", "runs/run-1/truth", "runs/run-2/truth"):
+    for name in ("truth", "recording/truth", "runs/run-1/truth", "runs/run-2/truth"):
         shutil.copy(truth, folder / f"{name}.parquet")
-    shutil.copytree(folder / "out" / "tracked", folder / "tracks")
+    for name in ("tracks", "study/tracks"):
+        shutil.copytree(folder / "out" / "tracked", folder / name)
     return folder
 
 
