@@ -50,6 +50,9 @@ def run_live(
             mcap.close()
     if session.quiet:
         return
+    if not done["frames"]["frames"]:
+        typer.echo("no frame came: did the program that sends them fail?", err=True)
+        return
     latency, processor = done["latency_ms"], done["processor_ms"]
     typer.echo(
         f"{done['frames']['frames']} frames, {done['late_frames']} of them late ({done['revised_events']} events "
