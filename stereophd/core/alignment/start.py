@@ -110,6 +110,17 @@ def fits_to(curves: list[Curve], control: Truth, max_gap_s: float, freedom: Free
     return out
 
 
+def turns_between(products: Array) -> tuple[Array, Array, Array]:
+    """Return the rotations L R nearest to sums of products b a^T (n, 3, 3) as L and R, and how well they agree (n,).
+
+    With the sum of squares of a, the agreement over it is the scale of the best similarity from a to b.
+    """
+    left, sizes, right = np.linalg.svd(products)
+    signs = np.ones((len(sizes), 3))
+    signs[:, 2] = np.sign(np.linalg.det(left @ right))
+    return left * signs[:, None], right, (signs * sizes).sum(axis=1)
+
+
 def _fit(
     number: int,
     a: tuple[Array, Booleans],
@@ -139,16 +150,14 @@ def _fit(
     used = used & (count >= max(LEAST_CELLS, LEAST_COMMON * shorter)) & (np.minimum(spread_a, spread_b) > 0.0)
     if not used.any():
         return None
-    left, sizes, right = np.linalg.svd(np.swapaxes(cross[used], 1, 2))
-    signs = np.ones((len(sizes), 3))
-    signs[:, 2] = np.sign(np.linalg.det(left @ right))
-    agreement, spread_a, spread_b = (signs * sizes).sum(axis=1), spread_a[used], spread_b[used]
+    left, right, agreement = turns_between(np.swapaxes(cross[used], 1, 2))
+    spread_a, spread_b = spread_a[used], spread_b[used]
     scales = agreement / spread_a if any_scale else np.ones(len(agreement))
     left_over = 1.0 + (scales**2 * spread_a - 2.0 * scales * agreement) / spread_b
     unexplained = np.maximum(left_over, LEAST_UNEXPLAINED)
     gains = -np.log(unexplained) * count[used] * step
     best = int(gains.argmax())
-    rotation, scale = left[best] * signs[best] @ right[best], float(scales[best])
+    rotation, scale = left[best] @ right[best], float(scales[best])
     if scale <= 0.0:
         return None
     place = np.flatnonzero(used)[best]

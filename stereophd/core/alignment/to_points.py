@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from stereophd.core.alignment.start import turns_between
 from stereophd.core.alignment.to_track import MOST_ROTATION, MOST_SCALE, Alignment
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
@@ -143,7 +144,7 @@ def _triangulated(cameras: Sequence[Camera], points: ControlPoints) -> Array:
 
 
 def _similarity(places: Array, points: ControlPoints, any_scale: bool) -> Registration:
-    """Return the similarity from triangulated points to their places (S. Umeyama, PAMI 1991)."""
+    """Return the similarity from triangulated points to their places."""
     both = points.is_complete & np.isfinite(places).all(axis=1)
     if both.sum() < LEAST_POINTS:
         raise ValueError(
@@ -153,10 +154,9 @@ def _similarity(places: Array, points: ControlPoints, any_scale: bool) -> Regist
     widths = np.linalg.svd(b, compute_uv=False)
     if widths[1] < LEAST_WIDTH * widths[0]:
         raise ValueError("the points are on one straight line, which leaves the rotation about it open")
-    left, sizes, right = np.linalg.svd(b.T @ a)
-    signs = np.array([1.0, 1.0, np.sign(np.linalg.det(left @ right))])
-    rotation = left * signs @ right
-    scale = float(signs @ sizes / (a**2).sum()) if any_scale else 1.0
+    left, right, agreement = turns_between((b.T @ a)[None])
+    rotation = left[0] @ right[0]
+    scale = float(agreement[0] / (a**2).sum()) if any_scale else 1.0
     translation = points.places[both].mean(axis=0) - scale * rotation @ places[both].mean(axis=0)
     return Registration(rotation, translation, scale, 0.0, 0.0, 1.0, int(both.sum()))
 
@@ -171,7 +171,7 @@ def _normal_equations(
     seen: Booleans = np.asarray(np.isfinite(projected).all(axis=1), dtype=np.bool_)
     errors = np.where(seen[:, None], points.pixels - projected, 0.0) / points.sigma_px[:, None]
     distances = np.linalg.norm(errors, axis=1)
-    # Cauchy weights: a pixel that was given another point's name has none
+    # Cauchy weights: a pixel that was given another point's name counts little
     deviations = points.sigma_px * np.sqrt(
         1.0 + (distances / max(REACH * float(np.median(distances)), LEAST_REACH)) ** 2
     )
@@ -198,8 +198,7 @@ def _normal_equations(
     by_world = np.zeros((len(places), 3, size + 7))
     by_world[:, :, size:] = np.nan_to_num(derivatives(moved_places - center, missed, 0.0 * missed[:, 0]))[:, :, :7]
     weighted = weights[:, :, None] * by_world
-    square, mixed, right = np.zeros((len(places), 3, 3)), turned.T @ weighted, (weights * missed) @ turned
-    square += turned.T @ (weights[:, :, None] * turned)
+    square, mixed, right = turned.T @ (weights[:, :, None] * turned), turned.T @ weighted, (weights * missed) @ turned
     np.add.at(square, points.point, np.swapaxes(by_place, 1, 2) @ by_place)
     np.add.at(mixed, points.point, np.swapaxes(by_place, 1, 2) @ by_value)
     np.add.at(right, points.point, np.einsum("nij,ni->nj", by_place, errors))

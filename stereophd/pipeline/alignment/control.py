@@ -57,19 +57,20 @@ def read_control(path: Path, cameras: Sequence[Camera]) -> Control | ControlPoin
     InputError when the table is not usable: columns, values that are not finite, times that do not increase, several
     objects, fewer than six rows, names that no camera has, cameras that move.
     """
-    is_text = path.suffix.lower() == ".csv"
-    if is_text:
-        names = split_line((first_lines(path, 1) or [""])[0])
+    separator = None
+    if path.suffix.lower() == ".csv":
+        head = (first_lines(path, 1) or [""])[0]
+        separator, names = separator_of(head), split_line(head)
     else:
         with open_parquet(path, "control track") as parquet:
             names = parquet.schema_arrow.names
     if "u_px" in names:
         if lost := [name for name in PLACE if name not in names]:
             raise InputError(f"{path}: missing columns {', '.join(lost)} of points, or {', '.join(PLACE)} of a track")
-        return _points(path, _table(path, is_text, names, POINTS, POINTS_OPTIONAL), cameras)
+        return _points(path, _table(path, separator, names, POINTS, POINTS_OPTIONAL), cameras)
     columns = GEOGRAPHIC if set(GEOGRAPHIC) <= set(names) else PLACE
     optional = {"std": FLOAT, "object_id": pa.int64()}
-    table = _table(path, is_text, names, dict.fromkeys(("time_s", *columns), FLOAT), optional)
+    table = _table(path, separator, names, dict.fromkeys(("time_s", *columns), FLOAT), optional)
     values = {name: np.array(table[name], dtype=np.float64) for name in table.column_names}
     for name in ("time_s", *columns, *(["std"] if "std" in values else [])):
         bad = np.flatnonzero(~np.isfinite(values[name]) | (values[name] <= 0.0 if name == "std" else False))
@@ -94,14 +95,13 @@ def read_control(path: Path, cameras: Sequence[Camera]) -> Control | ControlPoin
 
 
 def _table(
-    path: Path, is_text: bool, names: list[str], required: Mapping[str, Any], optional: Mapping[str, Any]
+    path: Path, separator: str | None, names: list[str], required: Mapping[str, Any], optional: Mapping[str, Any]
 ) -> pa.Table:
-    """Read columns of a Parquet or CSV table, checked and in their types."""
-    if not is_text:
+    """Read columns of a Parquet table, or of a text of this separator, checked and in their types."""
+    if separator is None:
         return read_table(path, required, optional, "control track")
     kinds = {name: kind for name, kind in {**required, **optional}.items() if name in names}
     check_columns(pa.schema([(name, kinds.get(name, pa.null())) for name in names]), required, optional, path)
-    separator = separator_of(first_lines(path, 1)[0])
     batches = list(read_batches(path, separator, kinds, str(path)))
     return checked_table(pa.Table.from_batches(batches, pa.schema(kinds)), required, optional, path)
 
