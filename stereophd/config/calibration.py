@@ -143,7 +143,7 @@ class ControlConfig(Model):
 
 
 def _parse_control(value: Any) -> Any:
-    """Turn the name of a file into that of a track; its columns say what it is."""
+    """Turn the name of a file into that of a track; the columns of the file decide whether it holds points."""
     return {"track": value} if isinstance(value, str) else value
 
 

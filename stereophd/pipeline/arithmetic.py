@@ -1,4 +1,4 @@
-"""What a computation says that has gone beyond the precision of the arithmetic."""
+"""The error of a computation that went beyond the precision of the arithmetic."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def reduce_hypotheses(
 ) -> tuple[Hypotheses, Integers]:
     """Drop and bound the hypotheses of tracks, and let the tracks exclude each other.
 
-    The hypotheses are in any order; `reported` (t,) says whether each track has been reported, and `up` (3,) is the
+    The hypotheses are in any order; `reported` (t,) is True for tracks that have been reported, and `up` (3,) is the
     axis of the bodies. Returns the hypotheses of the tracks that are kept, numbered anew, and those tracks.
     """
     owners, weights, n_tracks = hypotheses.owners, hypotheses.weights, len(reported)

@@ -63,7 +63,8 @@ def exclusive_existence(existence: Array, states: Array, covariances: Array, rep
 
     Of a pair whose axes are closer than `CLOSEST` allows with probability 1 - q, both exist with a probability reduced
     by the factor q. Each body in turn, the least probable first, takes what that leaves of it and of the other one.
-    States are (n, 8), their covariances (n, 8, 8); `reported` (n,) says whether each has been reported; `up` is (3,).
+    States are (n, 8), their covariances (n, 8, 8); `reported` (n,) is True for those that have been reported; `up` is
+    (3,).
     """
     if len(existence) < 2:
         return existence

@@ -107,7 +107,7 @@ class Outcome:
     reason: str = ""  # Why nothing was found; empty if something was
     doubt: str = ""  # Why the posterior is not to be trusted; empty if it may be
     fit: Fit | None = None  # Trajectories and residuals, of method annealed
-    remarks: tuple[Remark, ...] = ()  # What has to be said of the answer
+    remarks: tuple[Remark, ...] = ()  # On the answer, for the report
     moves: TrackMoves | None = None  # How tracks move with the values, of method annealed
     world: World | None = None  # That of the control track
     details: dict[str, Any] = field(default_factory=dict)  # For the report

@@ -62,8 +62,8 @@ class World:
 def with_control(task: Task, fit: Fit, control: WorldControl) -> tuple[Fit, World]:
     """Adjust the values of a fit, and its trajectories, to a control too.
 
-    The alignment of the fit says which object a track is of, and where the world is. Raises ValueError where the
-    control does not determine the world.
+    The alignment of the fit determines which object the track belongs to, and where the world is. Raises ValueError
+    where the control does not determine the world.
     """
     cameras = task.parameters.build(fit.adjustment.values)
     resized = not control.any_scale and scale_is_free(task.parameters) and can_be_enlarged(cameras, task.reference)

@@ -80,7 +80,7 @@ class Choices:
 
 @dataclass(frozen=True)
 class Remark:
-    """Something about the answer that has to be said."""
+    """A remark on the answer, for the report."""
 
     # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `starts`, `control` or `time`
     topic: str
@@ -301,7 +301,7 @@ def problem_of_answer(task: Task, answer: Answer) -> Problem:
 
 
 def widened(task: Task, answer: Answer) -> tuple[Answer, tuple[Remark, ...]]:
-    """Widen the covariance of an answer by what stretches of the log disagree, and say so where it is much."""
+    """Widen the covariance of an answer by the disagreement of stretches of the log, with a remark if that is large."""
     problem = problem_of_answer(task, answer)
     more, factor = disagreement_of_stretches(problem, answer.fit.adjustment, answer.noise_factor)
     adjustment = answer.fit.adjustment
@@ -354,7 +354,7 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
 
 
 def motion_remarks(answer: Answer) -> tuple[Remark, ...]:
-    """Say where the noise of the motion is far from what is stated."""
+    """Return a remark if the noise of the motion is far from the stated one."""
     if abs(np.log(answer.noise_factor)) <= np.log(MOTION_FACTOR):
         return ()
     text = (
@@ -392,7 +392,7 @@ def freed_remarks(given_up: list[tuple[EnlargedSet, Suspicion]]) -> tuple[Remark
 
 
 def held_remarks(enlarged: EnlargedSet, suspicions: list[Suspicion]) -> tuple[Remark, ...]:
-    """Say what the data contradict of what the answer holds, and on what it depends too much."""
+    """Return remarks on values that the answer holds: those that the data contradict, and those it depends on."""
     remarks = []
     contradicted = next((s for s in suspicions if s.is_contradicted), None)
     if contradicted is not None:

@@ -6,10 +6,10 @@ its pixel by position and values, and its noise R_c,
 
     dx / dv = -(sum_c w_c F_c)^-1 sum_c w_c H_c^T R_c^-1 V_c,     F_c = H_c^T R_c^-1 H_c.
 
-The weights w_c say how many detections of each camera the estimate rests on. They are found from its covariance P: the
-non-negative ones for which sum_c w_c F_c is nearest to P^-1, in units of P. Estimates of filters, of smoothers and of
-predictions are treated alike, and nothing of their past is needed. (S. F. Schmidt, "Application of state-space methods
-to navigation problems", 1966, for parameters that are considered but not estimated.)
+The weight w_c is the number of detections of camera c on which the estimate rests. The weights follow from its
+covariance P: the non-negative ones for which sum_c w_c F_c is nearest to P^-1, in units of P. Estimates of filters, of
+smoothers and of predictions are treated alike, and nothing of their past is needed. (S. F. Schmidt, "Application of
+state-space methods to navigation problems", 1966, for parameters that are considered but not estimated.)
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ def ospa(x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: Arr
     """Return the OSPA distance between two sets of points, and its parts, as zero-dimensional arrays.
 
     Estimates `x` are (m, d), the truth `y` is (n, d); either may be empty, and all parts are zero when both are. The
-    order p >= 1 says how much outliers weigh; the cutoff c > 0 is the cost of a missed or false object, in the unit of
+    order p >= 1 sets the weight of outliers; the cutoff c > 0 is the cost of a missed or false object, in the unit of
     the distances. Base distances (m, n) are given when they are not Euclidean (Mahalanobis, or between whole tracks).
     Raises ValueError for an order or cutoff out of range, a wrong shape, or a distance that is not finite.
     """

@@ -80,7 +80,7 @@ class Registration:
 
 @dataclass(frozen=True)
 class Residuals:
-    """How far estimates are from the truth, and what moves them; `register` says which estimates."""
+    """Distances of the estimates that `register` uses from the truth, and their derivatives."""
 
     rows: Integers  # (r,): Estimates that have a true object at their time
     center: Array  # (3,): Middle of the moved estimates, about which they are turned and scaled
@@ -96,8 +96,8 @@ def register(
     """Find the motion and the map of time that bring estimates nearest to the truth, within what `freedom` allows.
 
     Estimates at times (n,), s, never decreasing, have positions (n, 3); intervals of the truth longer than `max_gap_s`
-    are not interpolated over. Frames and clocks nearly agree, or `start` says how they do not. Raises ValueError when
-    fewer than six estimates have a true object at their time, or the clocks cannot be reconciled.
+    are not interpolated over. Frames and clocks nearly agree, or `start` brings them near each other. Raises ValueError
+    when fewer than six estimates have a true object at their time, or the clocks cannot be reconciled.
     """
     chosen = np.unique(np.linspace(0, len(time_s) - 1, min(len(time_s), MOST_ESTIMATES)).astype(np.int64))
     time_s, positions = time_s[chosen], positions[chosen]
