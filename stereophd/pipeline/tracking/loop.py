@@ -149,7 +149,7 @@ class Estimator(Protocol[State]):
 class Attribution:
     """Detections of each label: counts until the label is reported as a track."""
 
-    # Label -> camera -> detections, of the labels that are not reported yet.
+    # Label -> camera -> detections, of the labels that are not reported yet; counts are replaced, never changed.
     pending: dict[int, dict[str, int]] = field(default_factory=dict)
 
     def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, dict[str, int]]:
@@ -159,7 +159,7 @@ class Attribution:
             if counts is None:
                 self.pending[label] = {camera: 1}
             else:
-                counts[camera] = counts.get(camera, 0) + 1
+                self.pending[label] = counts | {camera: counts.get(camera, 0) + 1}
         tracks = zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True)
         return {track_id: self.pending.pop(label) for track_id, label in tracks if label in self.pending}
 
