@@ -5,8 +5,6 @@ Filters of many objects (`stereophd.core.multi.base.DisparityFilter`) and estima
 depends on: with it and the events that follow, another process gives the records of an uninterrupted run.
 """
 
-from __future__ import annotations
-
 import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping
