@@ -1,7 +1,5 @@
 """Read Parquet tables with checks: every way in which a file can be wrong is a clear `InputError`."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Output folders of `track`, `calibrate` and `evaluate`, read back and put together: what a report shows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path

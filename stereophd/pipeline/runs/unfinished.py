@@ -7,8 +7,6 @@ table; it counts as far as the state says that was written after it. States are 
 Everything in the folder is data (`stereophd.io.outputs.saved`). It goes when the results come into their places.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shutil
