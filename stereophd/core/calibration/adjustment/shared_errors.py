@@ -24,7 +24,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import Observations
-from stereophd.core.calibration.adjustment.solver import solve
+from stereophd.core.calibration.adjustment.solver import least_damped_step
 from stereophd.core.calibration.adjustment.trajectories import positions
 from stereophd.core.numerics.compilation.compiled import compiled
 
@@ -141,7 +141,8 @@ def remaining_errors(linearisation: Linearisation, values: Array, states: Array,
         path.weights, linearisation.columns, normal_equations.SQUARED, 1.0, np.zeros((12, size)),
         np.zeros((size, count)), np.zeros((count, count)), state_vector, value_vector, np.zeros(len(observations)),
     )  # fmt: skip
-    value_step, state_step = solve(replace(equations, state_vector=state_vector, value_vector=value_vector), DAMPING)
+    equations = replace(equations, state_vector=state_vector, value_vector=value_vector)
+    value_step, state_step = least_damped_step(equations, DAMPING)
     moved = positions(state_step.reshape(states.shape), path.knot, path.weights, np.zeros((len(errors), 3)))
     left = errors - np.einsum("nij,nj->ni", by_point, moved)
     for columns, here in zip(linearisation.columns, linearisation.members, strict=True):
