@@ -1,7 +1,5 @@
 """Bring cameras and tracks into a world frame: that of a control track, the floor, gravity, or one of the cameras."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from pathlib import Path

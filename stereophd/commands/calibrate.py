@@ -1,7 +1,5 @@
 """Calibrate cameras from a detection log: poses with their posterior, history, tracks and a report."""
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import math

@@ -1,7 +1,5 @@
 """Compile the kernels of `track` and keep them, so that later runs find them."""
 
-from __future__ import annotations
-
 import logging
 from typing import Any
 

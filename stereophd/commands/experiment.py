@@ -5,8 +5,6 @@ the number of workers, to the bit, and all methods see the same data. Finished r
 all are done.
 """
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Bring detections and cameras of another program into native files."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict

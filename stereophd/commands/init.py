@@ -1,7 +1,5 @@
 """Write a commented configuration for a log and its cameras, each value with its source."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import replace

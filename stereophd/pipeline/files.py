@@ -1,7 +1,5 @@
 """Logs and camera files for programs: read into objects, and written from them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal

@@ -9,8 +9,6 @@ Conventions: a box is left, top, width, height measured from the corner of the t
 by half a pixel; keypoints are pixel indices and stay as they are. The whole file is held in memory, as JSON needs.
 """
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterator, Mapping, Sequence

@@ -8,8 +8,6 @@ are numbered in the order of the columns; `least_score` leaves out those of a sm
 Conventions: pixel (0, 0) is the top-left pixel, taken as its centre. Every frame of the video has a row.
 """
 
-from __future__ import annotations
-
 import io
 import pickle
 import re

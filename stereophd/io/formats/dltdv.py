@@ -13,8 +13,6 @@ a skew; it is moved into the points, which is exact. A left-handed world is reco
 cameras; its z axis is reversed. Points in space (``...xyzpts.csv`` with columns ``pt1_X``) are the truth.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace

@@ -7,8 +7,6 @@ Conventions: the world is the first camera; pixels and camera axes are the nativ
 ``pinhole`` with ``radtan`` (OpenCV's k1, k2, p1, p2), ``equidistant`` (OpenCV's fisheye) or ``none``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -10,8 +10,6 @@ Identity -1 is none. Time is (frame - 1) / rate, frame numbers stay as they are.
 in columns 8 to 10 and boxes of -1; a frame is a reported time, counted from 1.
 """
 
-from __future__ import annotations
-
 import configparser
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -7,8 +7,6 @@ leaves out points of a smaller score.
 Conventions: (0, 0) is the centre of the top-left pixel. Every frame is in the file; frames without points are empty.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -10,8 +10,6 @@ middle of the box, whose width and height are kept, or the middle of its lower s
 are taken.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ A log is a Parquet file with one row per detection (`docs/reference/formats.md`)
 memory does not depend on its length; what is wrong with a row is an error or a counted, dropped row.
 """
 
-from __future__ import annotations
-
 import heapq
 import logging
 import math

@@ -1,7 +1,5 @@
 """Control: where one of the objects truly was, on a clock of its own, or points of known place in the images."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

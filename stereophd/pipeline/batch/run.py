@@ -4,8 +4,6 @@ Any fault of one input is a row of the summary and stops no other. The files do 
 in which order the inputs are done, nor on workers that die.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os

@@ -1,7 +1,5 @@
 """Tracks in the frame and on the clock of the truth, if the options of an evaluation state it."""
 
-from __future__ import annotations
-
 import logging
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Do tracks and truth belong together? The default cutoff, and warnings where they come from different scenes."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Where a long log is cut into pieces, and how long before its own span each piece is tracked."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass

@@ -6,8 +6,6 @@ probability 1, and all other claims of a track at an event at which its detectio
 of others to that detection, if the track is written. All other claims stay those of the filter.
 """
 
-from __future__ import annotations
-
 import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set

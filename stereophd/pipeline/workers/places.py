@@ -4,8 +4,6 @@ All three call a function of a module for each of some arguments and yield the r
 does not depend on where they were made. `complete` continues when workers die.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
