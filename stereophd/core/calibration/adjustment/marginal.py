@@ -1,7 +1,7 @@
 """The marginal posterior of the cameras: trajectories integrated out, the noise of their motion unknown.
 
-The adjustment finds the joint maximum J(v) = min_x cost(v, x) of values v and knots x. Where trajectories have many
-unknowns that the detections constrain weakly (objects that manoeuvre), the joint maximum is biased in the quantities
+The adjustment finds the joint maximum J(v) = min_x cost(v, x) of values v and knots x. Where objects manoeuvre, their
+trajectories add many values that the detections constrain only weakly, and the joint maximum is biased in quantities
 that stretch the scene: rotations about the vertical, focal lengths. Integrating out the knots (Laplace's method) adds
 the terms of the volume,
 
