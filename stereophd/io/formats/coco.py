@@ -1,4 +1,4 @@
-"""COCO: detections in JSON, as annotations (``images``, ``annotations``) of one camera a file or of several in one.
+"""COCO: detections in JSON, as annotations (``images``, ``annotations``) of one camera per file or of several in one.
 
 A camera is the folder in an image's ``file_name`` where there are several folders, else the file. The frame is the
 image's ``frame_id`` (or ``frame_index``), else the last number in its file name, else its place among the images.

@@ -30,6 +30,11 @@ def find(name: str, readable: bool = False) -> Format:
     return form
 
 
+def description(name: str) -> str:
+    """Return what the module of a format says of it; empty of a format that does not exist."""
+    return (import_member(PACKAGE, name).__doc__ or "") if name in names() else ""
+
+
 def recognise_cameras(path: Path) -> str | None:
     """Return the name of the format of a foreign camera file, by its content, or None if there is none."""
     return next((name for name in names() if recognises(find(name), path)), None)

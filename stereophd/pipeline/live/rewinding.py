@@ -124,4 +124,4 @@ def copy_of(run: RunState[Any]) -> RunState[Any]:
         claimed=dict(waiting.claimed),
         pending={label: list(rows) for label, rows in waiting.pending.items()},
     )
-    return replace(run, attribution=Attribution(run.attribution.pending), associations=associations)
+    return replace(run, attribution=Attribution(dict(run.attribution.pending)), associations=associations)

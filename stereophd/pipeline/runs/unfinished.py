@@ -179,6 +179,8 @@ def finished_report(folder: Path | str, record: Mapping[str, Any], force: bool) 
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
+        if force:
+            return None
         raise InputError(f"{path}: cannot be read ({error}); use `force=True` to start anew") from error
     if isinstance(report, dict) and report.get("provenance") == record:
         return report

@@ -145,17 +145,17 @@ class Estimator(Protocol[State]):
 class Attribution:
     """Detections of each label: counts until the label is reported as a track."""
 
-    # Label -> camera -> detections, of the labels that are not reported yet.
+    # Label -> camera -> detections, of the labels that are not reported yet; counts are replaced, never changed.
     pending: dict[int, dict[str, int]] = field(default_factory=dict)
 
-    def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, dict[str, int]]:
+    def update(self, camera: str, detected: Iterable[int], estimates: Estimates) -> dict[int, dict[str, int]]:
         """Count the labels that an event of a camera detected; return what falls to the reported tracks."""
-        for label in detected.tolist():
+        for label in detected:
             counts = self.pending.get(label)
             if counts is None:
                 self.pending[label] = {camera: 1}
             else:
-                counts[camera] = counts.get(camera, 0) + 1
+                self.pending[label] = counts | {camera: counts.get(camera, 0) + 1}
         tracks = zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True)
         return {track_id: self.pending.pop(label) for track_id, label in tracks if label in self.pending}
 
@@ -217,7 +217,10 @@ def work_event(
     if times.region is not None and not times.whole_run:
         labels, estimates = estimates.labels, estimates.inside(times.region)
         outside = int(np.isin(info.detected, np.setdiff1d(labels, estimates.labels)).sum())
-    attributed = run.attribution.update(name, info.detected, estimates)
+    # most newborns are other detections of known objects, and gone at once
+    alive = set(run.estimator.labels.tolist())
+    detected = [label for label in info.detected.tolist() if label < first_label or label in alive]
+    attributed = run.attribution.update(name, detected, estimates)
     estimates = _supported(estimates, run, len(cameras))
     associations = run.associations.update(event, name, info.claims)
     if info.claims is not None and (times.whole_run or times.after(name)):
