@@ -7,8 +7,6 @@ These warnings are about the command line. They are no findings about the data, 
 them.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from stereophd.cli.options import Session

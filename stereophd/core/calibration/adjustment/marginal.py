@@ -43,8 +43,6 @@ mean; the information of z ~ N(0, 1 + b) about u is 2 w^2. The covariance is wid
 scenes of manoeuvring objects one direction of 17 has up to twice the information, the others 0.95 to 1.14 times.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
