@@ -46,8 +46,6 @@ times the change of the knots' weights with time. The normal equations believe t
 and state clocks up to four times too sure. `exact_covariance` differentiates the gradient of the objective instead.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace

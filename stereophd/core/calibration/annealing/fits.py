@@ -1,7 +1,5 @@
 """Adjustments of cameras and trajectories to detections: to paired tracks, to the tracks of a filter, to fits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

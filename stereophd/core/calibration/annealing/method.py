@@ -6,8 +6,6 @@ holds is tested (`adjustment.suspicions`). Where the noise is another, or a cont
 answer is stated anew under the better model, until nothing changes. What remains in doubt is a remark.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, replace
 
