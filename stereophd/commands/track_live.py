@@ -6,8 +6,6 @@ does: the files are those of that command, to the byte, however the frames arriv
 a checkpoint, and all of them come into their places together.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools

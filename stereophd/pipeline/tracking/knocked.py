@@ -15,8 +15,6 @@ together, and stay so while they brake: the ratios are divided by the factor by 
 spreads more than that of independent ones.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from functools import cache
