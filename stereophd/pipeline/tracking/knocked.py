@@ -29,8 +29,8 @@ from stereophd.core.two_views.turns import all_turns, turn_ratios
 
 # Mean time between two false alarms, s, if the model holds: ten days.
 FALSE_ALARM_S = 864_000.0
-# Shortest time between two looks at a camera, s; tracks of a look, the most certain ones; the fewest that must agree.
-LOOK_S, MOST_TRACKS, FEWEST_TRACKS = 0.035, 10, 2
+# Most looks a second at all cameras; tracks of a look, the most certain ones; the fewest that must agree.
+MOST_LOOKS, MOST_TRACKS, FEWEST_TRACKS = 80.0, 10, 2
 # Pairs of a track and a detection of a look: in a crowd fewer tracks are predicted.
 MOST_PAIRS = 20_000
 # Age from which a track counts, s: a new one may be wrong.
@@ -111,7 +111,7 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     known = test.cameras.get(name, CameraLooks())
     if test.is_over or not len(before.track_ids) or before.extents is not None:
         return test, None
-    if event.time_s < known.looked_s + LOOK_S or not len(event.points):
+    if event.time_s < known.looked_s + len(cameras) / MOST_LOOKS or not len(event.points):
         return test, None
     camera = cameras[event.camera].at(event.time_s)
     predicted = _predict(camera, before, event.time_s - since_s)
@@ -154,7 +154,7 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
         lasting = alone if lasting is None else LASTING * lasting + math.sqrt(1.0 - LASTING**2) * alone
         together = np.array([lasting @ lasting])
     coherence = _followed(known.coherence, together / known.coherence, MEDIAN, known.looks)
-    ratio, suspicion = _suspicion(sums, rising_s, _threshold(len(cameras)), event.time_s, known.suspicion)
+    ratio, suspicion = _suspicion(sums, rising_s, _threshold(), event.time_s, known.suspicion)
     looks = CameraLooks(event.time_s, known.looks + 1, spread, lasting, coherence, sums, rising_s, suspicion)
     test = replace(test, cameras={**test.cameras, name: looks})
     return (test, None) if ratio < 1.0 else (KnockTest(is_over=True), _knock(test, cameras, event.time_s))
@@ -211,9 +211,9 @@ def _suspicion(
 
 
 @cache
-def _threshold(cameras: int) -> float:
-    """CUSUM that is exceeded once in `FALSE_ALARM_S` in so many cameras."""
-    return math.log(cameras * len(all_turns().spread) * FALSE_ALARM_S / LOOK_S)
+def _threshold() -> float:
+    """CUSUM that is exceeded once in `FALSE_ALARM_S` by chance."""
+    return math.log(len(all_turns().spread) * FALSE_ALARM_S * MOST_LOOKS)
 
 
 def _predict(camera: Camera, before: Estimates, elapsed_s: float) -> tuple[Integers, Array, Array] | None:
