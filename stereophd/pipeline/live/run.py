@@ -135,7 +135,9 @@ class LiveRun:
             if self._on_grid and message is None:
                 yield from self._predict()
         if not number:
-            raise InputError(f"{source}: expected frames, found none until its end: did the program that sends them fail?")
+            raise InputError(
+                f"{source}: expected frames, found none until its end: did the program that sends them fail?"
+            )
         yield from self._release(np.inf)
         now = time.perf_counter()
         yield from (LiveRecord(record, False, now) for record in self._run.finish())
