@@ -1,8 +1,5 @@
 """Bring detections and cameras of another program into native files."""
 
-from __future__ import annotations
-
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -30,6 +27,7 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.run import QUICK_FRAMES, report_findings
+from stereophd.wording import LOGGER
 
 DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
 TRUTH_FILE = "truth.parquet"
@@ -37,8 +35,6 @@ FILES = (DETECTIONS_FILE, CAMERAS_FILE, TRUTH_FILE, REPORT_FILE)
 REPORT_VERSION = 1
 # A camera's pixels may reach this far outside its image before the size of the image is doubted.
 IMAGE_MARGIN_PX = 10.0
-
-LOGGER = logging.getLogger("stereophd")
 
 
 def import_recording(

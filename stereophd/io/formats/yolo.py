@@ -6,11 +6,9 @@ has no detections. Rows: class, middle (x, y), width, height, and optionally sco
 them with ``save_txt`` and ``save_conf``.
 
 Conventions: places and sizes are shares of the width and the height of the image, from its corner. The detection is the
-middle of the box, whose width and height are kept, or the middle of its lower side (``box_point: bottom``). All classes
+middle of the box, whose width and height are kept, or the middle of its lower side (`box_point` bottom). All classes
 are taken.
 """
-
-from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence

@@ -1,7 +1,5 @@
 """What makes a row of a detection log bad, decided for whole arrays of rows at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any

@@ -4,10 +4,7 @@ A log is a Parquet file with one row per detection (`docs/reference/formats.md`)
 memory does not depend on its length; what is wrong with a row is an error or a counted, dropped row.
 """
 
-from __future__ import annotations
-
 import heapq
-import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -40,8 +37,7 @@ from stereophd.io.logs.order import LogOrder, order_of
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
 from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
 from stereophd.io.tables.writing import ROW_GROUP_ROWS
-
-LOGGER = logging.getLogger("stereophd")
+from stereophd.wording import LOGGER
 
 
 @dataclass(frozen=True, slots=True)

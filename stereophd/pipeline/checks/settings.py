@@ -4,8 +4,6 @@ Depths come from rays that meet, less what chance gives at other times and place
 these depths: across the line of sight, over whole tracks, less what the noise of the detections gives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 

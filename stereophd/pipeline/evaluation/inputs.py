@@ -1,7 +1,5 @@
 """Files that `stereophd.commands.evaluate` reads: tracks and scans, truth, log, cameras."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A live run: messages in, records out, with the time that each took."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import heapq
@@ -19,6 +17,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.build import prepare
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.numerics.random_streams import WARM_UP_SEED
+from stereophd.core.two_views.turns import prepare_turns
 from stereophd.io.logs.reading import Frame
 from stereophd.io.streams.messages import Message
 from stereophd.io.streams.sources import Arrivals
@@ -31,8 +30,8 @@ from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes
 WARM_UP_FRAMES, WARM_UP_INTERVAL_S, WARM_UP_DETECTIONS = 20, 0.02, 4
 # Width and height of their boxes, which filters of points do not read.
 WARM_UP_BOX_PX = 50.0
-# Classes of latencies: to 10 s.
-LATENCY_STEP_S, LATENCY_STEPS = 1e-4, 100_000
+# Classes of durations, from 10 us to 100 s: the least, the ratio of neighbours, and their number.
+SHORTEST_S, CLASS_RATIO, CLASSES = 1e-5, 1.02, 814
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 
 
@@ -46,20 +45,21 @@ class LiveRecord:
 
 
 class Histogram:
-    """Numbers of durations, in steps of `LATENCY_STEP_S`: memory does not grow with them."""
+    """Numbers of durations, in classes of `CLASS_RATIO`: memory does not grow with them."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros(LATENCY_STEPS, dtype=np.int64)
+        self._counts = np.zeros(CLASSES, dtype=np.int64)
 
     def add(self, duration_s: float) -> None:
         """Count a duration."""
-        self._counts[min(int(duration_s / LATENCY_STEP_S), LATENCY_STEPS - 1)] += 1
+        place = int(math.log(max(duration_s / SHORTEST_S, 1.0)) / math.log(CLASS_RATIO))
+        self._counts[min(place, CLASSES - 1)] += 1
 
     def percentiles_ms(self) -> dict[str, float]:
-        """Return `PERCENTILES` of the durations by name, ms, rounded up to a step; NaN without durations."""
+        """Return `PERCENTILES` of the durations by name, ms, rounded up to a class; NaN without durations."""
         total = self._counts.sum()
         places = np.searchsorted(np.cumsum(self._counts), np.ceil(total * np.asarray(PERCENTILES) / 100.0))
-        values = [1e3 * LATENCY_STEP_S * (place + 1) if total else math.nan for place in places.tolist()]
+        values = [1e3 * SHORTEST_S * CLASS_RATIO ** (k + 1) if total else math.nan for k in places.tolist()]
         return {f"p{p:g}": value for p, value in zip(PERCENTILES, values, strict=True)}
 
 
@@ -209,6 +209,7 @@ def without_collections(kind: str) -> Iterator[None]:
     """
     if kind in filters():
         prepare(kind)
+    prepare_turns()
     gc.collect()
     gc.disable()
     try:

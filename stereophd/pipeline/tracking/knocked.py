@@ -15,8 +15,6 @@ together, and stay so while they brake: the ratios are divided by the factor by 
 spreads more than that of independent ones.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -126,7 +124,7 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     is_old = np.array([born_s[track] <= event.time_s - LEAST_AGE_S for track in ids.tolist()])
     chosen, others = np.flatnonzero(is_old)[:MOST_TRACKS], np.ones(len(ids), dtype=bool)
     if not len(chosen):
-        return test, None
+        return replace(test, cameras={**test.cameras, name: replace(known, looked_s=event.time_s)}), None
     others[chosen] = False
     # what belongs to a track that is not looked at speaks for no turn of the others
     detections = event.points[~(squares[others] < TAKEN * known.spread).any(axis=0)]

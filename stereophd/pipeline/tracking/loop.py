@@ -5,9 +5,6 @@ Filters of many objects (`stereophd.core.multi.base.DisparityFilter`) and estima
 depends on: with it and the events that follow, another process gives the records of an uninterrupted run.
 """
 
-from __future__ import annotations
-
-import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -22,6 +19,7 @@ from stereophd.core.numerics.times import TIME_DECIMALS, same_time
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking.associations import Associated, Associations
 from stereophd.pipeline.tracking.knocked import Knock, KnockTest, look
+from stereophd.wording import LOGGER
 
 # Number of events after which the data of ended tracks are removed.
 FORGET_EVERY = 50
@@ -33,8 +31,6 @@ SUPPORT = 2
 # without an object, all after the first are left out. A pause of the recording may last for years.
 MOST_FORECASTS = 1_000_000
 MOST_EMPTY_FORECASTS = 10_000
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)
@@ -149,17 +145,17 @@ class Estimator(Protocol[State]):
 class Attribution:
     """Detections of each label: counts until the label is reported as a track."""
 
-    # Label -> camera -> detections, of the labels that are not reported yet.
+    # Label -> camera -> detections, of the labels that are not reported yet; counts are replaced, never changed.
     pending: dict[int, dict[str, int]] = field(default_factory=dict)
 
-    def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, dict[str, int]]:
+    def update(self, camera: str, detected: Iterable[int], estimates: Estimates) -> dict[int, dict[str, int]]:
         """Count the labels that an event of a camera detected; return what falls to the reported tracks."""
-        for label in detected.tolist():
+        for label in detected:
             counts = self.pending.get(label)
             if counts is None:
                 self.pending[label] = {camera: 1}
             else:
-                counts[camera] = counts.get(camera, 0) + 1
+                self.pending[label] = counts | {camera: counts.get(camera, 0) + 1}
         tracks = zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True)
         return {track_id: self.pending.pop(label) for track_id, label in tracks if label in self.pending}
 
@@ -221,7 +217,10 @@ def work_event(
     if times.region is not None and not times.whole_run:
         labels, estimates = estimates.labels, estimates.inside(times.region)
         outside = int(np.isin(info.detected, np.setdiff1d(labels, estimates.labels)).sum())
-    attributed = run.attribution.update(name, info.detected, estimates)
+    # most newborns are other detections of known objects, and gone at once
+    alive = set(run.estimator.labels.tolist())
+    detected = [label for label in info.detected.tolist() if label < first_label or label in alive]
+    attributed = run.attribution.update(name, detected, estimates)
     estimates = _supported(estimates, run, len(cameras))
     associations = run.associations.update(event, name, info.claims)
     if info.claims is not None and (times.whole_run or times.after(name)):

@@ -8,8 +8,6 @@ continue beyond their spans: the smoother looks ahead.
 A piece is finished when its whole file is there; what a piece holds does not depend on who made it, nor when.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial

@@ -6,8 +6,6 @@ continues replays the rows or records, passes over the events of the log that th
 the outputs are those of an undisturbed run.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace

@@ -1,7 +1,5 @@
 """Work in a process of its own, beside a run that goes on."""
 
-from __future__ import annotations
-
 import logging
 import os
 import threading

@@ -3,8 +3,6 @@
 Needs the extra ``plot``. The same data give the same files: no dates, fixed identifiers in the SVG.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

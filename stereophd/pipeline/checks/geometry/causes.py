@@ -1,7 +1,5 @@
 """Mistakes in cameras and clocks that are tried, and the one that explains the log best."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 

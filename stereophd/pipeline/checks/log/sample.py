@@ -4,8 +4,6 @@ Checks look at raw pixels and at the times of frames, before any filter. A one-c
 successive frames that are mutually nearest, within a gate that separates objects from clutter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property

@@ -1,7 +1,5 @@
 """How much of the distances of rays a small error of clock, lens or pose explains."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Leave out tracks that are too short (``report.min_track_length``)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
