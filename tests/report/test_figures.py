@@ -5,18 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.report.plots.views import SceneView, convex_hull, field_of_view, limits, viewing_depth, views
 from stereophd.report.scores import scores_text
+from tests import scenes
 
 
 def camera(rotation: np.ndarray, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Camera:
-    pose = Pose(rotation=rotation, center=np.array(center))
-    return Camera("one", 800, 600, 400.0, 400.0, 399.5, 299.5, pose, Lens("none"), Detector((1, 1), 0.9, 1.0))
+    return scenes.build_camera("one", center, rotation, focal=400.0)
 
 
 FORWARD_ALONG_Z = np.eye(3)
