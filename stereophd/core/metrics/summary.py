@@ -141,10 +141,7 @@ def figures(
         "ospa": _means(scores.ospa),
         "ospa2": _means(ospa2),
         "gospa": _means(scores.gospa),
-        "rmse": {
-            "position": root_mean_square(errors.position),
-            "velocity": root_mean_square(errors.velocity),
-        },
+        "rmse": {"position": root_mean_square(errors.position), "velocity": root_mean_square(errors.velocity)},
         "position_error": error_percentiles(errors.position),
         "cardinality": {
             "bias": mean_of(surplus),
