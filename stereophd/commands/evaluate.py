@@ -81,7 +81,8 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
         write_per_scan(out.path(PER_SCAN_NAME), scored.columns, to_metadata(record))
         if draw:
             # Costly to import, and matplotlib is an extra.
-            from stereophd.report.plots.figures import Pictures, write_plots
+            from stereophd.report.plots.scene_plots import write_plots
+            from stereophd.report.style import Pictures
 
             pictures = Pictures(
                 columns=scored.columns,

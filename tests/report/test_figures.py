@@ -79,7 +79,7 @@ def test_convex_hull():
 
 def pictures(scans: int):
     pytest.importorskip("matplotlib")
-    from stereophd.report.plots.figures import Pictures
+    from stereophd.report.style import Pictures
 
     time = np.arange(scans, dtype=float)
     position = np.stack([time, np.sin(time), 100 + 0 * time], axis=1)
@@ -95,7 +95,7 @@ def pictures(scans: int):
 @pytest.mark.parametrize("scans", [1, 50, 4000])
 def test_plots_are_made_for_short_and_long_runs(tmp_path, scans):
     data = pictures(scans)
-    from stereophd.report.plots.figures import write_plots
+    from stereophd.report.plots.scene_plots import write_plots
 
     names = [f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "side") for kind in ("png", "svg")]
     write_plots(data, {name: tmp_path / name for name in names})

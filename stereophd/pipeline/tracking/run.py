@@ -31,7 +31,7 @@ from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.bodies import with_boxes
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.outputs import RecordWriter, Tables
-from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
+from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 from stereophd.pipeline.tracking.smoothed import smoothed_records
 from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
@@ -151,7 +151,9 @@ def reported_records(
             records = (replace(record, estimates=record.estimates.inside(inside)) for record in records)
     if report.min_track_length <= 0.0:
         return records
-    return (lasting if kept is None else kept.lasting)(records, report.min_track_length)
+    if kept is not None:
+        return kept.lasting(records, report.min_track_length)
+    return LastingTracks(report.min_track_length).records(records)
 
 
 def build_tracking(loaded: LoadedConfig, threads: int = 1, cameras: tuple[Camera, ...] | None = None) -> TrackingRun:

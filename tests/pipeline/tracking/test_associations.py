@@ -26,7 +26,7 @@ from stereophd.pipeline.tracking.associations import (
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run_claims import RunClaims
 from stereophd.pipeline.tracking.run_figures.explained import residuals_px
-from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
+from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
 from tests.commands.test_track import SCENE
 from tests.scenes import build_camera
 
@@ -114,7 +114,7 @@ def test_short_tracks_are_left_out() -> None:
     info = Info(0.0, 1.0, 1)
     shown = {0.0: [(0, 0)], 1.0: [(0, 0), (1, 1)], 2.0: [(0, 0), (1, 1), (2, 2)], 3.0: [(0, 0), (2, 2)], 4.0: [(2, 2)]}
     records = [Record(t, "left", int(t), 1, 0, info, estimates(*pairs)) for t, pairs in shown.items()]
-    kept = [(record.time_s, record.estimates.track_ids.tolist()) for record in lasting(records, 2.0)]
+    kept = [(record.time_s, record.estimates.track_ids.tolist()) for record in LastingTracks(2.0).records(records)]
     assert kept == [(0.0, [0]), (1.0, [0]), (2.0, [0, 2]), (3.0, [0, 2]), (4.0, [2])]
 
 
