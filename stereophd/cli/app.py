@@ -24,12 +24,10 @@ from stereophd.cli import (
     demo,
     evaluate,
     experiment,
-    export,
+    finished,
     importing,
-    info,
     init,
     interrupts,
-    report,
     simulate,
     track,
     watch,
@@ -77,7 +75,7 @@ for _name, _command, _purpose, *_examples in (
         "init", init.init_command, "Write a configuration with values estimated from a log.",
         "init study --log rec/detections.parquet",
     ),
-    ("info", info.info_command, "Describe a log, a table, cameras or an output folder.", "info study/tracks"),
+    ("info", finished.info_command, "Describe a log, a table, cameras or an output folder.", "info study/tracks"),
     (
         "check", check.check_command, "Check whether a log fits cameras and settings.",
         "check study/config.yaml rec/detections.parquet --strict",
@@ -110,11 +108,11 @@ for _name, _command, _purpose, *_examples in (
         "evaluate-cameras found/cameras.yaml scene/cameras.yaml",
     ),
     (
-        "report", report.report_command, "Write one page (HTML) about runs and their scores.",
+        "report", finished.report_command, "Write one page (HTML) about runs and their scores.",
         "report rec tracks scores --out report.html",
     ),
     (
-        "export", export.export_command, "Write tracks or cameras as a file of another program.",
+        "export", finished.export_command, "Write tracks or cameras as a file of another program.",
         "export trc tracks --rate 60 --out tracks.trc",
     ),
     (
