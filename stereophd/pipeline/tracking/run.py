@@ -6,7 +6,9 @@ import contextlib
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pyarrow as pa
 
 from stereophd.config.loading import LoadedConfig
 from stereophd.config.report import GridTimes, ReportConfig
@@ -35,9 +37,6 @@ from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 from stereophd.pipeline.tracking.smoothed import smoothed_records
 from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE = "tracks.parquet", "scans.parquet", "associations.parquet"
 

@@ -3,14 +3,13 @@
 Needs the extra ``plot``. The same data give the same files: no dates, fixed identifiers in the SVG.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stereophd.core.arrays import Array, Integers
@@ -35,9 +34,6 @@ from stereophd.report.style import (
     save_figures,
     unit_text,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # Crosses on false tracks.
 MOST_CROSSES = 40
