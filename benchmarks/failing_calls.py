@@ -5,7 +5,7 @@
 A small run of every command is made in a fork, under a library that is loaded before the C library and counts the calls
 of all code (Python, Arrow, HDF5) that make, write, flush, lock, link or move a file in the place of the output. Then it
 runs once for each of these calls, which alone fails: with EIO, or ENOSPC where bytes are written, into a fresh folder
-and over an earlier run. A case is held if
+and over an earlier run. A case passes if
 
 - the exit code is 2 and the earlier files lie there as they were, or it is 0 and the files are those of a whole run;
 - there is one clear message on stderr, and no traceback;

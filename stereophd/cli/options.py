@@ -1,7 +1,5 @@
 """Options that several commands share. Nothing heavy may be imported here: ``--help`` must be quick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +20,7 @@ class Session:
     verbosity: int = 0
     debug: bool = False
     printed: bool = False  # whether the one document of `json` is on stdout
+    words: tuple[str, ...] = ()  # of the command line
     context: typer.Context | None = None  # of the command that runs
 
 
