@@ -160,6 +160,11 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
     """Add warnings about what does not fit together."""
     warn = recording.warnings.append
     if summaries and recording.cameras:
+        if summaries.keys().isdisjoint(recording.cameras):
+            raise InputError(
+                f"expected detections of the cameras {', '.join(recording.cameras)}, found those of "
+                f"{', '.join(summaries)} (`rename` {next(iter(summaries))}={next(iter(recording.cameras))})"
+            )
         for name in sorted(summaries.keys() - recording.cameras.keys()):
             meant = next((known for known in recording.cameras if known in name), "NAME")
             warn(

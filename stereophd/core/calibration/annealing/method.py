@@ -302,7 +302,7 @@ def problem_of_answer(task: Task, answer: Answer) -> Problem:
 
 
 def widened(task: Task, answer: Answer) -> tuple[Answer, tuple[Remark, ...]]:
-    """Give an answer its exact covariance, and widen it by the disagreement of stretches of the log; say so if large."""
+    """Give an answer its exact covariance, and widen it by the disagreement of stretches of the log; say if large."""
     problem, fit = problem_of_answer(task, answer), answer.fit
     if fit.adjustment.converged:
         try:
