@@ -160,16 +160,17 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
     """Add warnings about what does not fit together."""
     warn = recording.warnings.append
     if summaries and recording.cameras:
+        listed = ", ".join(recording.cameras)
+        meant = {name: next((known for known in recording.cameras if known in name), "NAME") for name in summaries}
         if summaries.keys().isdisjoint(recording.cameras):
             raise InputError(
-                f"expected detections of the cameras {', '.join(recording.cameras)}, found those of "
-                f"{', '.join(summaries)} (`rename` {next(iter(summaries))}={next(iter(recording.cameras))})"
+                f"expected detections of the cameras {listed}, found those of {', '.join(summaries)} "
+                f"({', '.join(f'`rename` {name}={known}' for name, known in meant.items())})"
             )
         for name in sorted(summaries.keys() - recording.cameras.keys()):
-            meant = next((known for known in recording.cameras if known in name), "NAME")
             warn(
-                f"camera {name} has detections, but the cameras ({', '.join(recording.cameras)}) have none of that "
-                f"name (`rename` {name}={meant})"
+                f"camera {name} has detections, but the cameras ({listed}) have none of that name "
+                f"(`rename` {name}={meant[name]})"
             )
         for name in sorted(recording.cameras.keys() - summaries.keys()):
             warn(f"camera {name} has no detections (the log has {', '.join(summaries)})")
@@ -191,8 +192,8 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
         name: (s.first_s, s.last_s) for name, s in summaries.items() if s.first_s is not None and s.last_s is not None
     }
     if spans and max(first for first, _ in spans.values()) > min(last for _, last in spans.values()):
-        listed = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
-        warn(f"the cameras have no time in common ({listed}): check rates, offsets and the unit of times")
+        periods = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
+        warn(f"the cameras have no time in common ({periods}): check rates, offsets and the unit of times")
 
 
 def _check_files(
