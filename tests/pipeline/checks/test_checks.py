@@ -11,6 +11,8 @@ from stereophd.config.loading import make_config
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import Pose
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL
@@ -25,14 +27,15 @@ from stereophd.pipeline.checks.run_figures.estimated_detectors import check_esti
 from stereophd.pipeline.checks.run_figures.losses import check_losses
 from stereophd.pipeline.checks.run_figures.tracking import check_detections, check_noise, check_tracking
 from stereophd.pipeline.checks.settings import check_settings, measure_scene
+from tests.scenes import build_camera
 
 DEPTHS = (3.0, 15.0)
 FRAMES, RATE = 40, 10.0
 
 
 def _camera(name: str, x: float, turn_deg: float) -> Camera:
-    pose = Pose(rotation_from_vector([0.1, np.deg2rad(turn_deg), 0.05]), [x, -1.0, 0.3])
-    return Camera(name, 800, 600, 650.0, 650.0, 399.5, 299.5, pose, Lens("none"), Detector([1.0, 1.0], 0.95, 1.0), RATE)
+    turn = [0.1, np.deg2rad(turn_deg), 0.05]
+    return build_camera(name, [x, -1.0, 0.3], turn, focal=650.0, p_detect=0.95, frame_rate_hz=RATE)
 
 
 CAMERAS = (_camera("left", -3.0, -20.0), _camera("right", 3.0, 20.0))

@@ -62,10 +62,7 @@ class Explanation:
 
 
 def best_explanation(
-    geometry: Geometry,
-    thorough: bool = True,
-    clocks_only: bool = False,
-    tolerances: tuple[float, ...] = TOLERANCES,
+    geometry: Geometry, thorough: bool = True, clocks_only: bool = False, tolerances: tuple[float, ...] = TOLERANCES
 ) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
