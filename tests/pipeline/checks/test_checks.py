@@ -9,9 +9,6 @@ import pytest
 
 from stereophd.config.loading import make_config
 from stereophd.core.geometry.camera import Camera, Clock, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.finding import Finding
