@@ -27,6 +27,7 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.run import QUICK_FRAMES, report_findings
+from stereophd.pipeline.inspection.cameras import summarise_cameras
 from stereophd.wording import LOGGER
 
 DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
@@ -97,6 +98,7 @@ def import_recording(
             "checks": report_findings(tuple(findings)),
             "detections": sum(summary.detections for summary in summaries.values()) if summaries else None,
             "cameras": _camera_rows(cameras, summaries),
+            "distances": None if _has_unknown(cameras) else summarise_cameras(cameras, "")["distances"],
             "models": recording.models,
             "truth": None if recording.truth is None else {"rows": len(recording.truth.object_id)},
             "labels": {str(number): label for number, label in recording.labels.items()},
@@ -145,6 +147,10 @@ def _write_truth(
         table.append(columns)
 
 
+def _has_unknown(cameras: Mapping[str, CameraConfig]) -> bool:
+    return not cameras or any(camera.pose.unknown for camera in cameras.values())
+
+
 def _with_rates(cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary]) -> dict[str, CameraConfig]:
     """State the frame rates of the log where the cameras have none."""
     result = {}
@@ -160,18 +166,17 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
     """Add warnings about what does not fit together."""
     warn = recording.warnings.append
     if summaries and recording.cameras:
-        listed = ", ".join(recording.cameras)
-        meant = {name: next((known for known in recording.cameras if known in name), "NAME") for name in summaries}
-        if summaries.keys().isdisjoint(recording.cameras):
+        known = ", ".join(recording.cameras)
+        renames = {
+            name: f"`rename` {name}={next((camera for camera in recording.cameras if camera in name), 'NAME')}"
+            for name in sorted(summaries.keys() - recording.cameras.keys())
+        }
+        if len(renames) == len(summaries):
             raise InputError(
-                f"expected detections of the cameras {listed}, found those of {', '.join(summaries)} "
-                f"({', '.join(f'`rename` {name}={known}' for name, known in meant.items())})"
+                f"cameras: expected a name of {known}, found only others; use {' '.join(renames.values())}"
             )
-        for name in sorted(summaries.keys() - recording.cameras.keys()):
-            warn(
-                f"camera {name} has detections, but the cameras ({listed}) have none of that name "
-                f"(`rename` {name}={meant[name]})"
-            )
+        for name, use in renames.items():
+            warn(f"camera {name} has detections, but the cameras ({known}) have none of that name ({use})")
         for name in sorted(recording.cameras.keys() - summaries.keys()):
             warn(f"camera {name} has no detections (the log has {', '.join(summaries)})")
     for name, summary in summaries.items():
@@ -192,8 +197,8 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
         name: (s.first_s, s.last_s) for name, s in summaries.items() if s.first_s is not None and s.last_s is not None
     }
     if spans and max(first for first, _ in spans.values()) > min(last for _, last in spans.values()):
-        periods = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
-        warn(f"the cameras have no time in common ({periods}): check rates, offsets and the unit of times")
+        listed = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
+        warn(f"the cameras have no time in common ({listed}): check rates, offsets and the unit of times")
 
 
 def _check_files(

@@ -49,18 +49,6 @@ def test_a_table_and_a_calibration_become_a_log_and_cameras(call: Call, tmp_path
     assert isinstance(json.loads(forced.out)["checks"], list)
 
 
-def test_detections_of_other_cameras_are_refused_with_the_rename(call: Call, tmp_path: Path) -> None:
-    table, calibration = write_table(tmp_path / "points.csv"), write_calibration(tmp_path / "calibration.json")
-    table.write_text(table.read_text().replace("left", "GoPro_left").replace("right", "GoPro_right"))
-    words = ("--column", "frame=n", "--fps", "25", "--cameras", calibration, "--out", tmp_path / "in")
-    refused = call("import", "csv", table, *words)
-    assert refused.code == 2
-    assert "--rename GoPro_left=left, --rename GoPro_right=right" in refused.err
-    assert not (tmp_path / "in").exists()
-    renamed = ("--rename", "GoPro_left=left", "--rename", "GoPro_right=right")
-    assert call("import", "csv", table, *words, *renamed).code == 0
-
-
 def test_wrong_words_are_named(call: Call, tmp_path: Path) -> None:
     table = write_table(tmp_path / "points.csv")
     for words, part in (
