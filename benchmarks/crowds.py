@@ -179,7 +179,7 @@ def scores(estimates: dict[int, Estimates], scene: Scene) -> dict[str, float]:
     heights = 2.0 * np.exp(scene.sized.log_axes[known.label[y], 0])
     return {
         "mota": clear["mota"],
-        "ospa": float(pairs.ospa.mean()),
+        "ospa": float(pairs.ospa.distance.mean()),
         "tgospa": trajectory_gospa(found, known, near, ORDER, CUTOFF, CUTOFF).mean(ORDER),
         "missed": len(known.label) - len(y),
         "false": len(found.label) - len(x),

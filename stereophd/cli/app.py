@@ -4,8 +4,6 @@ Exit codes: 0 done; 1 ran, but a gate failed; 2 usage, configuration or input er
 130 interrupted (128 + the signal that ended the run). Errors carry their code (`stereophd.errors`).
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import os

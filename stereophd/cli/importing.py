@@ -1,7 +1,5 @@
 """``stereophd import``."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Options that several commands share. Nothing heavy may be imported here: ``--help`` must be quick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``stereophd track`` of a recording that is still running."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

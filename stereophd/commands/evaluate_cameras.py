@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -33,12 +32,11 @@ from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
 from stereophd.pipeline.evaluation.gates import check_limits, gates, limits_of, raise_if_failed
 from stereophd.validated import NO_LENGTH
+from stereophd.wording import LOGGER
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-
-LOGGER = logging.getLogger("stereophd")
 
 POSTERIOR_NAME, REPORT_NAME = "posterior.parquet", "report.json"
 # Credible interval whose coverage is reported.

@@ -1,6 +1,5 @@
 """Bring detections and cameras of another program into native files."""
 
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -29,6 +28,7 @@ from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.run import QUICK_FRAMES, report_findings
 from stereophd.pipeline.inspection.cameras import summarise_cameras
+from stereophd.wording import LOGGER
 
 DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
 TRUTH_FILE = "truth.parquet"
@@ -36,8 +36,6 @@ FILES = (DETECTIONS_FILE, CAMERAS_FILE, TRUTH_FILE, REPORT_FILE)
 REPORT_VERSION = 1
 # A camera's pixels may reach this far outside its image before the size of the image is doubted.
 IMAGE_MARGIN_PX = 10.0
-
-LOGGER = logging.getLogger("stereophd")
 
 
 def import_recording(
@@ -174,7 +172,9 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
             for name in sorted(summaries.keys() - recording.cameras.keys())
         }
         if len(renames) == len(summaries):
-            raise InputError(f"cameras: expected a name of {known}, found only others; use {' '.join(renames.values())}")
+            raise InputError(
+                f"cameras: expected a name of {known}, found only others; use {' '.join(renames.values())}"
+            )
         for name, use in renames.items():
             warn(f"camera {name} has detections, but the cameras ({known}) have none of that name ({use})")
         for name in sorted(recording.cameras.keys() - summaries.keys()):

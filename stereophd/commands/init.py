@@ -1,6 +1,5 @@
 """Write a commented configuration for a log and its cameras, each value with its source."""
 
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -21,11 +20,10 @@ from stereophd.pipeline.initial.draft import draft_from_log
 from stereophd.pipeline.initial.template import METRES, SCALES, Draft, Kind, template
 from stereophd.pipeline.initial.text import MARK, config_text
 from stereophd.pipeline.inspection.log import summarise_log
+from stereophd.wording import LOGGER
 
 CONFIG_FILE, CAMERAS_FILE = "config.yaml", "cameras.yaml"
 REPORT_VERSION = 1
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @takes(InitOptions)

@@ -19,8 +19,6 @@ Reference: J. L. Williams, "Marginal multi-Bernoulli filters: RFS derivation of 
 MeMBer", IEEE Trans. AES 51 (3), 2015.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -33,7 +31,7 @@ from stereophd.core.bodies.births import Newborns, depths_inside, newborn_bodies
 from stereophd.core.bodies.boxes import WHOLE_SHARE, Boxes, box_variances, boxes_of, share_in_image
 from stereophd.core.bodies.hypotheses import Hypotheses, box_factors, merged, reassociate, reduce_hypotheses
 from stereophd.core.bodies.occlusion import CUT_SHARE, detection_probabilities, hidden_shares
-from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, STATE_SIZE, TOP, VELOCITY, outline_boxes
+from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, STATE_SIZE, TOP, VELOCITY, U, outline_boxes
 from stereophd.core.bodies.prediction import predict_bodies
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.disparity.events import Event, Rig
@@ -54,8 +52,8 @@ LEAST_HIDDEN = 0.05
 STAYING_SHARE, FALSE_DETECTED = 0.05, 0.8
 # A track is no longer reported where a body is less than this part as probable as a false object.
 FALSE_RELEASE = 0.1
-# Rounds over the associations of the cameras of one instant.
-ROUNDS = 1
+# Rounds over the associations of the cameras of one instant: after a single one the order of the cameras decides.
+ROUNDS = 2
 
 
 @dataclass(frozen=True)
@@ -259,14 +257,15 @@ class BodyFilter:
         heights = projected[:, BOTTOM] - projected[:, TOP]
         with np.errstate(invalid="ignore"):
             widest = np.sqrt(spread[:, range(4), range(4)] + box_variances(heights, np.ones((len(heights), 4)), parts))
-            off = boxes.values[None] - projected[:, None]
-            inside = (np.abs(off) <= GATE * widest[:, None]) | boxes.hidden[None]
-            inside &= np.isfinite(heights)[:, None, None]
-            may_be_cut = (hidden[:, None] >= LEAST_HIDDEN) & (off[:, :, BOTTOM] < 0.0) & ~boxes.hidden[:, BOTTOM]
-        whole = np.nonzero(inside.all(axis=2))
-        cut = np.nonzero(np.delete(inside, BOTTOM, axis=2).all(axis=2) & may_be_cut)
-        rows, columns = np.concatenate([whole[0], cut[0]]), np.concatenate([whole[1], cut[1]])
-        is_cut = np.arange(len(rows)) >= len(whole[0])
+            beside = np.abs(boxes.values[:, U] - projected[:, U, None]) <= GATE * widest[:, U, None]
+        rows, columns = np.nonzero((beside | boxes.hidden[:, U]) & np.isfinite(heights)[:, None])
+        off = boxes.values[columns] - projected[rows]
+        inside = (np.abs(off) <= GATE * widest[rows]) | boxes.hidden[columns]
+        may_be_cut = (hidden[rows] >= LEAST_HIDDEN) & (off[:, BOTTOM] < 0.0) & ~boxes.hidden[columns, BOTTOM]
+        whole = np.flatnonzero(inside.all(axis=1))
+        cut = np.flatnonzero(np.delete(inside, BOTTOM, axis=1).all(axis=1) & may_be_cut)
+        rows, columns = (np.concatenate([values[whole], values[cut]]) for values in (rows, columns))
+        is_cut = np.arange(len(rows)) >= len(whole)
         missing = boxes.hidden[columns]
         missing[is_cut, BOTTOM] = True
         selections = np.where(missing[:, :, None], 0.0, boxes.selections[columns])

@@ -1,7 +1,6 @@
 """Results of an experiment: the summaries of every method in every case, gathered from runs, written and read."""
 
 import json
-import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,11 +23,10 @@ from stereophd.io.tables.reading import read_table
 from stereophd.io.tables.schemas import FLOAT, INTEGER, RUNS, STRING, SUMMARY
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
+from stereophd.wording import LOGGER
 
 STATISTICS = ("mean", "std", "ci_low", "ci_high", "bound")
 RUNS_FILE, SUMMARY_FILE, TIMING_FILE = "runs.parquet", "summary.parquet", "timing.json"
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)

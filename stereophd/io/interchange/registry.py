@@ -1,7 +1,5 @@
 """Foreign formats by name: modules of `stereophd.io.formats` and of plug-ins, imported only when they are used."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 

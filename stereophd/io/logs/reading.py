@@ -5,7 +5,6 @@ memory does not depend on its length; what is wrong with a row is an error or a 
 """
 
 import heapq
-import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -38,8 +37,7 @@ from stereophd.io.logs.order import LogOrder, order_of
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
 from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
 from stereophd.io.tables.writing import ROW_GROUP_ROWS
-
-LOGGER = logging.getLogger("stereophd")
+from stereophd.wording import LOGGER
 
 
 @dataclass(frozen=True, slots=True)

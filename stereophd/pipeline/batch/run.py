@@ -25,6 +25,7 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.batch.names import expand, folder_names
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.workers.places import ATTEMPTS, Workers, complete, open_workers
+from stereophd.wording import LOGGER
 
 SUMMARY_FILE = "summary.parquet"
 
@@ -32,8 +33,6 @@ DONE, GATE, FAILED = "done", "gate failed", "failed"
 
 # Columns of every summary; a command adds its own.
 COMMON = {"log": STRING, "folder": STRING, "status": STRING, "message": STRING}
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)

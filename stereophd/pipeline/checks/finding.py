@@ -1,7 +1,5 @@
 """A finding: the outcome of one check, with its evidence, the likely cause and a remedy."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal

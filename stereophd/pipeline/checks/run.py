@@ -1,7 +1,5 @@
 """Run all checks of a log, a configuration and cameras that need no filter."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import Any

@@ -4,8 +4,6 @@ Depths come from rays that meet, less what chance gives at other times and place
 these depths: across the line of sight, over whole tracks, less what the noise of the detections gives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -22,14 +20,16 @@ from stereophd.pipeline.checks.log.sample import LEAST_LENGTH, CameraSample
 
 # Score of a pair whose depths count.
 LEAST_SCORE = 6.0
-# Share of the depths that the region must cover, and the births: objects move away from where they appear.
-LEAST_COVERED, LEAST_BORN = 0.6, 0.25
+# Share of the depths that the region must cover, and the births, be it those of this first share of the time alone:
+# objects move away from where they appear.
+LEAST_COVERED, LEAST_BORN, BEGINNING = 0.6, 0.25, 0.25
 # Factors between stated and measured spread of the speed, and of the acceleration, that are reported.
 SLOWER, FASTER, ACCELERATION_FACTOR, TOO_MUCH = 6.0, 30.0, 20.0, 60.0
 # Share of the detections that one-camera tracks must hold before settings are called too large.
 LEAST_HELD = 0.6
-# Tracks that a speed is estimated from, at least.
-LEAST_TRACKS = 4
+# Tracks that a speed is estimated from, at least, and the share of their links that chance may give: neighbours in a
+# crowd of noisy detections leap.
+LEAST_TRACKS, MOST_BY_CHANCE = 4, 0.5
 # Frames of a track from which an acceleration is estimated.
 ACCELERATION_LENGTH = 12
 
@@ -40,6 +40,7 @@ class MeasuredScene:
 
     depths: Array | None  # (3,) or None: Quantiles of 5, 50 and 95 % of the depth before the cameras, length
     depth_samples: Array  # (n,): Depths that represent the distribution, length
+    first_depths: Array  # (n,): The same of the beginning of the log
     # (2,) or None: Root mean square of one component, and 95 % quantile of the speed across the line of sight,
     # length/s.
     speed: Array | None
@@ -50,9 +51,13 @@ def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> Measu
     """Estimate depths, speeds and accelerations of the objects, from pairs of cameras with at least this score."""
     samples = _depth_samples(geometry, least_score)
     if not len(samples):
-        return MeasuredScene(None, samples, None, None)
+        return MeasuredScene(None, samples, samples, None, None)
     depths = np.quantile(samples, [0.05, 0.5, 0.95])
-    return MeasuredScene(depths, samples, *measure_motion(geometry.samples, float(depths[1])))
+    first = replace(geometry, pairs=tuple(pair.beginning(BEGINNING) for pair in geometry.pairs))
+    chains = [sample for sample in geometry.samples if sample.linking[1] <= MOST_BY_CHANCE]
+    return MeasuredScene(
+        depths, samples, _depth_samples(first, least_score), *measure_motion(chains, float(depths[1]))
+    )  # fmt: skip
 
 
 def measure_motion(
@@ -185,7 +190,10 @@ def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
     """Yield whether births cover the depths at which rays meet."""
     assert scene.depths is not None
     low, high = expected_depths(config, samples)
-    covered = float(((scene.depth_samples >= 0.8 * low) & (scene.depth_samples <= 1.25 * high)).mean())
+    covered = max(
+        float(((depths >= 0.8 * low) & (depths <= 1.25 * high)).sum()) / max(len(depths), 1)
+        for depths in (scene.depth_samples, scene.first_depths)
+    )
     where = f"between {scene.depths[0]:.3g} and {scene.depths[2]:.3g} {unit}"
     if covered < LEAST_BORN:
         yield Finding(

@@ -1,7 +1,5 @@
 """Frames of messages, checked as the rows of a log are."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Literal
 

@@ -6,8 +6,6 @@ worked again: exactly what a run over the frames in order gives, because `RunSta
 Memory is bounded by the span, and a frame older than that is too late.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence

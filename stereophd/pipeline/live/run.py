@@ -1,7 +1,5 @@
 """A live run: messages in, records out, with the time that each took."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import heapq

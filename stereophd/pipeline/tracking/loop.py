@@ -5,7 +5,6 @@ Filters of many objects (`stereophd.core.multi.base.DisparityFilter`) and estima
 depends on: with it and the events that follow, another process gives the records of an uninterrupted run.
 """
 
-import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -20,6 +19,7 @@ from stereophd.core.numerics.times import TIME_DECIMALS, same_time
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking.associations import Associated, Associations
 from stereophd.pipeline.tracking.knocked import Knock, KnockTest, look
+from stereophd.wording import LOGGER
 
 # Number of events after which the data of ended tracks are removed.
 FORGET_EVERY = 50
@@ -31,8 +31,6 @@ SUPPORT = 2
 # without an object, all after the first are left out. A pause of the recording may last for years.
 MOST_FORECASTS = 1_000_000
 MOST_EMPTY_FORECASTS = 10_000
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,6 @@ times the number of quadratic pieces that the common part of the curves needs. C
 track little, a long curved one much.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import combinations

@@ -5,8 +5,6 @@ tracks at the same times before a camera that it shares with a pair already plac
 agrees with the poses confirms the pairs between its cameras.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations

@@ -8,8 +8,6 @@ tracks are paired at the greatest total gain, and the cameras moved to where the
 are kept. Pairs whose rays meet behind a camera do not count, and neither do cameras that the prior rules out.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers

@@ -17,8 +17,6 @@ The sampler is `init` and `step` over a frozen state of arrays; random numbers d
 step alone, so that a run continued from any state gives the same result as an uninterrupted one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol

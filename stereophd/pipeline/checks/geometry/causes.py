@@ -1,7 +1,5 @@
 """Mistakes in cameras and clocks that are tried, and the one that explains the log best."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -218,7 +216,7 @@ def _with_times(geometry: Geometry, camera: int, times: Array) -> list[CameraSam
     """Return the samples with other times of one camera; its one-camera tracks stay."""
     sample = geometry.samples[camera]
     moved = replace(sample, times=times)
-    moved.__dict__.update(links=sample.links, between=sample.between)
+    moved.__dict__.update(linking=sample.linking, between=sample.between)
     return [moved if k == camera else one for k, one in enumerate(geometry.samples)]
 
 

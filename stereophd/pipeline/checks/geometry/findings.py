@@ -1,7 +1,5 @@
 """Findings about cameras and clocks: do rays meet, and if not, which of the usual mistakes explains it?"""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from stereophd.pipeline.checks.finding import Finding

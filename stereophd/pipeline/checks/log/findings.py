@@ -1,7 +1,5 @@
 """Checks that need the log alone: times, frames, pixels and the statements about the detectors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

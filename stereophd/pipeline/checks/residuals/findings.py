@@ -7,8 +7,6 @@ function of the place. Each cause is fitted separately; the one that explains mo
 errors follow from the spread between pairs of tracks, so that errors that last do not pass for evidence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

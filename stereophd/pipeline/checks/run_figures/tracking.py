@@ -1,7 +1,5 @@
 """Checks of a finished tracking run: is the log explained, and by more than one camera?"""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The angular velocity w of a moving camera about its own axes: rotation(t) = exp(-[w]_x (t - t_0)) rotation(t_0)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The velocity of a moving camera's centre in the world."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
