@@ -146,8 +146,8 @@ def root(
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line, by default with the words after the name of this process, and return its exit code."""
-    session = Session()
     words = sys.argv[1:] if arguments is None else list(arguments)
+    session = Session(words=tuple(words))
     try:
         _check_environment()
         result = app(args=words, prog_name="stereophd", standalone_mode=False, obj=session)

@@ -20,6 +20,7 @@ class Session:
     verbosity: int = 0
     debug: bool = False
     printed: bool = False  # whether the one document of `json` is on stdout
+    words: tuple[str, ...] = ()  # of the command line
     context: typer.Context | None = None  # of the command that runs
 
 

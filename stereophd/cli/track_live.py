@@ -49,7 +49,7 @@ def run_live(
     if session.quiet:
         return
     if not done["frames"]["frames"]:
-        typer.echo("no frame came: did the program that sends them fail?", err=True)
+        typer.echo("no frame was used", err=True)
         return
     latency, processor = done["latency_ms"], done["processor_ms"]
     typer.echo(

@@ -27,7 +27,7 @@ ALL = slice(None)
 
 
 @dataclass(frozen=True)
-class Partners:
+class PartnerCounts:
     """What each track, or each true object, was matched to: arrays (k,) in order of identity."""
 
     identity: Integers
@@ -48,15 +48,15 @@ class Partners:
         return self.n_dominant / self.n_points
 
 
-def tabulate(identity: Integers, owner: Integers, partner: Integers, is_named: Booleans | slice = ALL) -> Partners:
+def tabulate(identity: Integers, owner: Integers, partner: Integers, is_named: Booleans | slice = ALL) -> PartnerCounts:
     """Return what each identity was matched to, from those of all points (n,) and both sides (q,) of matched pairs.
 
-    Pairs that are not `is_named` (q,) count for `Partners.n_matched` only.
+    Pairs that are not `is_named` (q,) count for `PartnerCounts.n_matched` only.
     """
     names, n_points = np.unique(identity, return_counts=True)
     number = np.searchsorted(names, owner)
     n_matched = np.bincount(number, minlength=len(names)).astype(np.int64)
-    return Partners(names, n_points, n_matched, *_dominant(number[is_named], partner[is_named], len(names)))
+    return PartnerCounts(names, n_points, n_matched, *_dominant(number[is_named], partner[is_named], len(names)))
 
 
 def _dominant(owner: Integers, partner: Integers, owners: int) -> tuple[Integers, Integers, Integers]:
@@ -168,7 +168,7 @@ def clear_mot_figures(
     }
 
 
-def _known_partners(of: Partners) -> NDArray[Any]:
+def _known_partners(of: PartnerCounts) -> NDArray[Any]:
     """Return the dominant partners, as objects of Python, None without one."""
     out = of.partner.astype(object)
     out[of.n_dominant == 0] = None

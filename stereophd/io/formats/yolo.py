@@ -1,9 +1,9 @@
 """YOLO: detections as text, a folder for each camera with a file for each frame.
 
 Sources: folders of files such as ``street_000123.txt``, or folders that hold them in ``labels``. A camera is named as
-its folder, or as the one above ``labels``. The frame is the last number in the name of the file, and counts from 1, as in
-Ultralytics' films, unless a file has 0; a frame without a file has no detections. Rows: class, middle (x, y), width, height, and optionally score and identity, as Ultralytics writes
-them with ``save_txt`` and ``save_conf``.
+its folder, or as the one above ``labels``. The frame is the last number in the name of the file, and counts from 1,
+as in Ultralytics' films, unless a file has 0; a frame without a file has no detections. Rows: class, middle (x, y),
+width, height, and optionally score and identity, as Ultralytics writes them with ``save_txt`` and ``save_conf``.
 
 Conventions: places and sizes are shares of the width and the height of the image, from its corner. The detection is the
 middle of the box, whose width and height are kept, or the middle of its lower side (`box_point` bottom). All classes

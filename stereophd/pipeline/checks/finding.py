@@ -20,6 +20,7 @@ class Finding:
     camera: str | None = None  # The camera that is concerned; None: all of them
     remedy: str | None = None  # What to change
     cause: str | None = None  # Short name of the likely cause, such as ``rotation_transposed``; stable, for programs
+    change: str | None = None  # KEY=VALUE of the configuration that follows the remedy
 
     def as_dict(self) -> dict[str, Any]:
         """Return the finding as JSON-able data."""

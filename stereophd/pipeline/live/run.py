@@ -18,6 +18,7 @@ from stereophd.core.multi.build import prepare
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.numerics.random_streams import WARM_UP_SEED
 from stereophd.core.two_views.turns import prepare_turns
+from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame
 from stereophd.io.streams.messages import Message
 from stereophd.io.streams.sources import Arrivals
@@ -122,15 +123,21 @@ class LiveRun:
     def records(self, arrivals: Arrivals, source: str) -> Iterator[LiveRecord]:
         """Yield the records of messages, and at the end of the stream those that are left.
 
-        Raises InputError if a message cannot be used, and the configuration does not drop such.
+        Raises InputError if no message comes, or one cannot be used and the configuration does not drop such.
         """
-        for number, message in enumerate(arrivals, start=1):
+        number = 0
+        for message in arrivals:
             if message is not None:
+                number += 1
                 self._take(message, f"{source}: frame {message.frame} of camera {message.camera} (message {number})")
             # while messages come, only their own times count: a backlog is no wait
             yield from self._release(-np.inf if message is not None else time.perf_counter())
             if self._on_grid and message is None:
                 yield from self._predict()
+        if not number:
+            raise InputError(
+                f"{source}: expected frames, found none until its end: did the program that sends them fail?"
+            )
         yield from self._release(np.inf)
         now = time.perf_counter()
         yield from (LiveRecord(record, False, now) for record in self._run.finish())

@@ -61,52 +61,24 @@ class ReportTimes:
 
 @dataclass(frozen=True)
 class Record:
-    """One event of a run, or one prediction to a time of the grid.
+    """One event of a run, or a prediction to a time of the grid: camera and frame are those of the last event then."""
 
-    Attributes
-    ----------
-    time_s : float
-        True time of the event, or of the grid.
-    camera, frame : str, int
-        The event; of a prediction, the last one before it.
-    n_detections : int
-        Number of detections of the event; 0 for a prediction.
-    first_label : int
-        Smallest label that an object first detected in this event can have.
-    info : Info
-        Diagnostics of the event. Those of a prediction are from the last event, faded, with log-likelihood 0.
-    estimates : Estimates
-    attributed : mapping
-        Track -> camera -> number of detections that are known to be its own since this event (at the first
-        report of a track, those before it too).
-    reported : bool
-        Whether the estimates are to be written.
-    is_event : bool
-    event : Event, optional
-        The detections themselves, where a run keeps them.
-    associations : tuple of Associated
-        Detections that reported tracks claim: those of the event, and earlier ones of tracks that are reported for
-        the first time.
-    knock : Knock, optional
-        A camera that the event shows to have been knocked.
-    outside : int
-        Number of those that see nothing of the region, or are of tracks beside it.
-    """
-
-    time_s: float
+    time_s: float  # True time
     camera: str
     frame: int
-    n_detections: int
-    first_label: int
-    info: Info
+    n_detections: int  # 0 of a prediction
+    first_label: int  # Smallest label that an object first detected in this event can have
+    info: Info  # Of a prediction that of the last event, faded, with log-likelihood 0
     estimates: Estimates
+    # Track -> camera -> number of detections known to be its own since the last record; before it, too, when it is new.
     attributed: Mapping[int, Mapping[str, int]] = field(default_factory=dict)
-    reported: bool = True
+    reported: bool = True  # Whether the estimates are to be written
     is_event: bool = True
-    event: Event | None = None
+    event: Event | None = None  # The detections themselves, where a run keeps them
+    # Detections that reported tracks claim: also earlier ones of tracks that are reported for the first time.
     associations: tuple[Associated, ...] = ()
-    knock: Knock | None = None
-    outside: int = 0
+    knock: Knock | None = None  # A camera that the event shows to have been knocked
+    outside: int = 0  # Detections that see nothing of the region, or are of tracks beside it
 
 
 class EstimatorState(Protocol):

@@ -28,7 +28,7 @@ from stereophd.pipeline.stream import EventStream, open_log
 from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.piece_plan import LogPiece
 from stereophd.pipeline.tracking.run import build_tracking
-from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
+from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.tracking.unfinished import RecordFile, RecordPart, read_records
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
@@ -146,7 +146,7 @@ class JoinedPieces:
     def lasting_records(self) -> Iterator[Record]:
         """Yield the records without tracks shorter than ``report.min_track_length``."""
         least = self.work.loaded.config.report.min_track_length
-        return lasting(self.records(), least) if least > 0.0 else self.records()
+        return LastingTracks(least).records(self.records()) if least > 0.0 else self.records()
 
     @property
     def not_invertible(self) -> int:

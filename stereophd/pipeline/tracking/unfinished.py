@@ -181,7 +181,7 @@ class UnfinishedTracking:
         self._records = RecordFile(self._unfinished.grow(RECORDS, length))
 
     def lasting(self, records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
-        """Yield records without short tracks, as `stereophd.pipeline.tracking.run_figures.lifetimes.lasting` does."""
+        """Yield records without short tracks, as `LastingTracks` does."""
         kept = None if self._saved is None else self._saved.lasting
         lasting = LastingTracks(min_length_s) if kept is None else kept
         if not self.keeps_records:

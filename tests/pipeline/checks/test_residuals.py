@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
@@ -17,15 +17,15 @@ from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.residuals.causes import POSE_EXPLAINED, CauseFit, PairFits, _fit
 from stereophd.pipeline.checks.residuals.findings import _warning, check_residuals
 from stereophd.pipeline.checks.residuals.partners import Partners, _nearest_of_frame
+from tests.scenes import build_camera
 
 FRAMES, RATE, OBJECTS = 90, 12.0, 4
 READOUT_S = 0.04
 
 
 def _camera(name: str, center: list[float], turn_deg: float, readout_s: float = 0.0) -> Camera:
-    pose = Pose(rotation_from_vector([0.1, np.deg2rad(turn_deg), 0.05]), center)
-    detector = Detector([1.0, 1.0], 0.97, 0.5)
-    return Camera(name, 800, 600, 650.0, 650.0, 399.5, 299.5, pose, Lens("none"), detector, RATE, readout_s=readout_s)
+    turn, detector = [0.1, np.deg2rad(turn_deg), 0.05], {"p_detect": 0.97, "clutter": 0.5}
+    return build_camera(name, center, turn, focal=650.0, **detector, frame_rate_hz=RATE, readout_s=readout_s)
 
 
 CAMERAS = (

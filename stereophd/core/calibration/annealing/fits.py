@@ -25,12 +25,7 @@ from stereophd.core.calibration.adjustment.trajectories import (
 from stereophd.core.calibration.annealing.membership import chosen_detections
 from stereophd.core.calibration.annealing.rejected import collapsed, lone
 from stereophd.core.calibration.annealing.task import Fit, Task
-from stereophd.core.calibration.pairing.association import (
-    keep,
-    shared,
-    track_detections,
-    with_cameras,
-)
+from stereophd.core.calibration.pairing.association import keep, shared, track_detections, with_cameras
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.pairing.refinement import meeting_points

@@ -18,12 +18,7 @@ from itertools import combinations
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.calibration.discovery.essential import (
-    constraint_rows,
-    eight_point,
-    five_point,
-    nearest_essential,
-)
+from stereophd.core.calibration.discovery.essential import constraint_rows, eight_point, five_point, nearest_essential
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
 
 # Share of detections whose distance is chance's, and the range of distances by chance.

@@ -122,11 +122,7 @@ def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, f
 
 
 def _rig(
-    views: Sequence[View],
-    found: SlopeTracks,
-    reference: int,
-    pairs: Sequence[PairResult],
-    others: Sequence[PairResult],
+    views: Sequence[View], found: SlopeTracks, reference: int, pairs: Sequence[PairResult], others: Sequence[PairResult]
 ) -> FoundRig | None:
     """Place cameras along the tree of pairs, the reference first; None if the baselines cannot be compared."""
     scales = _scales(found, reference, pairs)

@@ -26,12 +26,7 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.numerics.resampling import systematic
-from stereophd.core.numerics.weights import (
-    effective_sample_size,
-    normalised,
-    step_generator,
-    weighted_mean_covariance,
-)
+from stereophd.core.numerics.weights import effective_sample_size, normalised, step_generator, weighted_mean_covariance
 
 
 @dataclass(frozen=True)

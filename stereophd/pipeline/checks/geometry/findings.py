@@ -128,4 +128,5 @@ def _named(geometry: Geometry, found: Explanation) -> Finding:
         None if everybody or len(names) != 1 else names[0],
         found.remedy,
         found.cause,
+        found.change,
     )

@@ -33,8 +33,9 @@ PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.
 # Differences from which noise is told, and the relative error of a variance from their median over the root of their
 # number: they overlap.
 LEAST_DIFFERENCES, VARIANCE_ERROR = 60, 3.5
-# Frames of the shortest track that counts.
-LEAST_LENGTH = 6
+# Frames of the shortest track that counts, and the share of the links that chance may give: neighbours in a crowd of
+# noisy detections leap, and lie nearer together than the noise.
+LEAST_LENGTH, MOST_BY_CHANCE = 6, 0.5
 
 
 @dataclass(frozen=True)

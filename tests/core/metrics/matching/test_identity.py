@@ -8,16 +8,16 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.metrics.identities import Partners, tabulate
+from stereophd.core.metrics.identities import PartnerCounts, tabulate
 
 NOTHING = np.zeros(0, dtype=np.int64)
 
 
-def of_tracks(label: np.ndarray, pair_track: np.ndarray, pair_object: np.ndarray) -> Partners:
+def of_tracks(label: np.ndarray, pair_track: np.ndarray, pair_object: np.ndarray) -> PartnerCounts:
     return tabulate(label[label >= 0], pair_track[pair_track >= 0], pair_object[pair_track >= 0])
 
 
-def of_objects(truth: np.ndarray, pair_track: np.ndarray, pair_object: np.ndarray) -> Partners:
+def of_objects(truth: np.ndarray, pair_track: np.ndarray, pair_object: np.ndarray) -> PartnerCounts:
     return tabulate(truth, pair_object, pair_track, pair_track >= 0)
 
 

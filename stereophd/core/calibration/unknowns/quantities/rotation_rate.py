@@ -5,13 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.unknowns.quantities.base import (
-    MOVES,
-    RADIANS_PER_SECOND,
-    CameraView,
-    Entry,
-    Quantity,
-)
+from stereophd.core.calibration.unknowns.quantities.base import MOVES, RADIANS_PER_SECOND, CameraView, Entry, Quantity
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import left_jacobians, turned
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
