@@ -74,17 +74,6 @@ def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
     return values, eliminated[:, -1] - eliminated[:, :-1] @ values
 
 
-def least_damped_step(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
-    """Return `solve` with the least damping, from this one on, that makes the equations positive definite."""
-    while True:
-        try:
-            return solve(equations, damping)
-        except LinAlgError:
-            damping *= DAMPING_FACTOR
-            if damping >= MOST_DAMPING:
-                raise
-
-
 def adjust(
     problem: Problem, values: Array, states: Array, max_iterations: int = 200, tolerance: float = 1e-7
 ) -> Adjustment:
