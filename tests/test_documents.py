@@ -154,3 +154,13 @@ def test_the_glossary_is_sorted_and_complete() -> None:
     terms = re.findall(r"^\*\*(.+?)\*\*", text("docs/reference/glossary.md"), re.MULTILINE)
     assert terms == sorted(terms, key=str.lower)
     assert len(terms) >= 60
+
+
+def test_promises_are_the_words_of_the_pages_and_have_their_tests() -> None:
+    measured = text("docs/dev/measured/reliability.md")
+    pages = " ".join((text("docs/explanation/reliability.md") + text("docs/explanation/security.md")).split())
+    promises = re.findall(r"^\| (.+?) \|", measured.partition("\n## What an attack found")[0], re.MULTILINE)[1:]
+    assert len(promises) > 20
+    assert [promise for promise in promises if promise not in pages] == []
+    for name, function in re.findall(r"`(tests/[\w/]+\.py)::(\w+)`", measured):
+        assert f"def {function}(" in text(name), (name, function)

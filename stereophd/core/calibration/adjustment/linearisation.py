@@ -103,7 +103,8 @@ class Linearisation:
         x, motion = states.ravel(), self.motion
         product = density * banded_product(motion.bands, x)
         pull = product - density * motion.pull
-        energy = float(x @ product) + density * (motion.energy - 2.0 * float(x @ motion.pull))
+        # a sum of squares, which rounding makes negative where trajectories are far away
+        energy = max(float(x @ product) + density * (motion.energy - 2.0 * float(x @ motion.pull)), 0.0)
         bands += density * motion.bands
         state_vector -= pull
         coupling -= np.outer(pull, gradient)

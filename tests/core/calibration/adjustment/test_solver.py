@@ -10,7 +10,11 @@ from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Problem
-from stereophd.core.calibration.adjustment.solver import Adjustment, adjust, posterior_covariance
+from stereophd.core.calibration.adjustment.solver import (
+    Adjustment,
+    adjust,
+    posterior_covariance,
+)
 from stereophd.core.calibration.adjustment.trajectories import (
     KNOTS_PER_DETECTION,
     fit_states,
