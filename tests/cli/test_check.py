@@ -46,6 +46,7 @@ def test_the_command_is_printed_with_what_mends_it(call: Callable[..., Outcome],
     assert words[:6] == ["stereophd", "check", str(config), str(log), "--seed", "3"]
     assert words[6] == "--set"
     again = call(*words[1:])
+    assert again.code == 0
     assert "log.places" in found.out
     assert "log.places" not in again.out
 

@@ -138,7 +138,7 @@ def _places(sample: CameraSample) -> Iterator[Finding]:
         f"{name}: the same places detect again and again: {shown} of {len(sample.times)} frames{more}: dead pixels, "
         "lamps, or objects at rest", len(places), 0, name,
         "leave them out if they are no objects (input.leave_out)", "lasting_places",
-        f"input.leave_out={{{name}: [{areas}]}}",
+        f"input.leave_out.{name}=[{areas}]",
     )  # fmt: skip
 
 
@@ -172,7 +172,7 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
         )  # fmt: skip
     noise, least = sample.noise_px or (np.nan, np.nan)
     stated = float(detector.sigma.mean())
-    too_large = noise * NOISE_FACTOR < stated
+    too_large, better = noise * NOISE_FACTOR < stated, f"{max(noise, LEAST_SIGMA_PX):.2g}"
     if follows and (least > NOISE_FACTOR * stated or too_large):
         effect = ": rays meet anywhere with it, so that neither clocks nor poses show their errors" if too_large else ""
         yield Finding(
@@ -180,8 +180,8 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             f"{camera.name}: detections scatter by about {noise:.2g} px about one-camera tracks, but sigma_px is "
             f"{stated:g}{effect}",
             stated, round(noise, 4), camera.name,
-            f"set sigma_px near {noise:.2g}, or estimate it (detector: estimate)", "sigma",
-            f"cameras.{camera.name}.detector.sigma_px=[{noise:.2g}, {noise:.2g}]",
+            f"set sigma_px near {better}, or estimate it (detector: estimate)", "sigma",
+            f"cameras.{camera.name}.detector.sigma_px=[{better}, {better}]",
         )  # fmt: skip
     sigma = float(detector.sigma.max())
     if not float(detector.sigma.min()) >= LEAST_SIGMA_PX or sigma > LARGEST_SIGMA_SHARE * camera.width:
