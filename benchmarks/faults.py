@@ -115,9 +115,7 @@ def no_room(case: SmallRun, whole: dict[str, bytes], place: Path) -> str:
         return f"exit code {process.returncode}: {said[-200:]}"
     if final(files(place)) != final(whole):
         return "the earlier run is damaged"
-    # an experiment keeps its finished runs, which the next one takes up
-    kept = case.next_run(place)
-    code, said = finished([*kept, "--force"] if "--force" not in kept else kept)
+    code, said = finished(case.next_run(place, over=True))  # an experiment keeps its finished runs: it takes them up
     if code != 0:
         return f"the next run ends with {code}: {said[-200:]}"
     return "" if files(place) == whole else "the next run gives other files"

@@ -25,7 +25,6 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.core.arrays import Array
-from stereophd.core.metrics.errors import Waits
 from stereophd.core.metrics.matching.clear_mot import match_within
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.metrics.summary import figures as figures_of_run
@@ -169,7 +168,7 @@ def score(run: Run, settings: Sequence[str]) -> list[float]:
     scores, near = match_within(found, run.truth, scores, ORDER, CUTOFF, MATCH_DISTANCE)
     ospa2 = track_ospa(found, run.truth, WINDOW, ORDER, CUTOFF, mahalanobis=False)
     errors = pair_errors(found, run.truth, scores)
-    report = figures_of_run(found, run.truth, scores, near, near, ospa2, errors, Waits(np.zeros(0), np.zeros(0), 0))
+    report = figures_of_run(found, run.truth, scores, near, near, ospa2, errors, {})
     both = points_of_estimates([one.with_tentative() for one in estimates])
     late = run.time_s >= 0.5 * (run.time_s[0] + run.time_s[-1])
     last_half = float(scores.ospa.distance[late].mean())

@@ -5,7 +5,7 @@
 Each case is a small run of a command, made in a fork of a process that has loaded everything, so that the moments fall
 into the work and not into the start. It is killed at a random moment, up to three times in a row, with `--resume` in
 between where the command has it, and then runs to its end. `--group` kills its workers with it. Checkpoints are made
-several times a second. A case is held if
+several times a second. A case passes if
 
 - after a kill no file lies in its final place, or all do, with the bytes of an undisturbed run;
 - no process and no shared memory of the killed run is left after 5 s;

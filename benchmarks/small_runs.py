@@ -13,11 +13,15 @@ EXPERIMENT = CONFIGS / "paper" / "figure4.yaml"
 
 @dataclass(frozen=True)
 class SmallRun:
-    """Words of a command without its output, the name of that (a file where it has an ending), and `--resume`."""
+    """Words of a command without its output, the name of that (a file where it has an ending), and `--resume`.
+
+    `in_parts` states that each folder of the output comes into its place on its own, as that of each of several logs.
+    """
 
     words: tuple[str, ...]
     out: str = "out"
     resumes: bool = False
+    in_parts: bool = False
 
     def command(self, place: Path, *more: str) -> list[str]:
         """Return the words of a run whose output lies in `place`."""
@@ -26,16 +30,20 @@ class SmallRun:
             return ["init", target, *self.words[1:], *more, "-q"]
         return [*self.words, "--out", target, *more, "-q"]
 
-    def next_run(self, place: Path) -> list[str]:
-        """Return the words of the run after one that was disturbed: it continues what is kept, or replaces."""
-        kept = self.resumes and any((place / self.out).glob("partial-*"))
-        return self.command(place, "--resume" if kept else "--force")
+    def next_run(self, place: Path, over: bool = False) -> list[str]:
+        """Return the words of the run after one that was disturbed: it continues what is kept, or replaces.
+
+        `over` states that a finished run of another kind is in the way.
+        """
+        kept = self.resumes and any(next((place / self.out).glob(f"{above}partial-*"), None) for above in ("", "*/"))
+        return self.command(place, *(["--resume"] if kept else []), *(["--force"] if over or not kept else []))
 
 
 def small_runs(folder: Path) -> dict[str, SmallRun]:
     """Write the inputs of all runs into a folder; return the runs by their titles."""
     import pyarrow.csv as csv
     import pyarrow.parquet as pq
+    import yaml
 
     from stereophd.cli.app import run
 
@@ -56,7 +64,11 @@ def small_runs(folder: Path) -> dict[str, SmallRun]:
     track = ("track", QUICKSTART, log)
     rig = ("--cameras", unknown / "guess.yaml", *film[2:], "--no-plots")
     calibrate = ("calibrate", CALIBRATION, unknown / log.name, *rig)
-    experiment = ("experiment", EXPERIMENT, "--set", "experiment.runs=4")
+    study = yaml.safe_load(EXPERIMENT.read_text(encoding="utf-8"))
+    study["experiment"]["runs"], study["experiment"]["scenario"]["reference_samples"] = 3, 2000
+    study["experiment"]["methods"] = dict(list(study["experiment"]["methods"].items())[:2])
+    (folder / "experiment.yaml").write_text(yaml.safe_dump(study), encoding="utf-8")
+    experiment = ("experiment", folder / "experiment.yaml")
     runs: dict[str, tuple[tuple[object, ...], str, bool]] = {
         "simulate": (("simulate", QUICKSTART, *small), "out", False),
         "simulate --runs 3": (("simulate", QUICKSTART, *small, "--runs", 3), "out", False),
@@ -80,4 +92,7 @@ def small_runs(folder: Path) -> dict[str, SmallRun]:
     }  # fmt: skip
     (folder / "again").mkdir()
     (folder / "again" / log.name).write_bytes(log.read_bytes())
-    return {title: SmallRun(tuple(map(str, words)), out, resumes) for title, (words, out, resumes) in runs.items()}
+    return {
+        title: SmallRun(tuple(map(str, words)), out, resumes, title == "track of two logs")
+        for title, (words, out, resumes) in runs.items()
+    }

@@ -1,7 +1,7 @@
-"""Write the files that docs/tutorial_import.md begins with, as the programs of other laboratories write them.
+"""Write the files that docs/start/import.md begins with, as the programs of other laboratories write them.
 
-    python docs/make_import_files.py insects DIR    # points.csv and calibration.yml of three cameras, and truth.parquet
-    python docs/make_import_files.py dltdv DIR      # flight-xypts.csv and flight-dltCoefs.csv, and truth.parquet
+    python docs/make_import_files.py insects docs/assets/insects   # three cameras, and truth.parquet
+    python docs/make_import_files.py dltdv DIR   # flight-xypts.csv and flight-dltCoefs.csv, and truth.parquet
 
 The scenes are simulated. `insects` has false and missed detections, and each camera its own clock offset; `dltdv` has
 digitised points without false ones, rows from below, and a left-handed world, as easyWand may leave it.

@@ -26,10 +26,6 @@ PAGES = {
     "benchmarks/README.md": "about/benchmarks.md",
 }
 LINK = re.compile(r"(\]\()([^)\s#]+)([^)\s]*\))")
-COMMANDS = (
-    "", "demo", "import", "init", "info", "check", "simulate", "track", "calibrate", "evaluate", "report", "export",
-    "experiment", "compile", "config show", "config check", "config schema",
-)  # fmt: skip
 
 
 def on_config(config: Any) -> Any:
@@ -75,8 +71,15 @@ def on_page_markdown(text: str, page: Any, files: Files, **_: Any) -> str:
 
 def commands_page() -> str:
     """Return the page of all commands, which is what `--help` prints."""
+    from typer.main import get_command
+
+    from stereophd.cli.app import app
+
+    names = [""]
+    for name, command in get_command(app).commands.items():
+        names += [f"{name} {part}" for part in getattr(command, "commands", [])] or [name]
     parts = ["# Commands\n\nEach section is what `stereophd COMMAND --help` prints.\n"]
-    for name in COMMANDS:
+    for name in names:
         words = [sys.executable, "-m", "stereophd", *name.split(), "--help"]
         result = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=True, env=environment())
         parts.append(f"## `{f'stereophd {name}'.strip()}`\n\n```text\n{result.stdout.rstrip()}\n```\n")

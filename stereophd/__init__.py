@@ -5,8 +5,6 @@ when it is first used, so that ``import stereophd`` takes almost no time. Module
 private: they may change without notice.
 """
 
-from __future__ import annotations
-
 import os
 
 __version__ = "0.1.0"

@@ -109,6 +109,8 @@ class Outputs:
         """Draw the tracks: ``top`` or ``side`` (views), ``timelines``, or ``residuals`` (with `associations`)."""
         from stereophd.report.installed import whether_to_draw
 
+        if view == "residuals":
+            self.table("associations")  # an error names what is missing
         whether_to_draw(True)
         # Costly to import, and matplotlib is an extra.
         import matplotlib.pyplot
@@ -166,7 +168,10 @@ class _Work:
         if not hasattr(given, "__getitem__") or not (hasattr(given, "keys") or hasattr(given, "column_names")):
             raise InputError(f"detections: expected a path, outputs or a table, found {type(given).__name__}")
         path = self.folder / "detections.parquet"
-        write_log(path, given, force=True)
+        try:
+            write_log(path, given, force=True)
+        except InputError as error:
+            raise InputError(str(error).replace(str(path), "detections")) from None
         return path
 
     def truth(self, given: Any) -> Path:
@@ -225,16 +230,8 @@ def init(
 ) -> Outputs:  # fmt: skip
     """Estimate settings from detections; `Outputs.config` holds them.
 
-    Parameters
-    ----------
-    detections : path, Outputs or table, optional
-        Detection log: ``time_s, camera, frame, u_px, v_px`` (px, s) of a path, pandas, Arrow or a mapping of arrays.
-    cameras : path, Outputs or sequence of Camera, optional
-        Default: ``cameras.yaml`` beside the log.
-    out : path, optional
-        Folder of ``config.yaml``; temporary without it.
-    overrides : sequence of str
-        ``key.path=value`` each: values that are known, and that `init` keeps.
+    The arguments before the options are those of `track`; by default the cameras are those beside the log. `overrides`
+    are values that are known, and that `init` keeps.
     """
     work = _Work(out)
     log = None if detections is None else work.log(detections)
@@ -431,7 +428,7 @@ def import_recording(
     from stereophd.commands.importing import import_recording as run
 
     work, paths = _Work(out), sources if isinstance(sources, list | tuple) else [sources]
-    return work.outputs(run(form, paths, work.out, options, cameras, force))
+    return work.outputs(run(form, [_path(path) for path in paths], work.out, options, cameras, force))
 
 
 @takes(ExportOptions)

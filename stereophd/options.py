@@ -86,6 +86,10 @@ def takes(kind: type[Any]) -> Callable[[Callable[..., Result]], Callable[..., Re
                 raise InputError(f"`{unknown[0]}`: expected one of {', '.join(names)}, found another name")
             stated = {name: words.pop(name) for name in names if name in words}
             chosen = kind(**stated) if options is None else replace(options, **stated)
+            for name, declared in declarations(kind).items():
+                value = getattr(chosen, name)
+                if declared.least is not None and isinstance(value, int | float) and value < declared.least:
+                    raise InputError(f"`{name}`: expected at least {declared.least:g}, found {value}")
             return function(*arguments, options=chosen, **words)
 
         own = [parameter for parameter in plain.parameters.values() if parameter.name != "options"]

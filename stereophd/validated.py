@@ -63,6 +63,10 @@ class OneOf:
 NO_LENGTH = "baseline"
 
 
+# Metres in a unit of length.
+METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}
+
+
 class Units(Model):
     """Units of all files of a run."""
 

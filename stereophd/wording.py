@@ -1,6 +1,9 @@
-"""How messages and reports write counts and shares."""
+"""Where messages go, and how they and reports write counts and shares."""
 
-from __future__ import annotations
+import logging
+
+#: The logger of every message about a run that goes on; errors end one.
+LOGGER = logging.getLogger("stereophd")
 
 
 def counted(count: int, noun: str) -> str:

@@ -4,8 +4,6 @@ Exit codes: 0 done; 1 ran, but a gate failed; 2 usage, configuration or input er
 130 interrupted (128 + the signal that ended the run). Errors carry their code (`stereophd.errors`).
 """
 
-from __future__ import annotations
-
 import errno
 import io
 import os
@@ -26,12 +24,10 @@ from stereophd.cli import (
     demo,
     evaluate,
     experiment,
-    export,
+    finished,
     importing,
-    info,
     init,
     interrupts,
-    report,
     simulate,
     track,
     watch,
@@ -79,7 +75,7 @@ for _name, _command, _purpose, *_examples in (
         "init", init.init_command, "Write a configuration with values estimated from a log.",
         "init study --log rec/detections.parquet",
     ),
-    ("info", info.info_command, "Describe a log, a table, cameras or an output folder.", "info study/tracks"),
+    ("info", finished.info_command, "Describe a log, a table, cameras or an output folder.", "info study/tracks"),
     (
         "check", check.check_command, "Check whether a log fits cameras and settings.",
         "check study/config.yaml rec/detections.parquet --strict",
@@ -112,11 +108,11 @@ for _name, _command, _purpose, *_examples in (
         "evaluate-cameras found/cameras.yaml scene/cameras.yaml",
     ),
     (
-        "report", report.report_command, "Write one page (HTML) about runs and their scores.",
+        "report", finished.report_command, "Write one page (HTML) about runs and their scores.",
         "report rec tracks scores --out report.html",
     ),
     (
-        "export", export.export_command, "Write tracks or cameras as a file of another program.",
+        "export", finished.export_command, "Write tracks or cameras as a file of another program.",
         "export trc tracks --rate 60 --out tracks.trc",
     ),
     (
@@ -150,8 +146,8 @@ def root(
 
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line, by default with the words after the name of this process, and return its exit code."""
-    session = Session()
     words = sys.argv[1:] if arguments is None else list(arguments)
+    session = Session(words=tuple(words))
     try:
         _check_environment()
         result = app(args=words, prog_name="stereophd", standalone_mode=False, obj=session)

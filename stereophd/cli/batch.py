@@ -1,7 +1,5 @@
 """Summary and exit code of a command over many inputs."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``stereophd calibrate``."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from stereophd.cli.batch import are_many, finish_batch

@@ -1,7 +1,5 @@
 """``stereophd compile``."""
 
-from __future__ import annotations
-
 from typing import Annotated
 
 import typer

@@ -1,7 +1,5 @@
 """Completion of ``--set KEY=VALUE`` in shells: keys and words from the JSON schema, names from the configuration."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path

@@ -1,7 +1,5 @@
 """``stereophd config show|check|schema``."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 import typer

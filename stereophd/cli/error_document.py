@@ -4,8 +4,6 @@ Messages of the package have one form (`stereophd.errors`): ``FILE[:LINE]: PLACE
 an error. The parts are taken from that form; what a message does not have is null.
 """
 
-from __future__ import annotations
-
 import os
 import re
 from typing import Any

@@ -1,7 +1,5 @@
 """``stereophd evaluate``: tracks against the truth; ``stereophd evaluate-cameras``: cameras against true ones."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """``stereophd experiment``."""
 
-from __future__ import annotations
-
 import sys
 
 from stereophd.cli.options import Out, SceneWords, Session

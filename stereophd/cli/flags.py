@@ -4,8 +4,6 @@ The messages of the package name parameters of its functions in backquotes, such
 A caller from Python reads them unchanged. The command line translates them: ``use --force to replace it``.
 """
 
-from __future__ import annotations
-
 import re
 
 from stereophd.commands.options import OPTIONS

@@ -1,7 +1,5 @@
 """``stereophd import``."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from pathlib import Path
@@ -66,6 +64,9 @@ def _lines(report: dict[str, Any], out: Path) -> list[str]:
             f"{name}: {row['detections']} detections in {row['frames']} frames ({row['empty_frames']} empty, "
             f"{row['filled_frames']} of them filled in), {first} to {last} s, {rate}, {size}"
         )
+    if (between := report["distances"]) is not None:
+        near, far = f"{between['nearest']:.4g}", f"{between['farthest']:.4g}"
+        lines.append(f"distances between cameras: {near} to {far} {report['length_unit']}")
     files = [name for name in ("detections.parquet", "cameras.yaml", "truth.parquet") if (out / name).exists()]
     return [*lines, f"Written to {out}: {', '.join(files)}, report.json"]
 

@@ -4,8 +4,6 @@ OpenBLAS asks the system for its buffer again and again, without end, where ther
 are therefore allocated before the work begins, and a limit below which they, and the libraries, do not fit is refused.
 """
 
-from __future__ import annotations
-
 from stereophd.errors import InputError
 
 # Upper bound on the memory of the libraries, the compiler of the kernels and the BLAS buffers of a few threads, bytes.

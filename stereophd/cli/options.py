@@ -1,7 +1,5 @@
 """Options that several commands share. Nothing heavy may be imported here: ``--help`` must be quick."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +20,7 @@ class Session:
     verbosity: int = 0
     debug: bool = False
     printed: bool = False  # whether the one document of `json` is on stdout
+    words: tuple[str, ...] = ()  # of the command line
     context: typer.Context | None = None  # of the command that runs
 
 
@@ -60,6 +59,23 @@ class PlainCommand(typer.core.TyperCommand):
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
         """Write the examples."""
         write_examples(self.epilog, formatter)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Keep the words, which --help would end before they are parsed."""
+        ctx.meta["words"] = list(args)
+        return list(super().parse_args(ctx, args))
+
+    def format_help_text(self, ctx: Any, formatter: Any) -> None:
+        """Write what the command does, and of `import FORMAT --help` what the format holds."""
+        super().format_help_text(ctx, formatter)
+        word = next(iter(ctx.meta["words"]), "-")
+        if not word.startswith("-") and any(parameter.name == "form" for parameter in self.params):
+            from stereophd.cli.flags import with_flags  # only here: both import what the commands need
+            from stereophd.io.interchange.registry import description
+
+            formatter.write_paragraph()
+            with formatter.indentation():
+                formatter.write_text(with_flags(description(word)).replace("``", ""))
 
     def format_usage(self, ctx: Any, formatter: Any) -> None:
         """Write the usage line: words in capitals, optional ones in brackets, dots after those that repeat."""
@@ -124,7 +140,9 @@ def _to_session(name: str) -> Callable[[typer.Context, Any], Any]:
     return keep
 
 
-Form = Annotated[str, argument("FORMAT", f"Format, such as csv; all: {page('reference/interchange')}")]
+Form = Annotated[
+    str, argument("FORMAT", f"Format; csv --help, for one, describes csv. All: {page('reference/interchange')}")
+]
 Config = Annotated[Path, argument("CONFIG", "Configuration (YAML).")]
 Out = Annotated[Path, option("--out", "DIR", "Output folder; created if missing.")]
 Logs = Annotated[list[Path], argument("LOG", "Detection logs (Parquet), or patterns such as 'day1/*.parquet'.")]

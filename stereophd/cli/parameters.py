@@ -1,7 +1,5 @@
 """The parameters of the command line, made from the signature of a command and its classes of options."""
 
-from __future__ import annotations
-
 import inspect
 import math
 from collections.abc import Callable

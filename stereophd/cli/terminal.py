@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -92,7 +93,19 @@ def print_report(
         from stereophd.io.outputs.json_text import plain
 
         shown = _lines(plain(report)) if text is None else text()
-        print_data(shown if isinstance(shown, str) else "\n".join(shown))
+        print_data("\n".join([*([shown] if isinstance(shown, str) else shown), *_remedied(session, report)]))
+
+
+def _remedied(session: Session, report: Mapping[str, Any]) -> list[str]:
+    """Return the command line again, with the changes that the warnings of its checks propose."""
+    warned = [check for check in report.get("checks", ()) if check["status"] == "warning" and check["change"]]
+    flags = {flag for option in session.context.command.params for flag in option.opts} if session.context else set()
+    if not warned or "--set" not in flags:
+        return []
+    words = [word for word in session.words if word != "--force"]
+    changes = [word for change in dict.fromkeys(check["change"] for check in warned) for word in ("--set", change)]
+    force = ["--force"] if "--force" in flags else []
+    return ["The same with these remedies:", f"  {shlex.join(['stereophd', *words, *force, *changes])}"]
 
 
 def print_run(session: Session, report: Mapping[str, Any]) -> None:

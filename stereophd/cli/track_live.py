@@ -1,7 +1,5 @@
 """``stereophd track`` of a recording that is still running."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path
@@ -51,7 +49,7 @@ def run_live(
     if session.quiet:
         return
     if not done["frames"]["frames"]:
-        typer.echo("no frame came: did the program that sends them fail?", err=True)
+        typer.echo("no frame was used", err=True)
         return
     latency, processor = done["latency_ms"], done["processor_ms"]
     typer.echo(

@@ -7,15 +7,11 @@ These warnings are about the command line. They are no findings about the data, 
 them.
 """
 
-from __future__ import annotations
-
-import logging
 from collections.abc import Sequence
 
 from stereophd.cli.options import Session
 from stereophd.errors import InputError
-
-LOGGER = logging.getLogger("stereophd")
+from stereophd.wording import LOGGER
 
 
 def refuse(session: Session, names: Sequence[str], use: str) -> None:

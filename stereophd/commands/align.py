@@ -1,8 +1,5 @@
 """Bring cameras and tracks into a world frame: that of a control track, the floor, gravity, or one of the cameras."""
 
-from __future__ import annotations
-
-import logging
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -29,14 +26,12 @@ from stereophd.pipeline.alignment.tables import write_moved
 from stereophd.pipeline.calibration.unknowns import with_quantities
 from stereophd.pipeline.cameras_covariance import in_world, rows_of, stated_uncertainty
 from stereophd.pipeline.evaluation.inputs import read_tracks
-from stereophd.validated import NO_LENGTH
+from stereophd.validated import METRES, NO_LENGTH
+from stereophd.wording import LOGGER
 
 CAMERAS_FILE, TRACKS_FILE, REPORT_FILE = "cameras.yaml", "tracks.parquet", "report.json"
 TABLES = (TRACKS_FILE, "scans.parquet", "associations.parquet")
 FLOOR, FALL = "floor", "gravity"
-METRES = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3}
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @takes(AlignOptions)

@@ -6,8 +6,6 @@ and ``failed``, their numbers, and ``exit_code``, and raises InputError if a fil
 option or the folder cannot be used. A recording that fails is a row with the reason.
 """
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace

@@ -1,9 +1,6 @@
 """Calibrate cameras from a detection log: poses with their posterior, history, tracks and a report."""
 
-from __future__ import annotations
-
 import contextlib
-import logging
 import math
 import time
 from dataclasses import replace
@@ -54,6 +51,7 @@ from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, 
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import ASSOCIATIONS_FILE, SCANS_FILE, TRACKS_FILE, TrackingRun
 from stereophd.report.installed import whether_to_draw
+from stereophd.wording import LOGGER
 
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("history", "posterior", "residuals") for kind in ("png", "svg"))
 CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE = "cameras.yaml", "posterior.parquet", "history.parquet"
@@ -63,8 +61,6 @@ ACCEPTED = {None: (DETERMINED, PARTLY, UNDETERMINED), "partly": (DETERMINED, PAR
 
 # Checks that need the calibrated cameras; the checks of the log alone come first.
 WITH_CAMERAS = ("geometry.", "settings.")
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @takes(CalibrateOptions)

@@ -1,7 +1,5 @@
 """Check whether a detection log fits the cameras and the settings of a configuration."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Check whether a configuration holds what a command needs, before there is a log."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 
 from stereophd.config.loading import LoadedConfig

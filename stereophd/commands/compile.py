@@ -1,8 +1,5 @@
 """Compile the kernels of `track` and keep them, so that later runs find them."""
 
-from __future__ import annotations
-
-import logging
 from typing import Any
 
 from stereophd.core.multi.build import prepare, prepare_last_first
@@ -10,8 +7,7 @@ from stereophd.core.multi.filter_settings import filters
 from stereophd.core.numerics.compilation.kernel_cache import place_to_keep
 from stereophd.errors import InputError
 from stereophd.pipeline.workers.processes import on_processes
-
-LOGGER = logging.getLogger("stereophd")
+from stereophd.wording import LOGGER
 
 
 def compile_kernels(jobs: int = 1) -> dict[str, Any]:

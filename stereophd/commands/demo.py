@@ -1,7 +1,5 @@
 """The quickstart from inside the package: simulate a scene, track it, score the tracks, and write the page."""
 
-from __future__ import annotations
-
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path

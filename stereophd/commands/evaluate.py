@@ -1,13 +1,12 @@
 """Score the tracks of a run against the truth: OSPA, OSPA(2), GOSPA, RMSE, cardinality, identities, NEES."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from stereophd.commands.options import EvaluateOptions
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import OutputFolder
@@ -28,9 +27,6 @@ from stereophd.pipeline.evaluation.report import build_report, write_per_scan
 from stereophd.pipeline.evaluation.scale import default_cutoff, warn_of_another_scene
 from stereophd.pipeline.evaluation.scoring import score_tracks
 from stereophd.report.installed import whether_to_draw
-
-if TYPE_CHECKING:
-    from stereophd.core.geometry.camera import Camera
 
 REPORT_NAME, PER_SCAN_NAME = "report.json", "per_scan.parquet"
 PLOT_NAMES = tuple(f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "side") for kind in ("png", "svg"))
@@ -81,7 +77,8 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
         write_per_scan(out.path(PER_SCAN_NAME), scored.columns, to_metadata(record))
         if draw:
             # Costly to import, and matplotlib is an extra.
-            from stereophd.report.plots.figures import Pictures, write_plots
+            from stereophd.report.plots.scene_plots import write_plots
+            from stereophd.report.style import Pictures
 
             pictures = Pictures(
                 columns=scored.columns,

@@ -1,14 +1,12 @@
 """Score calibrated cameras against true ones: errors, NEES and coverage of the posterior, Cramer-Rao bounds."""
 
-from __future__ import annotations
-
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 from pydantic import ValidationError
 
 from stereophd.commands.options import EvaluateCamerasOptions
@@ -33,12 +31,7 @@ from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
 from stereophd.pipeline.evaluation.gates import check_limits, gates, limits_of, raise_if_failed
 from stereophd.validated import NO_LENGTH
-
-if TYPE_CHECKING:
-    import pyarrow as pa
-
-
-LOGGER = logging.getLogger("stereophd")
+from stereophd.wording import LOGGER
 
 POSTERIOR_NAME, REPORT_NAME = "posterior.parquet", "report.json"
 # Credible interval whose coverage is reported.

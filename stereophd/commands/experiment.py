@@ -5,9 +5,6 @@ the number of workers, to the bit, and all methods see the same data. Finished r
 all are done.
 """
 
-from __future__ import annotations
-
-import logging
 from pathlib import Path
 
 from stereophd.commands.options import ExperimentOptions
@@ -33,11 +30,10 @@ from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size, size_of_experiment
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 from stereophd.report.installed import can_draw
+from stereophd.wording import LOGGER
 
 FIGURE_FILES = ("figure.png", "figure.svg")
 FILES = (RUNS_FILE, SUMMARY_FILE, TIMING_FILE, *FIGURE_FILES)
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @takes(ExperimentOptions)

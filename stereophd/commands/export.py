@@ -1,7 +1,5 @@
 """Write tracks or cameras as a file of another program."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

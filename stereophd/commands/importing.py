@@ -1,8 +1,5 @@
 """Bring detections and cameras of another program into native files."""
 
-from __future__ import annotations
-
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -30,6 +27,8 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.run import QUICK_FRAMES, report_findings
+from stereophd.pipeline.inspection.cameras import summarise_cameras
+from stereophd.wording import LOGGER
 
 DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
 TRUTH_FILE = "truth.parquet"
@@ -37,8 +36,6 @@ FILES = (DETECTIONS_FILE, CAMERAS_FILE, TRUTH_FILE, REPORT_FILE)
 REPORT_VERSION = 1
 # A camera's pixels may reach this far outside its image before the size of the image is doubted.
 IMAGE_MARGIN_PX = 10.0
-
-LOGGER = logging.getLogger("stereophd")
 
 
 def import_recording(
@@ -101,6 +98,7 @@ def import_recording(
             "checks": report_findings(tuple(findings)),
             "detections": sum(summary.detections for summary in summaries.values()) if summaries else None,
             "cameras": _camera_rows(cameras, summaries),
+            "distances": None if _has_unknown(cameras) else summarise_cameras(cameras, "")["distances"],
             "models": recording.models,
             "truth": None if recording.truth is None else {"rows": len(recording.truth.object_id)},
             "labels": {str(number): label for number, label in recording.labels.items()},
@@ -149,6 +147,10 @@ def _write_truth(
         table.append(columns)
 
 
+def _has_unknown(cameras: Mapping[str, CameraConfig]) -> bool:
+    return not cameras or any(camera.pose.unknown for camera in cameras.values())
+
+
 def _with_rates(cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary]) -> dict[str, CameraConfig]:
     """State the frame rates of the log where the cameras have none."""
     result = {}
@@ -164,12 +166,17 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
     """Add warnings about what does not fit together."""
     warn = recording.warnings.append
     if summaries and recording.cameras:
-        for name in sorted(summaries.keys() - recording.cameras.keys()):
-            meant = next((known for known in recording.cameras if known in name), "NAME")
-            warn(
-                f"camera {name} has detections, but the cameras ({', '.join(recording.cameras)}) have none of that "
-                f"name (`rename` {name}={meant})"
+        known = ", ".join(recording.cameras)
+        renames = {
+            name: f"`rename` {name}={next((camera for camera in recording.cameras if camera in name), 'NAME')}"
+            for name in sorted(summaries.keys() - recording.cameras.keys())
+        }
+        if len(renames) == len(summaries):
+            raise InputError(
+                f"cameras: expected a name of {known}, found only others; use {' '.join(renames.values())}"
             )
+        for name, use in renames.items():
+            warn(f"camera {name} has detections, but the cameras ({known}) have none of that name ({use})")
         for name in sorted(recording.cameras.keys() - summaries.keys()):
             warn(f"camera {name} has no detections (the log has {', '.join(summaries)})")
     for name, summary in summaries.items():

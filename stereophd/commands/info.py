@@ -1,7 +1,5 @@
 """Describe a file or an output folder: its contents and its origin."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 from typing import Any

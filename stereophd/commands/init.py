@@ -1,8 +1,5 @@
 """Write a commented configuration for a log and its cameras, each value with its source."""
 
-from __future__ import annotations
-
-import logging
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -20,14 +17,14 @@ from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.initial.draft import draft_from_log
-from stereophd.pipeline.initial.template import METRES, SCALES, Draft, Kind, template
+from stereophd.pipeline.initial.template import SCALES, Draft, Kind, template
 from stereophd.pipeline.initial.text import MARK, config_text
 from stereophd.pipeline.inspection.log import summarise_log
+from stereophd.validated import METRES
+from stereophd.wording import LOGGER
 
 CONFIG_FILE, CAMERAS_FILE = "config.yaml", "cameras.yaml"
 REPORT_VERSION = 1
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @takes(InitOptions)

@@ -1,7 +1,5 @@
 """One self-contained page about the runs in output folders."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

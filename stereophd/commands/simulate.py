@@ -4,8 +4,6 @@ Each run has its own random streams, one for the objects and one for each camera
 therefore does not depend on the number of runs or workers; a single run is run 0.
 """
 
-from __future__ import annotations
-
 import time
 from collections.abc import Iterator
 from pathlib import Path

@@ -6,7 +6,6 @@ Two cases differ: smoothing holds the whole run in memory, and a run in pieces h
 
 from __future__ import annotations
 
-import logging
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -47,6 +46,7 @@ from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
+from stereophd.wording import LOGGER
 
 if TYPE_CHECKING:
     from stereophd.pipeline.tracking.pieces import JoinedPieces
@@ -56,8 +56,6 @@ PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residua
 # The last is of a live run, which tracks its recording at the end.
 FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS, "detections.parquet")
 REPORT_VERSION = 1
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @takes(TrackOptions)

@@ -6,8 +6,6 @@ does: the files are those of that command, to the byte, however the frames arriv
 a checkpoint, and all of them come into their places together.
 """
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools
@@ -193,12 +191,11 @@ class _Session:
 
     def _tell_status(self) -> None:
         """Tell those who watch how the run goes."""
-        counts, residuals = self.checks.counts, self.run.residuals
-        late, latency_ms = self.run.counts.late, self.run.counts.latency.percentiles_ms()
-        status = Status(counts["frames"], late, counts["too_late"], residuals, latency_ms)
+        counts, run = self.checks.counts, self.run
         for sink in self._rows:
             if isinstance(sink, Publisher):
-                sink.tell(status)
+                latency_ms = run.counts.latency.percentiles_ms()
+                sink.tell(Status(counts["frames"], run.counts.late, counts["too_late"], run.residuals, latency_ms))
 
     def _save(self) -> None:
         """Let a process write the files of a checkpoint when it is time; tell how the last one ended."""

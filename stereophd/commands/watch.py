@@ -4,8 +4,6 @@ The server subscribes to what a live run publishes, and passes it on as server-s
 pictures a second. It answers only those who know the token of its address.
 """
 
-from __future__ import annotations
-
 import http.server
 import json
 import queue

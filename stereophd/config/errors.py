@@ -1,7 +1,5 @@
 """Validation errors of pydantic as sentences: place, key path, expected, found, nearest key."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable, Mapping

@@ -1,7 +1,5 @@
 """Keys that the JSON schema of a model knows: in a place, and anywhere."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import json
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
@@ -24,12 +23,12 @@ from stereophd.io.cameras.models import CameraConfig, CamerasFile
 from stereophd.io.outputs.json_text import infinity_as_text
 from stereophd.io.outputs.provenance import ConfigRecord, sha256_of
 from stereophd.io.tables.trajectories import pack_poses, read_trajectory
+from stereophd.wording import LOGGER
 
 if TYPE_CHECKING:
     from stereophd.io.interchange.base import ImportOptions
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)

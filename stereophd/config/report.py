@@ -1,7 +1,5 @@
 """Sections ``report``, ``input`` and ``evaluation`` of a configuration: what is written, read and scored."""
 
-from __future__ import annotations
-
 import json
 from contextlib import suppress
 from typing import Annotated, Any, Literal

@@ -10,7 +10,7 @@ The settings of an algorithm are a frozen dataclass in its module, written with 
 
 The configuration validates a YAML mapping against that class and gives the algorithm an instance of it; the JSON
 schema and the page of the configuration read the same declaration. Bounds are part of the type: those of the
-types below exclude only values that no physical set-up reaches, in any unit of length from mm to km.
+types below exclude only physically impossible values, in any unit of length from mm to km.
 
 What exists in several kinds (filters, lenses, motion models) has a class of settings for each kind, whose field
 `kind` (or `model`) holds its word; `members` finds them by the modules of a package and of its plug-ins.

@@ -5,8 +5,6 @@ claim is therefore counted before it is believed, and a document that exceeds a 
 XML are bounded by the parser itself, Expat since 2.4.1.)
 """
 
-from __future__ import annotations
-
 import gzip
 import io
 import zipfile

@@ -1,7 +1,5 @@
 """What a file that cannot be used looks like, for messages: the likely cause, and what helps."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

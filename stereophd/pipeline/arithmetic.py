@@ -1,7 +1,5 @@
 """The error of a computation that went beyond the precision of the arithmetic."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from contextlib import contextmanager
 

@@ -1,7 +1,5 @@
 """Filters over arrays in memory, without files: what ``import stereophd`` offers besides the commands."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -1,7 +1,5 @@
 """What calibrated cameras leave uncertain, from and to the rows of ``cameras.yaml``, and in the frame of a world."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Logs and camera files for programs: read into objects, and written from them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal
@@ -97,6 +95,8 @@ def read_log(
     InputError
         The file is not a detection log.
     """
+    if not isinstance(path, str | Path):
+        raise InputError(f"log: expected a path, found {type(path).__name__}; `write_log` writes a table")
     return LogReader(path, cameras, on_bad_row, image_margin_px)
 
 

@@ -1,7 +1,5 @@
 """The scene of a configuration, its objects drawn."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any

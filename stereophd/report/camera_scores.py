@@ -1,7 +1,5 @@
 """Scores of calibrated cameras against true ones as tables for readers: rounded, with units, without what is empty."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

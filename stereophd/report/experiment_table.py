@@ -1,7 +1,5 @@
 """The results of an experiment as tables for readers."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

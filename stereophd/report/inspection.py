@@ -1,7 +1,5 @@
 """The findings of `stereophd.commands.info` as text."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Whether plots can be drawn: matplotlib is an extra, and costly to import."""
 
-from __future__ import annotations
-
 from importlib.util import find_spec
 
 from stereophd.errors import InputError

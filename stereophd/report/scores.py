@@ -1,7 +1,5 @@
 """Scores of tracks as a table for readers: rounded, with units and notes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

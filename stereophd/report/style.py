@@ -1,22 +1,17 @@
 """Shared parts of the plots: the data, colours, legends, labels."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
+from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import Truth
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from matplotlib.axes import Axes
 
 INK, GREY, BLUE, ORANGE = "#1f2328", "#8c959f", "#0969da", "#d1600a"
 # Colours that stay apart for colour-blind readers (Okabe and Ito), without the black of the truth.

@@ -3,8 +3,6 @@
 The terminal and the page print the same tables.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple

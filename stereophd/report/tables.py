@@ -1,7 +1,5 @@
 """Tables of texts for readers: one form, and its text for the terminal; `report.page` has the form of the page."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 

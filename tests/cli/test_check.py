@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from collections.abc import Callable
 from pathlib import Path
 
@@ -28,6 +29,25 @@ def test_findings_are_printed_with_their_remedy(call: Callable[..., Outcome], co
     assert "WARNING" in found.out
     assert "remedy: multiply u by the width" in found.out
     assert call("check", config, log, "--strict").code == 1
+
+
+def test_the_command_is_printed_with_what_mends_it(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:
+    log = tmp_path / "log.parquet"
+    with LogWriter(log) as writer:
+        for frame in range(100):
+            for camera in ("left", "right"):
+                writer.write(
+                    frame / 25.0, camera, frame, np.array([[100.0, 100.0], [20.0 + frame, 30.0], [60.0, 20.0 + frame]])
+                )
+    found = call("check", config, log, "--seed", "3")
+    *_, title, command = found.out.splitlines()
+    assert title == "The same with these remedies:"
+    words = shlex.split(command)
+    assert words[:6] == ["stereophd", "check", str(config), str(log), "--seed", "3"]
+    assert words[6] == "--set"
+    again = call(*words[1:])
+    assert "log.places" in found.out
+    assert "log.places" not in again.out
 
 
 def test_json(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:

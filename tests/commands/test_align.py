@@ -10,7 +10,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd import Camera, Clock, Detector, InputError, Lens, Pose, read_cameras, write_cameras
+from stereophd import Camera, Clock, InputError, read_cameras, write_cameras
 from stereophd.commands.align import align
 from stereophd.core.alignment.to_points import ControlPoints, align_to_points
 from stereophd.core.alignment.to_track import align_to_track
@@ -21,6 +21,7 @@ from stereophd.io.outputs.provenance import to_metadata
 from stereophd.io.tables.schemas import TRACKS
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.alignment.control import local_places, read_control
+from tests.scenes import build_camera
 
 TURN, SCALE, MOVE = rotation_from_vector([0.3, -1.2, 2.0]), 12.3, np.array([100.0, -50.0, 20.0])
 SHIFT, RATE = 47.3, 1.0005
@@ -94,11 +95,9 @@ def test_what_the_motion_leaves_open_is_refused(paths: list[np.ndarray], control
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     """Return a folder with cameras and the tracks of two objects, in units of a baseline."""
-    detector = Detector([1.0, 1.0], 0.9, 1.0)
     poses = {"a": ([0.1, 0.0, 0.0], [0.0, -9.0, -30.0]), "b": ([0.2, 0.3, 0.0], [9.0, -9.0, -30.0])}
     cameras = [
-        Camera(name, 800, 600, 600.0, 600.0, 399.5, 299.5, Pose(rotation_from_vector(turn), center), Lens(), detector,
-               clock=Clock(0.4 * (name == "b"), 1.0))
+        build_camera(name, center, turn, focal=600.0, clock=Clock(0.4 * (name == "b"), 1.0))
         for name, (turn, center) in poses.items()
     ]  # fmt: skip
     (tmp_path / "run").mkdir()

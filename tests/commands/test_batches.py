@@ -117,6 +117,9 @@ def test_resume_refuses_the_results_of_another_seed(loaded: LoadedConfig, scenes
     other = load_config(loaded.path, [], 6, None)
     with pytest.raises(InputError, match="another configuration"):
         track(other, log, tmp_path / "out", resume=True)
+    (tmp_path / "out" / "report.json").write_text("damaged")
+    with pytest.raises(InputError, match="cannot be read"):
+        track(other, log, tmp_path / "out", resume=True)
     assert track(other, log, tmp_path / "out", resume=True, force=True)["provenance"]["seed"] == 6
 
 

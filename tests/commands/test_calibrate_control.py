@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,10 +10,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from stereophd import Camera, Detector, InputError, Lens, Pose, make_config, read_cameras, write_log
+from stereophd import Camera, InputError, Pose, make_config, read_cameras, write_log
 from stereophd.commands.calibrate import calibrate
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.io.cameras.writing import camera_config, plain_cameras
+from tests.scenes import build_camera
 
 TURN, MOVE, SHIFT, RATE = rotation_from_vector([0.3, -1.2, 2.0]), np.array([100.0, -50.0, 20.0]), 47.3, 1.0005
 SPAN, NOISE_PX, NOISE = 30.0, 0.5, 0.02
@@ -29,13 +31,9 @@ def wander(seed: int, times: np.ndarray) -> np.ndarray:
 
 @pytest.fixture(scope="module")
 def cameras() -> list[Camera]:
-    detector = Detector([NOISE_PX, NOISE_PX], 0.95, 0.1)
-    poses = {"left": Pose(rotation_from_vector([0, -0.35, 0]), [-7, 0, 0]),
-             "right": Pose(rotation_from_vector([0, 0.35, 0]), [7, 0, 0])}  # fmt: skip
-    return [
-        Camera(name, 1000, 800, 700.0, 700.0, 499.5, 399.5, pose, Lens(), detector, 3.0, 0.013 * (name == "right"))
-        for name, pose in poses.items()
-    ]
+    same = {"size": (1000, 800), "noise": NOISE_PX, "p_detect": 0.95, "clutter": 0.1, "frame_rate_hz": 3.0}
+    left = build_camera("left", [-7, 0, 0], [0, -0.35, 0], **same)
+    return [left, build_camera("right", [7, 0, 0], [0, 0.35, 0], **same, readout_s=0.013)]
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +60,7 @@ def config(cameras: list[Camera], **calibration: object) -> dict:
     """Return a configuration whose second camera is a guess, 3 % too far away."""
     left, right = cameras
     pose = Pose(rotation_from_vector([0.02, -0.01, 0.01]) @ right.pose.rotation, right.pose.center + [0.4, 0.1, -0.2])
-    guess = Camera(right.name, 1000, 800, 700.0, 700.0, 499.5, 399.5, pose, right.lens, right.detector, 3.0, 0.013)
+    guess = replace(right, pose=pose)
     return {
         "units": {"length": "m"},
         "cameras": plain_cameras({camera.name: camera_config(camera) for camera in (left, guess)}),

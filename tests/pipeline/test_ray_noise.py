@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from stereophd.core.arrays import Array
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.detectors.ray_noise import (
@@ -23,6 +22,7 @@ from stereophd.pipeline.detectors.ray_noise import (
     noise_from_rays,
     starting_detectors,
 )
+from tests.scenes import build_camera
 
 RATE = 20.0
 
@@ -31,11 +31,8 @@ def cameras_at(*places: tuple[float, float]) -> list[Camera]:
     """Cameras at these x and heights, 10 from the scene, that look at its middle."""
     out = []
     for k, (x, y) in enumerate(places):
-        center = np.array([x, y, 0.0])
-        turn = rotation_from_vector(np.array([0.0, np.arctan2(x, 10.0), 0.0]))
-        intrinsics = (1280, 960, 1000.0, 1000.0, 639.5, 479.5)
-        detector = Detector((1.0, 1.0), 0.9, 1.0)
-        out.append(Camera(f"cam{k}", *intrinsics, Pose(turn, center), Lens("none"), detector))
+        turn = [0.0, np.arctan2(x, 10.0), 0.0]
+        out.append(build_camera(f"cam{k}", [x, y, 0.0], turn, size=(1280, 960), focal=1000.0))
     return out
 
 

@@ -5,18 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.report.plots.views import SceneView, convex_hull, field_of_view, limits, viewing_depth, views
 from stereophd.report.scores import scores_text
+from tests import scenes
 
 
 def camera(rotation: np.ndarray, center: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Camera:
-    pose = Pose(rotation=rotation, center=np.array(center))
-    return Camera("one", 800, 600, 400.0, 400.0, 399.5, 299.5, pose, Lens("none"), Detector((1, 1), 0.9, 1.0))
+    return scenes.build_camera("one", center, rotation, focal=400.0)
 
 
 FORWARD_ALONG_Z = np.eye(3)
@@ -81,7 +79,7 @@ def test_convex_hull():
 
 def pictures(scans: int):
     pytest.importorskip("matplotlib")
-    from stereophd.report.plots.figures import Pictures
+    from stereophd.report.style import Pictures
 
     time = np.arange(scans, dtype=float)
     position = np.stack([time, np.sin(time), 100 + 0 * time], axis=1)
@@ -97,7 +95,7 @@ def pictures(scans: int):
 @pytest.mark.parametrize("scans", [1, 50, 4000])
 def test_plots_are_made_for_short_and_long_runs(tmp_path, scans):
     data = pictures(scans)
-    from stereophd.report.plots.figures import write_plots
+    from stereophd.report.plots.scene_plots import write_plots
 
     names = [f"{plot}.{kind}" for plot in ("ospa", "cardinality", "top", "side") for kind in ("png", "svg")]
     write_plots(data, {name: tmp_path / name for name in names})

@@ -1,7 +1,5 @@
 """Cameras in the frame and on the clock of a world."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -4,8 +4,6 @@ A frame has x right, y down, z forward. The floor and gravity give the vertical;
 its centre, and forward is where that camera looks.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.alignment.to_track import Alignment, exactly

@@ -7,8 +7,6 @@ variance of the control that a similarity leaves, over a common time of T second
 piece that fits by chance has a smaller gain than a long one that fits.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

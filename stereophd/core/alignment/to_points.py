@@ -6,8 +6,6 @@ cameras are unknown together. The points meet no trajectory and no clock, so tha
 least squares over the rest is small.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 

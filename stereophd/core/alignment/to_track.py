@@ -1,7 +1,5 @@
 """Tracks against a control track of one of the objects: a similarity of space and a map of time, with uncertainties."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ ground. The state that explains a box best under that prior is found by Gauss-Ne
 method of Laplace (C. M. Bishop, "Pattern Recognition and Machine Learning", 2006, section 4.4).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -19,8 +19,6 @@ Reference: J. L. Williams, "Marginal multi-Bernoulli filters: RFS derivation of 
 MeMBer", IEEE Trans. AES 51 (3), 2015.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property

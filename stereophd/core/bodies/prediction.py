@@ -5,8 +5,6 @@ deviation `ground.std`: its errors last for `GROUND_TIME_S`, so that frames that
 counted as independent evidence of the ground.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,21 +1,10 @@
 """Settings of the methods of calibration."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from annotated_types import Interval, Len
 
-from stereophd.core.settings import (
-    FINITE,
-    LARGEST_COUNT,
-    Count,
-    DegreesSpread,
-    Fraction,
-    Length,
-    parameter,
-    settings,
-)
+from stereophd.core.settings import FINITE, LARGEST_COUNT, Count, DegreesSpread, Fraction, Length, parameter, settings
 
 # Factors on the noise of the detections, pass by pass.
 Inflation = Annotated[tuple[Annotated[float, Interval(ge=1, le=1e6), FINITE], ...], Len(1, 1000)]
@@ -86,8 +75,7 @@ class SequentialSettings:
         "resample when the effective sample size falls below this part of the particles", default=0.4
     )
     roughening: Annotated[float, Interval(ge=0, le=1e3), FINITE] = parameter(
-        "after resampling, jitter of this factor times range times particles^(-1/parameters) (moves: none)",
-        default=0.2,
+        "after resampling, jitter of this factor times range times particles^(-1/parameters) (moves: none)", default=0.2
     )
     center_noise: Length = parameter(
         "random walk of the camera's centre (moves: none)", default=0.0, unit="length per sqrt(s)"

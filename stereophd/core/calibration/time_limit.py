@@ -1,7 +1,5 @@
 """The stages of a calibration, and the time that it may take: every long step begins with `TimeLimit.begin`."""
 
-from __future__ import annotations
-
 import logging
 import math
 import time

@@ -8,7 +8,6 @@ K. Bernardin, R. Stiefelhagen, "Evaluating multiple object tracking performance:
 EURASIP Journal on Image and Video Processing, 2008 (identity switches, there "mismatches").
 """
 
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -141,43 +140,15 @@ def nees_interval(count: float, dimension: int, probability: float = 0.95) -> tu
     return float(chdtri(freedom, 1.0 - tail)) / count, float(chdtri(freedom, tail)) / count
 
 
-@dataclass(frozen=True)
-class FirstReports:
-    """When each track was first reported, confirmed or tentative: rising identities and times, arrays (t,)."""
+def confirmation_figures(
+    time_s: Array, estimates: PointSets, truth: PointSets, scores: ScanScores, reported_id: Integers, reported_s: Array
+) -> dict[str, Any]:
+    """Return how long the objects of the scored scans at times (k,) waited for a confirmed estimate and a first report.
 
-    track_id: Integers
-    time_s: Array
-
-    def of(self, track_id: Integers, otherwise: Array) -> Array:
-        """Return the times of some tracks (n,), and `otherwise` for those without an identity."""
-        if len(self.track_id) == 0:
-            return otherwise
-        place = np.minimum(np.searchsorted(self.track_id, track_id), len(self.track_id) - 1)
-        return np.where(self.track_id[place] == track_id, self.time_s[place], otherwise)
-
-
-def first_reports(track_id: Integers, time_s: Array) -> FirstReports:
-    """Return the first report of each track, from identities (n,) and times of estimates in order of time."""
-    tracks, row = np.unique(track_id, return_index=True)
-    known = tracks > UNLABELLED
-    return FirstReports(tracks[known], time_s[row[known]])
-
-
-@dataclass(frozen=True)
-class Waits:
-    """Waiting times of true objects from their first scored scan on."""
-
-    # (n,) array: Until a confirmed estimate is paired with the object, s; of the objects to which this happens.
-    confirmed_s: Array
-    reported_s: Array  # (n,) array: Until the track of that estimate is first reported, confirmed or tentative, s
-    never: int  # Number of the other objects
-
-
-def waits(time_s: Array, estimates: PointSets, truth: PointSets, scores: ScanScores, reports: FirstReports) -> Waits:
-    """Return how long the objects of the scored scans at times (k,) waited; an unknown status counts as confirmed."""
+    The latter is that of the estimate's track, confirmed or tentative: tracks and times of all reports (n,) are in
+    order of time. An unknown status counts as confirmed. ``never``: objects that were not paired with a confirmed one.
+    """
     labels, target = np.unique(truth.label, return_inverse=True)
-    if len(labels) == 0:
-        return Waits(np.zeros(0), np.zeros(0), 0)
     appears = np.full(len(labels), np.inf)
     np.minimum.at(appears, target, time_s[truth.scan])
     pairs = np.arange(len(scores.pair_scan))
@@ -187,7 +158,23 @@ def waits(time_s: Array, estimates: PointSets, truth: PointSets, scores: ScanSco
     tracked, first = np.unique(target[scores.pair_truth[pairs]], return_index=True)
     first = pairs[first]
     confirmed = time_s[scores.pair_scan[first]]
-    reported = reports.of(estimates.label[scores.pair_estimate[first]], confirmed)
-    start = appears[tracked]
-    never = len(labels) - len(tracked)
-    return Waits(confirmed - start, np.clip(reported - start, 0.0, confirmed - start), never)
+    reported = _first_reported(estimates.label[scores.pair_estimate[first]], confirmed, reported_id, reported_s)
+    waited = confirmed - appears[tracked]
+    return {
+        "mean_s": mean_of(waited),
+        "median_s": float(np.median(waited)) if len(waited) else float("nan"),
+        "max_s": float(waited.max()) if len(waited) else float("nan"),
+        "first_report_mean_s": mean_of(np.clip(reported - appears[tracked], 0.0, waited)),
+        "objects": len(waited),
+        "never": len(labels) - len(tracked),
+    }
+
+
+def _first_reported(track_id: Integers, otherwise: Array, reported_id: Integers, reported_s: Array) -> Array:
+    """Return the times of the first reports of some tracks (n,), and `otherwise` for those without an identity."""
+    tracks, row = np.unique(reported_id, return_index=True)
+    tracks, row = tracks[tracks > UNLABELLED], row[tracks > UNLABELLED]
+    if len(tracks) == 0:
+        return otherwise
+    place = np.minimum(np.searchsorted(tracks, track_id), len(tracks) - 1)
+    return np.where(tracks[place] == track_id, reported_s[row[place]], otherwise)

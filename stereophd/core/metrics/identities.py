@@ -23,74 +23,40 @@ from stereophd.core.metrics.scans import PointSets, ScanScores
 
 # An object is mostly tracked if it is matched in at least this share of its scans, and mostly lost below the rest.
 MOSTLY = 0.8
+ALL = slice(None)
 
 
 @dataclass(frozen=True)
-class TrackTable:
-    """Figures of each track, arrays (t,) in order of identity."""
+class PartnerCounts:
+    """What each track, or each true object, was matched to: arrays (k,) in order of identity."""
 
-    track_id: Integers  # (t,) array: Identity
-    # `n_estimates`, `n_matched`: (t,) arrays: Number of its estimates, and of those that are matched to an object.
-    n_estimates: Integers
-    n_matched: Integers
-    object_id: Integers  # (t,) array: Its dominant object; without meaning where nothing is matched
-    n_dominant: Integers  # (t,) array: Number of its estimates that are matched to that object
-
-    @property
-    def purity(self) -> Array:
-        """Share of the estimates that are matched to the dominant object, (t,); 0 for a false track."""
-        return self.n_dominant / self.n_estimates
-
-
-@dataclass(frozen=True)
-class ObjectTable:
-    """How each true object was followed, arrays (o,) in order of identity."""
-
-    object_id: Integers  # (o,) array: Identity
-    # `n_scans`, `n_matched`: (o,) arrays: Number of scans at which it exists, and of those at which any estimate is
-    # matched to it.
-    n_scans: Integers
-    n_matched: Integers
-    track_id: Integers  # (o,) array: Its dominant track; without meaning where no track is matched
-    n_dominant: Integers  # (o,) array: Number of scans at which that track is matched to it
-    # (o,) array: Number of tracks that are matched to it at some scan: its fragmentation, 1 if followed well.
-    n_tracks: Integers
+    identity: Integers
+    n_points: Integers  # Estimates of a track; scans at which an object exists
+    n_matched: Integers  # Those of them that are matched at all
+    partner: Integers  # The dominant object, or track; without meaning where there is none
+    n_dominant: Integers  # Matches with it
+    n_partners: Integers  # Number of different ones: the fragmentation of an object, 1 if followed well
 
     @property
-    def completeness(self) -> Array:
-        """Share of the scans at which any estimate is matched, (o,)."""
-        return self.n_matched / self.n_scans
+    def share_matched(self) -> Array:
+        """Share of the points that are matched, (k,): the completeness of an object."""
+        return self.n_matched / self.n_points
 
     @property
-    def completeness_dominant(self) -> Array:
-        """Share of the scans at which the dominant track is matched, (o,)."""
-        return self.n_dominant / self.n_scans
+    def share_dominant(self) -> Array:
+        """Share of the points that are matched to the dominant partner, (k,): the purity of a track, 0 if false."""
+        return self.n_dominant / self.n_points
 
 
-def tabulate_tracks(label: Integers, pair_track: Integers, pair_object: Integers) -> TrackTable:
-    """Return what each track did, from the labels (n,) of estimates and the tracks and objects (q,) of matched pairs.
+def tabulate(identity: Integers, owner: Integers, partner: Integers, is_named: Booleans | slice = ALL) -> PartnerCounts:
+    """Return what each identity was matched to, from those of all points (n,) and both sides (q,) of matched pairs.
 
-    Unlabelled estimates (negative) are left out.
+    Pairs that are not `is_named` (q,) count for `PartnerCounts.n_matched` only.
     """
-    tracks, n_estimates = np.unique(label[label > UNLABELLED], return_counts=True)
-    labelled = pair_track > UNLABELLED
-    owner = np.searchsorted(tracks, pair_track[labelled])
-    partner, most, _ = _dominant(owner, pair_object[labelled], len(tracks))
-    n_matched = np.bincount(owner, minlength=len(tracks)).astype(np.int64)
-    return TrackTable(tracks, n_estimates, n_matched, partner, most)
-
-
-def tabulate_objects(object_id: Integers, pair_track: Integers, pair_object: Integers) -> ObjectTable:
-    """Return how each true object was followed, from the objects (n,) of true points and those (q,) of matched pairs.
-
-    At most one pair for an object and scan. Unlabelled tracks (negative) count for `ObjectTable.n_matched` only.
-    """
-    objects, n_scans = np.unique(object_id, return_counts=True)
-    owner = np.searchsorted(objects, pair_object)
-    labelled = pair_track > UNLABELLED
-    partner, most, partners = _dominant(owner[labelled], pair_track[labelled], len(objects))
-    n_matched = np.bincount(owner, minlength=len(objects)).astype(np.int64)
-    return ObjectTable(objects, n_scans, n_matched, partner, most, partners)
+    names, n_points = np.unique(identity, return_counts=True)
+    number = np.searchsorted(names, owner)
+    n_matched = np.bincount(number, minlength=len(names)).astype(np.int64)
+    return PartnerCounts(names, n_points, n_matched, *_dominant(number[is_named], partner[is_named], len(names)))
 
 
 def _dominant(owner: Integers, partner: Integers, owners: int) -> tuple[Integers, Integers, Integers]:
@@ -134,18 +100,47 @@ def identity_figures(
     average, None where the estimates carry no identities.
     """
     pair_track, pair_object = estimates.label[scores.pair_estimate], truth.label[scores.pair_truth]
-    tracks = tabulate_tracks(estimates.label, pair_track, pair_object)
-    objects = tabulate_objects(truth.label, pair_track, pair_object)
-    owner = np.searchsorted(objects.object_id, pair_object[switched])
-    switches = np.bincount(owner, minlength=len(objects.object_id))
+    labelled = pair_track > UNLABELLED
+    tracks = tabulate(estimates.label[estimates.label > UNLABELLED], pair_track[labelled], pair_object[labelled])
+    objects = tabulate(truth.label, pair_object, pair_track, labelled)
+    owner = np.searchsorted(objects.identity, pair_object[switched])
+    switches = np.bincount(owner, minlength=len(objects.identity))
     known = has_identities(estimates)
+    of_tracks = {
+        "matched_dominant": objects.n_dominant,
+        "completeness_dominant": objects.share_dominant,
+        "fragmentation": objects.n_partners,
+        "identity_switches": switches,
+    }
     return {
-        "purity": {"mean": mean_of(tracks.purity), "table": _track_rows(tracks)},
+        "purity": {
+            "mean": mean_of(tracks.share_dominant),
+            "table": _rows(
+                {
+                    "track_id": tracks.identity,
+                    "object_id": _known_partners(tracks),
+                    "estimates": tracks.n_points,
+                    "matched": tracks.n_matched,
+                    "matched_dominant": tracks.n_dominant,
+                    "purity": tracks.share_dominant,
+                }
+            ),
+        },
         "completeness": {
-            "mean": mean_of(objects.completeness),
-            "mean_dominant": mean_of(objects.completeness_dominant) if known else float("nan"),
-            "fragmentation": mean_of(objects.n_tracks) if known else float("nan"),
-            "table": _object_rows(objects, switches, known),
+            "mean": mean_of(objects.share_matched),
+            "mean_dominant": mean_of(objects.share_dominant) if known else float("nan"),
+            "fragmentation": mean_of(objects.n_partners) if known else float("nan"),
+            "table": _rows(
+                {
+                    "object_id": objects.identity,
+                    "track_id": _known_partners(objects),
+                    "scans": objects.n_points,
+                    "matched": objects.n_matched,
+                    "matched_dominant": objects.n_dominant,
+                    "completeness": objects.share_matched,
+                    **{name: values if known else np.full(len(values), None) for name, values in of_tracks.items()},
+                }
+            ),
         },
     }
 
@@ -173,43 +168,10 @@ def clear_mot_figures(
     }
 
 
-def _track_rows(tracks: TrackTable) -> list[dict[str, Any]]:
-    return _rows(
-        {
-            "track_id": tracks.track_id,
-            "object_id": _known(tracks.object_id, tracks.n_dominant > 0),
-            "estimates": tracks.n_estimates,
-            "matched": tracks.n_matched,
-            "matched_dominant": tracks.n_dominant,
-            "purity": tracks.purity,
-        }
-    )
-
-
-def _object_rows(objects: ObjectTable, switches: Integers, known: bool) -> list[dict[str, Any]]:
-    of_tracks = {
-        "matched_dominant": objects.n_dominant,
-        "completeness_dominant": objects.completeness_dominant,
-        "fragmentation": objects.n_tracks,
-        "identity_switches": switches,
-    }
-    columns = {
-        "object_id": objects.object_id,
-        "track_id": _known(objects.track_id, objects.n_dominant > 0),
-        "scans": objects.n_scans,
-        "matched": objects.n_matched,
-        "matched_dominant": objects.n_dominant,
-        "completeness": objects.completeness,
-    }
-    return _rows(
-        columns | {name: values if known else np.full(len(values), None) for name, values in of_tracks.items()}
-    )
-
-
-def _known(values: NDArray[Any], known: Booleans) -> NDArray[Any]:
-    """Return values, as objects of Python, with None where they are not known."""
-    out = values.astype(object)
-    out[~known] = None
+def _known_partners(of: PartnerCounts) -> NDArray[Any]:
+    """Return the dominant partners, as objects of Python, None without one."""
+    out = of.partner.astype(object)
+    out[of.n_dominant == 0] = None
     return out
 
 

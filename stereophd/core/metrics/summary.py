@@ -7,12 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
-from stereophd.core.metrics.distances.hota import hota
+from stereophd.core.metrics.distances.hota import Hota, hota
 from stereophd.core.metrics.distances.ospa import Gospa, Ospa
 from stereophd.core.metrics.distances.ospa2 import ospa2_of_windows
 from stereophd.core.metrics.errors import (
     UNLABELLED,
-    Waits,
     error_percentiles,
     independent_count,
     mean_of,
@@ -120,11 +119,12 @@ def figures(
     matchable: NearPairs,
     ospa2: Ospa,
     errors: PairErrors,
-    waits: Waits,
+    confirmation: dict[str, Any],
 ) -> dict[str, Any]:
     """Return the figures of a run as nested JSON-able values; NaN where there is nothing to average.
 
-    `near` are all pairs nearer than the cutoff (HOTA), `matchable` those that may be matched (IDF1).
+    `near` are all pairs nearer than the cutoff (HOTA), `matchable` those that may be matched (IDF1);
+    `confirmation` is of `confirmation_figures`.
 
     Means of OSPA, OSPA(2) and GOSPA (and of their parts) are over scans, the others over matched pairs. The
     parts of a mean distance do not add up to it: only those of a single scan do.
@@ -141,10 +141,7 @@ def figures(
         "ospa": _means(scores.ospa),
         "ospa2": _means(ospa2),
         "gospa": _means(scores.gospa),
-        "rmse": {
-            "position": root_mean_square(errors.position),
-            "velocity": root_mean_square(errors.velocity),
-        },
+        "rmse": {"position": root_mean_square(errors.position), "velocity": root_mean_square(errors.velocity)},
         "position_error": error_percentiles(errors.position),
         "cardinality": {
             "bias": mean_of(surplus),
@@ -165,7 +162,7 @@ def figures(
         **_identity_scores(estimates, truth, near, matchable),
         "tracks": len(np.unique(labels)),
         **identity_figures(estimates, truth, scores, errors.switched),
-        "confirmation": _confirmation(waits),
+        "confirmation": confirmation,
         "nees": {
             "position": mean_of(normalised),
             "interval_95": [low, high],
@@ -178,23 +175,9 @@ def figures(
     }
 
 
-def _means(distances: Ospa | Gospa) -> dict[str, float]:
+def _means(distances: Ospa | Gospa | Hota) -> dict[str, float]:
     """Return the means of a distance (as ``mean``) and of its parts."""
-    parts = distances._asdict()
-    return {"mean": mean_of(parts.pop("distance"))} | {name: mean_of(part) for name, part in parts.items()}
-
-
-def _confirmation(waits: Waits) -> dict[str, Any]:
-    """Return how long objects wait until they are confirmed."""
-    times = waits.confirmed_s
-    return {
-        "mean_s": mean_of(times),
-        "median_s": float(np.median(times)) if len(times) else float("nan"),
-        "max_s": float(times.max()) if len(times) else float("nan"),
-        "first_report_mean_s": mean_of(waits.reported_s),
-        "objects": len(times),
-        "never": waits.never,
-    }
+    return dict(zip(("mean", *distances._fields[1:]), map(mean_of, distances), strict=True))
 
 
 def _identity_scores(estimates: PointSets, truth: PointSets, near: NearPairs, matchable: NearPairs) -> dict[str, Any]:
@@ -205,13 +188,4 @@ def _identity_scores(estimates: PointSets, truth: PointSets, near: NearPairs, ma
             **dict.fromkeys(("idf1", "id_precision", "id_recall"), unknown),
             "hota": dict.fromkeys(("mean", "detection", "association", "localisation"), unknown),
         }
-    curves = hota(estimates, truth, near)
-    return {
-        **identity_score(estimates, truth, matchable),
-        "hota": {
-            "mean": mean_of(curves.hota),
-            "detection": mean_of(curves.detection),
-            "association": mean_of(curves.association),
-            "localisation": mean_of(curves.localisation),
-        },
-    }
+    return {**identity_score(estimates, truth, matchable), "hota": _means(hota(estimates, truth, near))}

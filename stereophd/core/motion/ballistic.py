@@ -1,7 +1,5 @@
 """Free fall disturbed by white acceleration: `Ballistic`. Balls and other objects thrown; there is no drag."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

@@ -5,8 +5,6 @@ with Applications to Tracking and Navigation", 2001, section 6.2.2). Its noise h
 unit normals W and A the position gains ``dt^1.5 (W / 2 + A / sqrt(12))`` and the velocity ``dt^0.5 W``.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import cached_property, lru_cache

@@ -6,8 +6,6 @@ discretisation: X. R. Li and V. P. Jilkov, "Survey of maneuvering target trackin
 Aerospace and Electronic Systems 39 (4), 2003 (there one derivative higher, as R. A. Singer's model of acceleration).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Literal

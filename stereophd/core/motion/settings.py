@@ -1,7 +1,5 @@
 """Common settings of motion models, and the search for the models: one module of this package each."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any, Literal, Protocol
 

@@ -1,7 +1,5 @@
 """Objects that stand still: `Static`."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 

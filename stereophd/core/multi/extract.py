@@ -1,7 +1,7 @@
 """Which components are reported as objects: thresholds with hysteresis, one estimate per label.
 
 A component does not know which cameras have detected it. `run_estimator` (`pipeline/tracking/loop.py`, `_supported`)
-therefore drops afterwards the tentative objects that two cameras have not detected, except at the start of a log.
+therefore reports a tentative object only after a second camera has detected it, except at the start of a log.
 """
 
 import math

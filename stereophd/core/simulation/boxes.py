@@ -1,7 +1,5 @@
 """Boxes of simulated bodies: noise, what other bodies hide, and false boxes."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 """How the objects of a scene are drawn, so that they stay in view."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal

@@ -7,8 +7,6 @@ detection nearest to its prediction if both are each other's nearest and every a
 other track ends, and what it may have been begins a new one: short tracks, but hardly any of two objects.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

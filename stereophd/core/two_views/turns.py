@@ -47,6 +47,14 @@ def all_turns() -> Turns:
     )
 
 
+def prepare_turns() -> None:
+    """Load the kernel of `turn_ratios`, with no points."""
+    turns, none = all_turns(), np.empty((0, 2))
+    turn_ratios(
+        none, np.empty((0, 2, 2)), none, (1.0, 1.0, 0.0, 0.0), (turns.shifts, turns.linear, turns.spread), 1.0, 1.0
+    )
+
+
 @compiled
 def turn_ratios(
     points: Array, covariances: Array, detections: Array, camera: tuple[float, float, float, float],

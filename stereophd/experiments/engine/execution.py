@@ -1,6 +1,5 @@
 """Do all runs that are wanted and not there yet; a failed run is reported and tried again."""
 
-import logging
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
@@ -11,6 +10,7 @@ from stereophd.experiments.engine.parts import PartStore
 from stereophd.experiments.engine.work import Chunk, ChunkResult, Part, run_chunk
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.workers.places import ATTEMPTS, Workers, WorkersLostError, open_workers
+from stereophd.wording import LOGGER
 
 # Called with method, case and series of a run.
 See = Callable[[str, str, Sequence[Series]], None]
@@ -19,8 +19,6 @@ See = Callable[[str, str, Sequence[Series]], None]
 # enough that storing them takes less time than the runs.
 CHUNKS_PER_WORKER = 40
 MOST_RUNS_IN_CHUNK = 200
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass

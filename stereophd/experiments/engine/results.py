@@ -1,7 +1,6 @@
 """Results of an experiment: the summaries of every method in every case, gathered from runs, written and read."""
 
 import json
-import logging
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -24,11 +23,10 @@ from stereophd.io.tables.reading import read_table
 from stereophd.io.tables.schemas import FLOAT, INTEGER, RUNS, STRING, SUMMARY
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
+from stereophd.wording import LOGGER
 
 STATISTICS = ("mean", "std", "ci_low", "ci_high", "bound")
 RUNS_FILE, SUMMARY_FILE, TIMING_FILE = "runs.parquet", "summary.parquet", "timing.json"
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)
@@ -117,11 +115,15 @@ def write_results(results: Results, runs: Sequence[RunResult], loaded: LoadedCon
     with TableWriter(out.path(RUNS_FILE), RUNS, metadata) as table:
         for run in runs:
             for series in run.series:
-                table.append(columns_of(results.name, run.method, run.case, run.run, run.seed, series))
+                values = {"run": run.run, "seed": run.seed, "value": series.values}
+                table.append(_columns(results.name, run.method, run.case, series, values))
     with TableWriter(out.path(SUMMARY_FILE), SUMMARY, metadata) as table:
         for cell in results.cells:
             for summary in cell.summaries:
-                table.append(columns_of_summary(results.name, cell.method, cell.case, summary))
+                # what is not defined is null
+                statistics = {name: np.ma.masked_invalid(getattr(summary, name)) for name in STATISTICS}
+                values = {"runs": summary.runs, **statistics}
+                table.append(_columns(results.name, cell.method, cell.case, summary, values))
     write_json(out.path(TIMING_FILE), results.timing)
 
 
@@ -158,35 +160,13 @@ def is_finished(store: PartStore, loaded: LoadedConfig, resume: bool, force: boo
     return False
 
 
-def columns_of(experiment: str, method: str, case: str, run: int, seed: int, series: Series) -> dict[str, Any]:
-    """Return rows of ``runs.parquet``."""
-    times: Any = [None] * len(series.values) if series.times_s is None else series.times_s
-    return {
-        "experiment": experiment,
-        "method": method,
-        "case": case,
-        "run": run,
-        "seed": seed,
-        "time_s": times,
-        "quantity": series.quantity,
-        "unit": series.unit,
-        "value": series.values,
-    }
-
-
-def columns_of_summary(experiment: str, method: str, case: str, summary: Summary) -> dict[str, Any]:
-    """Return rows of ``summary.parquet``; what is not defined is null."""
-    times: Any = [None] * len(summary.mean) if summary.times_s is None else summary.times_s
-    return {
-        "experiment": experiment,
-        "method": method,
-        "case": case,
-        "time_s": times,
-        "quantity": summary.quantity,
-        "unit": summary.unit,
-        "runs": summary.runs,
-        **{name: np.ma.masked_invalid(getattr(summary, name)) for name in STATISTICS},
-    }
+def _columns(
+    experiment: str, method: str, case: str, of: Series | Summary, values: Mapping[str, Any]
+) -> dict[str, Any]:
+    """Return rows of ``runs.parquet`` or ``summary.parquet``, which have further values."""
+    times: Any = [None] if of.times_s is None else of.times_s
+    key = {"experiment": experiment, "method": method, "case": case}
+    return {**key, "time_s": times, "quantity": of.quantity, "unit": of.unit, **values}
 
 
 def read_summaries(path: Path) -> Iterator[tuple[str, str, Summary]]:

@@ -4,8 +4,6 @@ The data of a run are drawn first and depend on the scenario and the generator a
 given generators of the same seed see the same detections.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Write a ``cameras.yaml``: the form that a config takes inline or by path."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path

@@ -8,8 +8,6 @@ calibration board, which the file does not name (usually millimetres). Points in
 columns ``nose_x``, ... and ``fnum``) are the truth.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path

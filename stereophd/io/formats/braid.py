@@ -11,8 +11,6 @@ where they differ from those of the projection, the lens about the latter that f
 moved into the detections. Lengths are in metres.
 """
 
-from __future__ import annotations
-
 import zipfile
 from collections.abc import Iterator, Sequence
 from pathlib import Path

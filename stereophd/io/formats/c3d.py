@@ -4,8 +4,6 @@ A point is a track, named ``track_N``. Positions keep the native world axes and 
 format holds single precision, and no time of the first frame: that goes into ``STEREOPHD:FIRST_TIME_S``.
 """
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 

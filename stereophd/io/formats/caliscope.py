@@ -11,8 +11,6 @@ Conventions: pixels and camera axes are the native ones; points are as detected,
 seconds of the recording computer's clock.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any

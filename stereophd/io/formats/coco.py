@@ -1,4 +1,4 @@
-"""COCO: detections in JSON, as annotations (``images``, ``annotations``) of one camera a file or of several in one.
+"""COCO: detections in JSON, as annotations (``images``, ``annotations``) of one camera per file or of several in one.
 
 A camera is the folder in an image's ``file_name`` where there are several folders, else the file. The frame is the
 image's ``frame_id`` (or ``frame_index``), else the last number in its file name, else its place among the images.
@@ -8,8 +8,6 @@ height are kept (or the middle of its lower side), or each visible keypoint of a
 Conventions: a box is left, top, width, height measured from the corner of the top-left pixel, so pixels are shifted
 by half a pixel; keypoints are pixel indices and stay as they are. The whole file is held in memory, as JSON needs.
 """
-
-from __future__ import annotations
 
 import json
 import re

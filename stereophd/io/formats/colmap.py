@@ -8,8 +8,6 @@ of length; `length_unit` names one. Models: PINHOLE, SIMPLE_PINHOLE, SIMPLE_RADI
 OPENCV_FISHEYE, SIMPLE_RADIAL_FISHEYE, RADIAL_FISHEYE.
 """
 
-from __future__ import annotations
-
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass

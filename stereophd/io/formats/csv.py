@@ -1,6 +1,6 @@
 """Comma-separated tables: detections of any columns in, tracks out.
 
-Detections: one row a detection, with a header. Tabs, semicolons and spaces separate columns as well. Columns of the
+Detections: one row per detection, with a header. Tabs, semicolons and spaces separate columns as well. Columns of the
 native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_px``, ``sigma_v_px``, ``width_px``,
 ``height_px``, ``score``, ``object_id``) or of usual other names are found by themselves; any others by `columns`. A row
 without u and v is a frame without detections. Without a column of cameras, each file is a camera, named as the file.

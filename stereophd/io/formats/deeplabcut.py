@@ -1,14 +1,12 @@
-"""DeepLabCut: predicted body parts, one file a camera, as CSV or HDF5.
+"""DeepLabCut: predicted body parts, one file per camera, as CSV or HDF5.
 
 The CSV has three header lines (scorer, bodyparts, coords) or four (individuals before bodyparts), then a row for each
 frame: its number, and x, y, likelihood of every part. The HDF5 file holds the same table as pandas writes it; it is
 read with h5py (extra ``pose``). A camera is named as its file, without what DeepLabCut adds (from ``DLC_`` on). Parts
-are numbered in the order of the columns; ``least_score`` leaves out those of a smaller likelihood.
+are numbered in the order of the columns; `least_score` leaves out those of a smaller likelihood.
 
 Conventions: pixel (0, 0) is the top-left pixel, taken as its centre. Every frame of the video has a row.
 """
-
-from __future__ import annotations
 
 import io
 import pickle

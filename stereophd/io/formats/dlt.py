@@ -5,8 +5,6 @@ with L5 to L8. Rows count from the bottom of the image, and the centre of the fi
 neither names, image sizes nor lenses: the coefficients are those of undistorted pixels.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 

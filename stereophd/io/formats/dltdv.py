@@ -6,14 +6,12 @@ each camera; and an Argus or easyWand camera profile (a row for each camera: num
 principal point, aspect ratio, k1, k2, p1, p2, k3). Cameras are named ``cam1``, ``cam2``, ...
 
 Conventions: rows count from the bottom of the image, and the centre of the first pixel is (1, 1), as in MATLAB
-(``pixel_origin`` and ``rows_from`` state others). Row k of the points is frame k - 1; rows are synchronous, so
+(`pixel_origin` and `rows_from` set others). Row k of the points is frame k - 1; rows are synchronous, so
 frame offsets between the videos do not matter. The coefficients hold for undistorted pixels, the points are as
 digitised: with a profile, the cameras get the lens with which the coefficients see the points. A DLT camera may have
 a skew; it is moved into the points, which is exact. A left-handed world is recognised by the scene lying behind the
 cameras; its z axis is reversed. Points in space (``...xyzpts.csv`` with columns ``pt1_X``) are the truth.
 """
-
-from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence

@@ -1,13 +1,11 @@
 """Kalibr: cameras of a ``camchain.yaml``.
 
-Each camera has its intrinsics, distortion, resolution, and (from the second on) ``T_cn_cnm1``, which leads from the
-axes of the camera before to its own. ``timeshift_cam_imu`` becomes the offset of the camera's clock.
+Each camera has its intrinsics, distortion, resolution, and (from the second on) ``T_cn_cnm1``, which maps the
+axes of the previous camera to its own. ``timeshift_cam_imu`` becomes the offset of the camera's clock.
 
 Conventions: the world is the first camera; pixels and camera axes are the native ones; lengths are in metres. Models:
 ``pinhole`` with ``radtan`` (OpenCV's k1, k2, p1, p2), ``equidistant`` (OpenCV's fisheye) or ``none``.
 """
-
-from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,16 +1,14 @@
-"""MOTChallenge: detections of one camera a file in, 3-D tracks out.
+"""MOTChallenge: detections of one camera per file in, 3-D tracks out.
 
-Sources: text files, or sequence folders with ``det/det.txt`` (else ``gt/gt.txt``); a ``seqinfo.ini`` beside states
+Sources: text files, or sequence folders with ``det/det.txt`` (else ``gt/gt.txt``); a ``seqinfo.ini`` beside gives
 rate, image size and number of frames. Rows: frame, identity, left, top, width, height, confidence, ... A camera is
 named as its file, or as its folder where the file is called ``det`` or ``gt``.
 
 Conventions: frames, pixels and identities count from 1: the centre of the top-left pixel is (1, 1). The detection is
-the centre of the box, whose width and height are kept, or the middle of its lower side (``box_point: bottom``).
+the centre of the box, whose width and height are kept, or the middle of its lower side (`box_point` bottom).
 Identity -1 is none. Time is (frame - 1) / rate, frame numbers stay as they are. Tracks are written with 3-D positions
 in columns 8 to 10 and boxes of -1; a frame is a reported time, counted from 1.
 """
-
-from __future__ import annotations
 
 import configparser
 from collections.abc import Iterator, Sequence

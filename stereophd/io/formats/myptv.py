@@ -8,8 +8,6 @@ files, without ``blobs_``. Points in space: ``particles`` (x, y, z, ..., frame),
 Conventions: the centre of the top-left pixel is (0, 0). Images that no row names are frames without detections.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 

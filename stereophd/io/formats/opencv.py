@@ -4,14 +4,12 @@ Quantities are found by their usual names, in any case: the camera matrix (``K``
 lens coefficients (``D``, ``dist``, ``distortion_coefficients``), and the pose by ``rvec`` and ``tvec`` or by ``R``
 and ``T``. A camera is a mapping of its name, a part of the names (``K1``, ``left_K``, ``K_left``), or a file of its
 own, named as the file. Where two cameras are there and one R, T without a name, as ``stereoCalibrate`` returns them,
-the first camera is at the origin and R, T lead from its axes to those of the second.
+the first camera is at the origin and R, T map its axes to those of the second.
 
 Conventions: pixels and camera axes are the native ones. ``x_camera = R x_world + T``, so the centre is ``-R^T T``.
 Coefficients: k1, k2, p1, p2, k3, k4, k5, k6; four of a fisheye where ``fisheye_model`` (or a similar key) is set.
 Lengths have the unit of the calibration board, which the files do not name.
 """
-
-from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence

@@ -12,8 +12,6 @@ of the sensor, not the principal point, and rays may pass from air through a pan
 camera is the pinhole with a lens that sees the volume of ``criteria.par`` at the same pixels. Its residual is noted.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace

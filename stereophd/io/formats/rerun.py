@@ -5,8 +5,6 @@ pinhole cameras of the configuration that the tracks carry. World axes: right, d
 Positions have single precision.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

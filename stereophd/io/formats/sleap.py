@@ -1,13 +1,11 @@
-"""SLEAP: tracked points of an analysis file (HDF5, ``...analysis.h5``), one file a camera.
+"""SLEAP: tracked points of an analysis file (HDF5, ``...analysis.h5``), one file per camera.
 
 Read with h5py (extra ``pose``). The project file (``.slp``) changes with SLEAP's versions; export it as an analysis
-file. A camera is named as its file. Points are numbered by track and node: ``track * nodes + node``; ``least_score``
+file. A camera is named as its file. Points are numbered by track and node: ``track * nodes + node``; `least_score`
 leaves out points of a smaller score.
 
 Conventions: (0, 0) is the centre of the top-left pixel. Every frame is in the file; frames without points are empty.
 """
-
-from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Sequence

@@ -4,8 +4,6 @@ A marker is a track, named ``track_N``. Positions keep the native world axes (x 
 length, which the header names. Where a track does not exist its columns are empty.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

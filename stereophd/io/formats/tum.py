@@ -4,8 +4,6 @@ Positions keep the native world axes and unit of length. Tracks have no orientat
 The format holds one trajectory; of several tracks one must be chosen.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from stereophd.errors import InputError

@@ -1,16 +1,14 @@
 """YOLO: detections as text, a folder for each camera with a file for each frame.
 
 Sources: folders of files such as ``street_000123.txt``, or folders that hold them in ``labels``. A camera is named as
-its folder, or as the one above ``labels``. The frame is the last number in the name of the file; a frame without a file
-has no detections. Rows: class, middle (x, y), width, height, and optionally score and identity, as Ultralytics writes
-them with ``save_txt`` and ``save_conf``.
+its folder, or as the one above ``labels``. The frame is the last number in the name of the file, and counts from 1,
+as in Ultralytics' films, unless a file has 0; a frame without a file has no detections. Rows: class, middle (x, y),
+width, height, and optionally score and identity, as Ultralytics writes them with ``save_txt`` and ``save_conf``.
 
 Conventions: places and sizes are shares of the width and the height of the image, from its corner. The detection is the
-middle of the box, whose width and height are kept, or the middle of its lower side (``box_point: bottom``). All classes
+middle of the box, whose width and height are kept, or the middle of its lower side (`box_point` bottom). All classes
 are taken.
 """
-
-from __future__ import annotations
 
 import re
 from collections.abc import Iterator, Sequence
@@ -41,7 +39,9 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     files = {camera: _frames(folder) for camera, folder in folders.items()}
     recording = ForeignRecording(files=[path for frames in files.values() for path in frames.values()])
     recording.assumed.append(f"the detection is the {options.box_point} of its box")
-    recording.assumed.append("the frame is the last number in the name of its file")
+    recording.first_frame = 0 if any(0 in frames for frames in files.values()) else 1
+    first = f"frame {recording.first_frame} is at the time 0"
+    recording.assumed.append(f"the frame is the last number in the name of its file, and {first}")
     recording.pieces = _pieces(files, options, recording)
     return recording
 

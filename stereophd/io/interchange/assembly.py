@@ -6,8 +6,6 @@ detections, and merges the cameras by time. Rows of a camera that are out of ord
 at a time.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field

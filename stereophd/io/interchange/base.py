@@ -1,7 +1,5 @@
 """A foreign format: the result of its reader, and the input of its writer."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cameras of other programs and native ones: matrices, lens coefficients and poses, taken together and apart."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

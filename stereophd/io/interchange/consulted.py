@@ -1,7 +1,5 @@
 """Which of the options that a user states a format makes use of: one that nothing reads would silently do nothing."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, TypeVar

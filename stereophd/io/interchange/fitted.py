@@ -1,7 +1,5 @@
 """The native camera that is nearest to another model of it: least squares over pixels and what they see."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

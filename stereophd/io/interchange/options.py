@@ -3,8 +3,6 @@
 Nothing heavy may be imported here: the command line makes its help from these classes.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields

@@ -1,7 +1,5 @@
 """Pixels of other programs in native ones: where pixel (0, 0) lies, and from which side rows count."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array

@@ -4,8 +4,6 @@
 side of the camera is the front, and for a world that is left-handed no rotation R has the scene in front.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Reading foreign files: every error of a reader in a malformed file becomes an `InputError`."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Foreign formats by name: modules of `stereophd.io.formats` and of plug-ins, imported only when they are used."""
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 
@@ -28,6 +26,11 @@ def find(name: str, readable: bool = False) -> Format:
         raise InputError(f"format: expected one of {', '.join(known)}, found {name}{did_you_mean(name.lower(), known)}")
     form: Format = import_member(PACKAGE, name).FORMAT
     return form
+
+
+def description(name: str) -> str:
+    """Return what the module of a format says of it; empty of a format that does not exist."""
+    return (import_member(PACKAGE, name).__doc__ or "") if name in names() else ""
 
 
 def recognise_cameras(path: Path) -> str | None:

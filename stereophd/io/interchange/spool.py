@@ -1,7 +1,5 @@
 """Rows of each camera in a temporary file of its own, so that a log larger than memory can be put in order."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Tracks for export: read in pieces, chosen by identity, resampled to a rate."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import compress
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Points in space of other programs, which become a truth: wide tables and long ones."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,9 +1,7 @@
 """What makes a row of a detection log bad, decided for whole arrays of rows at a time."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -37,13 +35,6 @@ class Fault:
     kind: str
     bad: Booleans
     say: Callable[[int], str]
-
-
-@dataclass
-class OrderState:
-    """What the order checks remember of the rows before: the largest frame of each camera."""
-
-    last_frame: dict[int, int] = field(default_factory=dict)
 
 
 def point_faults(piece: Decoded, cameras: Sequence[str], sizes: Array, margin: float) -> Iterator[Fault]:
@@ -122,10 +113,11 @@ def time_fault(rows: Rows, order: LogOrder) -> Fault:
     return Fault("time_backwards", bad, say)
 
 
-def frame_fault(rows: Rows, state: OrderState) -> Fault:
+def frame_fault(rows: Rows, last_frames: dict[int, int]) -> Fault:
     """Return the rows whose frame number is not above all of the same camera at earlier times.
 
-    `rows` are in order of time, and hold all rows of each of their times. Updates `state`.
+    `rows` are in order of time, and hold all rows of each of their times. `last_frames`, the largest
+    frame of each camera so far, is brought up to date.
     """
     bad = np.zeros(len(rows), dtype=bool)
     before = np.zeros(len(rows), dtype=np.int64)
@@ -135,14 +127,14 @@ def frame_fault(rows: Rows, state: OrderState) -> Fault:
         time, frame = rows.time_s[mine], rows.frame[mine]
         starts = np.flatnonzero(np.concatenate([[True], time[1:] != time[:-1]]))
         highest = np.maximum.reduceat(frame, starts)
-        earlier = np.maximum.accumulate(np.concatenate([[state.last_frame.get(int(camera), lowest)], highest]))
+        earlier = np.maximum.accumulate(np.concatenate([[last_frames.get(int(camera), lowest)], highest]))
         group = np.repeat(np.arange(len(starts)), np.diff(np.concatenate([starts, [len(mine)]])))
         before[mine] = earlier[group]
         # Bad rows lie at or below the maximum, so they do not raise it either.
         bad[mine] = frame <= earlier[group]
         if (before[mine] == lowest).any():
             bad[mine[before[mine] == lowest]] = False
-        state.last_frame[int(camera)] = int(earlier[-1])
+        last_frames[int(camera)] = int(earlier[-1])
 
     def say(i: int) -> str:
         if rows.frame[i] == before[i]:

@@ -1,7 +1,5 @@
 """Whether the rows of a detection log are in order of time, or only the rows of each camera."""
 
-from __future__ import annotations
-
 from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass

@@ -4,10 +4,7 @@ A log is a Parquet file with one row per detection (`docs/reference/formats.md`)
 memory does not depend on its length; what is wrong with a row is an error or a counted, dropped row.
 """
 
-from __future__ import annotations
-
 import heapq
-import logging
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -28,7 +25,6 @@ from stereophd.io.file_kinds import LOG
 from stereophd.io.logs.checks import (
     KINDS,
     Fault,
-    OrderState,
     duplicate_fault,
     frame_fault,
     frame_starts,
@@ -40,42 +36,21 @@ from stereophd.io.logs.order import LogOrder, order_of
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
 from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
 from stereophd.io.tables.writing import ROW_GROUP_ROWS
-
-LOGGER = logging.getLogger("stereophd")
+from stereophd.wording import LOGGER
 
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """All detections of one camera frame.
+    """All detections of one camera frame; what the log does not state is None."""
 
-    Attributes
-    ----------
-    time_s
-        True time (the camera's clock corrected), s.
-    camera
-        Index in the configuration's order of cameras.
-    frame
-        Frame number.
-    pixels
-        Detections (m, 2), distorted px; m = 0 for an empty frame.
-    sigma
-        Standard deviations (m, 2), px, or None where the log states none.
-    object_id
-        True objects (m,), -1 clutter, or None where the log states none. For evaluation only.
-    sizes
-        Width and height (m, 2) of the boxes, px, or None where the log states none.
-    rows
-        Rows of the log (m,), or None for a frame that is not from a log.
-    """
-
-    time_s: float
-    camera: int
+    time_s: float  # True time (the camera's clock corrected)
+    camera: int  # Index in the configuration's order of cameras
     frame: int
-    pixels: Array
-    sigma: Array | None = None
-    object_id: Integers | None = None
-    sizes: Array | None = None
-    rows: Integers | None = None
+    pixels: Array  # (m, 2): distorted px; m = 0 for an empty frame
+    sigma: Array | None = None  # (m, 2): standard deviations, px
+    object_id: Integers | None = None  # (m,): true objects, -1 clutter; for evaluation only
+    sizes: Array | None = None  # (m, 2): width and height of the boxes, px
+    rows: Integers | None = None  # (m,): rows of the log that the frame is from
 
 
 class LogReader:
@@ -171,7 +146,7 @@ class LogReader:
 
     def _frames(self, only: int | None) -> Iterator[Frame]:
         """Yield the frames in log order; with `only`, those of that camera, on its true time."""
-        state = OrderState()
+        last_frames: dict[int, int] = {}
         carry: Rows | None = None
         for rows in self._good_rows(only):
             if only is not None:
@@ -185,9 +160,9 @@ class LogReader:
             complete = int(np.searchsorted(rows.time_s, rows.time_s[-1], side="left"))
             carry = rows.take(slice(complete, None))
             check_instant(len(carry), float(carry.time_s[0]), str(self.path))
-            yield from self._split(rows.take(slice(0, complete)), state)
+            yield from self._split(rows.take(slice(0, complete)), last_frames)
         if carry is not None:
-            yield from self._split(carry, state)
+            yield from self._split(carry, last_frames)
 
     def _good_rows(self, only: int | None) -> Iterator[Rows]:
         """Yield pieces of the log without rows that are bad by themselves or out of order."""
@@ -248,11 +223,11 @@ class LogReader:
             first_row += rows.num_rows
         return [], first_row
 
-    def _split(self, rows: Rows, state: OrderState) -> Iterator[Frame]:
+    def _split(self, rows: Rows, last_frames: dict[int, int]) -> Iterator[Frame]:
         """Check the rows against those around them, and yield their frames in order."""
         if not len(rows):
             return
-        rows = rows.take(self._accept([frame_fault(rows, state)], rows))
+        rows = rows.take(self._accept([frame_fault(rows, last_frames)], rows))
         rows = rows.take(np.lexsort((rows.row, rows.frame, rows.camera, rows.time_s)))
         rows = rows.take(self._accept([duplicate_fault(rows)], rows))
         starts = frame_starts(rows)

@@ -1,7 +1,5 @@
 """Detection logs, written frame by frame."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any

@@ -16,8 +16,6 @@ Only entries of the output folder itself move, and a link moves as a link: no co
 of it.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import os

@@ -1,7 +1,5 @@
 """The disk and the signals below atomic writes."""
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import logging

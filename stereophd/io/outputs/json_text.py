@@ -1,7 +1,5 @@
 """The one way to JSON: reports, timings, what a command prints."""
 
-from __future__ import annotations
-
 import json
 import math
 from collections.abc import Mapping

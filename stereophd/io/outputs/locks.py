@@ -5,8 +5,6 @@ process ends in any way, so a file that a killed process left behind blocks no o
 locks, the process that the file names holds the lock while it is alive on this machine.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import os

@@ -4,8 +4,6 @@ A provenance is a plain dict without paths and without the time of day, so that 
 the same bytes. Parquet files carry it as key-value metadata, JSON reports under ``provenance``.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

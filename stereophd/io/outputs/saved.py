@@ -6,8 +6,6 @@ work of a run that was killed. Objects are encoded by msgspec (MessagePack), whi
 the reader names. Arrays come back equal to the bit, in their order of memory.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import zlib

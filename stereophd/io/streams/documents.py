@@ -4,8 +4,6 @@ Version 1. `schema` is published as ``docs/reference/messages.schema.json``; a c
 new version.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any
 
 import msgspec

@@ -4,8 +4,6 @@ Frames are messages of the schema ``stereophd.Frame``, on any topics. Rows go to
 to ``/stereophd/events``, at the true time of their record.
 """
 
-from __future__ import annotations
-
 import importlib
 import json
 import struct

@@ -1,7 +1,5 @@
 """Estimates as they are known: documents of records, as lines of JSON, rows of Arrow, or messages."""
 
-from __future__ import annotations
-
 import io
 import math
 import time

@@ -4,8 +4,6 @@ Each source yields messages as they arrive, and None after every `IDLE_S` withou
 nothing comes. It ends with the stream, at the end of a file that is not followed, or by an interrupt.
 """
 
-from __future__ import annotations
-
 import io
 import os
 import select

@@ -5,8 +5,6 @@ which they go to the table. A process that continues replays them through a tabl
 undisturbed run, because the rows are.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any

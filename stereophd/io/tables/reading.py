@@ -1,7 +1,5 @@
 """Read Parquet tables with checks: every way in which a file can be wrong is a clear `InputError`."""
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -21,6 +19,10 @@ from stereophd.io.tables.writing import ROW_GROUP_ROWS
 
 # What pyarrow raises for a damaged Parquet file; the last where the name of a column is no text.
 DAMAGED = (pa.ArrowException, OSError, UnicodeDecodeError)
+
+
+# Largest magnitude of a time, place or speed: sums of squares of larger ones are no numbers any more.
+LARGEST = 1e100
 
 
 def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
@@ -199,11 +201,13 @@ def read_pieces(
 
 
 def finite_column(table: pa.Table, name: str, path: Path | str) -> NDArray[np.float64]:
-    """Return a column of a whole table as numbers; InputError, with its row, where one is none."""
+    """Return a column of a whole table as numbers; InputError, with its row, where one is none, or above `LARGEST`."""
     values: NDArray[np.float64] = np.array(table[name], dtype=np.float64)
-    bad = np.flatnonzero(~np.isfinite(values))
+    bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
     if bad.size:
-        raise InputError(f"{path}: row {bad[0]}: column {name}: expected a finite number, found {values[bad[0]]}")
+        found = values[bad[0]]
+        expected = f"one of at most {LARGEST:g}" if np.isfinite(found) else "a finite number"
+        raise InputError(f"{path}: row {bad[0]}: column {name}: expected {expected}, found {found}")
     return values
 
 

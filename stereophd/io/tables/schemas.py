@@ -1,7 +1,5 @@
 """Parquet tables: the schemas of the native files (`docs/reference/formats.md`)."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import pyarrow as pa

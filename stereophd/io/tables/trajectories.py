@@ -1,7 +1,5 @@
 """Known trajectories of bodies that carry cameras: Parquet tables, and the text that a configuration keeps of them."""
 
-from __future__ import annotations
-
 import base64
 import binascii
 import zlib

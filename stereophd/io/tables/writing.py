@@ -4,8 +4,6 @@ The bytes of a table depend on its rows and metadata only, never on how the rows
 day.
 """
 
-from __future__ import annotations
-
 import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path

@@ -1,8 +1,5 @@
 """Control: where one of the objects truly was, on a clock of its own, or points of known place in the images."""
 
-from __future__ import annotations
-
-import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +19,7 @@ from stereophd.io.outputs.provenance import length_unit
 from stereophd.io.tables.reading import check_columns, checked_table, open_parquet, read_table
 from stereophd.io.tables.schemas import FLOAT
 from stereophd.pipeline.evaluation.registering import registration_report
+from stereophd.wording import LOGGER
 
 PLACE, GEOGRAPHIC = ("x", "y", "z"), ("latitude_deg", "longitude_deg", "altitude_m")
 PIXEL = ("u_px", "v_px")
@@ -33,9 +31,6 @@ MISTAKEN = 6.0
 LEAST_ROWS = 6
 # Equatorial radius, m, and squared eccentricity of the ellipsoid of WGS 84.
 RADIUS_M, ECCENTRICITY = 6_378_137.0, 6.69437999014e-3
-
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)

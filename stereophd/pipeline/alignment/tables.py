@@ -1,7 +1,5 @@
 """The tables of a run in the frame and on the clock of a world."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

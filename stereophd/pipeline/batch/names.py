@@ -1,7 +1,5 @@
 """Which files a batch takes, and the name of the folder of each."""
 
-from __future__ import annotations
-
 import glob
 import os
 from collections import Counter

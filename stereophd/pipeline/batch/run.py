@@ -4,8 +4,6 @@ Any fault of one input is a row of the summary and stops no other. The files do 
 in which order the inputs are done, nor on workers that die.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os
@@ -27,6 +25,7 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.batch.names import expand, folder_names
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.workers.places import ATTEMPTS, Workers, complete, open_workers
+from stereophd.wording import LOGGER
 
 SUMMARY_FILE = "summary.parquet"
 
@@ -34,8 +33,6 @@ DONE, GATE, FAILED = "done", "gate failed", "failed"
 
 # Columns of every summary; a command adds its own.
 COMMON = {"log": STRING, "folder": STRING, "status": STRING, "message": STRING}
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)

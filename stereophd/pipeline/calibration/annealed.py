@@ -1,7 +1,5 @@
 """Method annealed of `calibrate`: its starts, kept while the run is unfinished, on processes, and its `Outcome`."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any

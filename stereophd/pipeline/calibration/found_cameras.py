@@ -6,8 +6,6 @@ guess. Such priors come from the data. What the data determine is therefore judg
 the search itself doubts, never by posterior over prior.
 """
 
-from __future__ import annotations
-
 import copy
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, is_dataclass, replace

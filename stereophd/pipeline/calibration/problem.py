@@ -1,7 +1,5 @@
 """The problem of a calibration, its run and its outcome; the filters of its configuration."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field

@@ -1,7 +1,5 @@
 """The report of a calibration: cameras, parameters and observability, with units in the names of keys."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

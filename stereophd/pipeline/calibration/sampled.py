@@ -1,7 +1,5 @@
 """What `calibrate` samples: method sequential, and posterior smc."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

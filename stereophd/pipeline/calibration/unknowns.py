@@ -1,7 +1,5 @@
 """Make the unknowns of a calibration from a configuration, and draw wrong cameras from their priors."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

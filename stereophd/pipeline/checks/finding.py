@@ -1,7 +1,5 @@
 """A finding: the outcome of one check, with its evidence, the likely cause and a remedy."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
@@ -22,6 +20,7 @@ class Finding:
     camera: str | None = None  # The camera that is concerned; None: all of them
     remedy: str | None = None  # What to change
     cause: str | None = None  # Short name of the likely cause, such as ``rotation_transposed``; stable, for programs
+    change: str | None = None  # KEY=VALUE of the configuration that follows the remedy
 
     def as_dict(self) -> dict[str, Any]:
         """Return the finding as JSON-able data."""

@@ -1,7 +1,5 @@
 """Run all checks of a log, a configuration and cameras that need no filter."""
 
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 from typing import Any
@@ -92,6 +90,7 @@ def check_samples(
 def report_findings(findings: tuple[Finding, ...]) -> list[dict[str, Any]]:
     """Log every warning with its remedy; return all findings for a report."""
     for found in warnings_of(findings):
-        remedy = "" if found.remedy is None else f" (remedy: {found.remedy})"
+        change = "" if found.change is None else f": `overrides` '{found.change}'"
+        remedy = "" if found.remedy is None else f" (remedy: {found.remedy}{change})"
         LOGGER.warning("check %s: %s%s", found.name, found.message, remedy)
     return [found.as_dict() for found in findings]

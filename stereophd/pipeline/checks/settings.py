@@ -4,8 +4,6 @@ Depths come from rays that meet, less what chance gives at other times and place
 these depths: across the line of sight, over whole tracks, less what the noise of the detections gives.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
@@ -18,18 +16,22 @@ from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.measure import Geometry
 from stereophd.pipeline.checks.geometry.rays import TOLERANCES, distances
-from stereophd.pipeline.checks.log.sample import LEAST_LENGTH, CameraSample
+from stereophd.pipeline.checks.log.sample import LEAST_LENGTH, MOST_BY_CHANCE, CameraSample
+from stereophd.validated import METRES
 
 # Score of a pair whose depths count.
 LEAST_SCORE = 6.0
-# Share of the depths that the region must cover, and the births: objects move away from where they appear.
-LEAST_COVERED, LEAST_BORN = 0.6, 0.25
+# Share of the depths that the region must cover, and the births, be it those of this first share of the time alone:
+# objects move away from where they appear.
+LEAST_COVERED, LEAST_BORN, BEGINNING = 0.6, 0.25, 0.25
 # Factors between stated and measured spread of the speed, and of the acceleration, that are reported.
 SLOWER, FASTER, ACCELERATION_FACTOR, TOO_MUCH = 6.0, 30.0, 20.0, 60.0
 # Share of the detections that one-camera tracks must hold before settings are called too large.
 LEAST_HELD = 0.6
 # Tracks that a speed is estimated from, at least.
 LEAST_TRACKS = 4
+# Speed of sound, m/s: what cameras follow is slower, but for bullets and meteors, and thousands of it are a wrong unit.
+FASTEST = 340.0
 # Frames of a track from which an acceleration is estimated.
 ACCELERATION_LENGTH = 12
 
@@ -40,6 +42,7 @@ class MeasuredScene:
 
     depths: Array | None  # (3,) or None: Quantiles of 5, 50 and 95 % of the depth before the cameras, length
     depth_samples: Array  # (n,): Depths that represent the distribution, length
+    first_depths: Array  # (n,): The same of the beginning of the log
     # (2,) or None: Root mean square of one component, and 95 % quantile of the speed across the line of sight,
     # length/s.
     speed: Array | None
@@ -50,9 +53,13 @@ def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> Measu
     """Estimate depths, speeds and accelerations of the objects, from pairs of cameras with at least this score."""
     samples = _depth_samples(geometry, least_score)
     if not len(samples):
-        return MeasuredScene(None, samples, None, None)
+        return MeasuredScene(None, samples, samples, None, None)
     depths = np.quantile(samples, [0.05, 0.5, 0.95])
-    return MeasuredScene(depths, samples, *measure_motion(geometry.samples, float(depths[1])))
+    first = replace(geometry, pairs=tuple(pair.beginning(BEGINNING) for pair in geometry.pairs))
+    chains = [sample for sample in geometry.samples if sample.linking[1] <= MOST_BY_CHANCE]
+    return MeasuredScene(
+        depths, samples, _depth_samples(first, least_score), *measure_motion(chains, float(depths[1]))
+    )  # fmt: skip
 
 
 def measure_motion(
@@ -185,7 +192,10 @@ def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
     """Yield whether births cover the depths at which rays meet."""
     assert scene.depths is not None
     low, high = expected_depths(config, samples)
-    covered = float(((scene.depth_samples >= 0.8 * low) & (scene.depth_samples <= 1.25 * high)).mean())
+    covered = max(
+        float(((depths >= 0.8 * low) & (depths <= 1.25 * high)).sum()) / max(len(depths), 1)
+        for depths in (scene.depth_samples, scene.first_depths)
+    )
     where = f"between {scene.depths[0]:.3g} and {scene.depths[2]:.3g} {unit}"
     if covered < LEAST_BORN:
         yield Finding(
@@ -193,8 +203,8 @@ def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
             f"rays meet at depths {where}, but filter.birth covers {low:.3g} to {high:.3g} {unit}: it seems to be in "
             "another unit, or the centres of the cameras are",
             f"{low:.4g} to {high:.4g}", f"{scene.depths[0]:.4g} to {scene.depths[2]:.4g}", None,
-            f"set filter.birth.depth_range to [{0.7 * scene.depths[0]:.3g}, {1.5 * scene.depths[2]:.3g}]",
-            "depth_range",
+            "set filter.birth.depth_range to these depths and some more", "depth_range",
+            f"filter.birth.depth_range=[{0.7 * scene.depths[0]:.3g}, {1.5 * scene.depths[2]:.3g}]",
         )  # fmt: skip
     else:
         centers = np.array([sample.camera.pose.center for sample in samples])
@@ -240,6 +250,16 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
             f"the objects move at about {spread:.3g} {unit}/s per axis, but filter.birth.velocity_std is {stated:g}: "
             "it seems to be in another unit, or the times are",
             stated, round(spread, 6), None, f"set filter.birth.velocity_std near {1.5 * spread:.2g}", "velocity_std",
+            f"filter.birth.velocity_std={1.5 * spread:.2g}",
+        )  # fmt: skip
+    if fastest * METRES.get(unit, 0.0) > FASTEST:
+        yield Finding(
+            "settings.length_unit", "warning",
+            f"objects move at {fastest:.3g} {unit}/s across the line of sight, faster than sound: the centres of the "
+            f"cameras seem to be in a smaller unit than {unit}, or the times are wrong",
+            round(fastest, 6), FASTEST / METRES[unit], None,
+            "state the unit (units.length in the cameras, or import with `length_unit`), then run `init` again",
+            "length_unit",
         )  # fmt: skip
     limit = getattr(motion, "max_speed", None)
     if limit is not None and limit < 0.8 * fastest:
@@ -247,6 +267,7 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
             "settings.max_speed", "warning",
             f"objects move at up to {fastest:.3g} {unit}/s across the line of sight, but motion.max_speed is {limit:g}",
             limit, round(fastest, 6), None, f"set motion.max_speed to at least {2.0 * fastest:.2g}", "max_speed",
+            f"motion.max_speed={2.0 * fastest:.2g}",
         )  # fmt: skip
     acceleration, found = getattr(motion, "acceleration_std", None), scene.acceleration
     if acceleration == ESTIMATE or found is None:
@@ -264,4 +285,5 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
     yield Finding(
         "settings.acceleration_std", "warning", text, stated_acceleration, round(found, 6), None,
         f"set motion.acceleration_std near {max(found, 1e-6):.2g}", "acceleration_std",
+        f"motion.acceleration_std={max(found, 1e-6):.2g}",
     )  # fmt: skip

@@ -1,7 +1,5 @@
 """What the boxes of an event show of the detector that made them, and what is known of it before."""
 
-from __future__ import annotations
-
 from collections.abc import Collection, Sequence
 from dataclasses import replace
 

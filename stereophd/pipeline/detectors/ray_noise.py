@@ -15,8 +15,6 @@ The likelihoods of all pairs are joined in the noise of the cameras. A prior say
 from the others, and without any data the answer is the prior's median.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
 

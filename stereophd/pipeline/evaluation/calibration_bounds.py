@@ -1,7 +1,5 @@
 """Cramer-Rao bounds of a simulated calibration, as figures of a report."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Limits on the figures of an evaluation: what is compared, and what happens where a figure is beyond its limit."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from difflib import get_close_matches

@@ -1,7 +1,5 @@
 """Files that `stereophd.commands.evaluate` reads: tracks and scans, truth, log, cameras."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +12,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.metrics.truth.events import EventKeys, find_events, first_repeated, first_rows_of_events
+from stereophd.core.metrics.truth.events import EventKeys, event_keys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import Events, Truth
 from stereophd.core.metrics.truth.scored import Sightings
 from stereophd.errors import InputError
@@ -81,7 +79,7 @@ def read_tracks(path: Path) -> Tracks:
     rows = _keys(table, path, cameras)
     starts = first_rows_of_events(rows)
     ends = np.append(starts[1:], table.num_rows).astype(np.int64)[: len(starts)]
-    keys = rows.take(starts)
+    keys = rows[starts]
     all_events = path.with_name(SCANS_NAME).exists()
     if all_events:
         events = _events_of_scans(keys, starts, ends, path, cameras)
@@ -89,7 +87,7 @@ def read_tracks(path: Path) -> Tracks:
         repeated = first_repeated(keys)
         if repeated is not None:
             raise _split_event(path, int(starts[repeated]))
-        events = Events(keys.time_s, starts, ends)
+        events = Events(keys["time_s"].copy(), starts, ends)
     with open_parquet(path) as parquet:
         has_part = CAMERAS_PART.name in parquet.schema_arrow.names
     return Tracks(
@@ -189,7 +187,7 @@ def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> EventKeys:
         )
     camera, names = _names(table)
     number = np.array([cameras.setdefault(name, len(cameras)) for name in names], dtype=np.int64)
-    return EventKeys(time_s, number[camera], _integers(table, "frame"))
+    return event_keys(time_s, number[camera], _integers(table, "frame"))
 
 
 def _events_of_scans(keys: EventKeys, starts: Integers, ends: Integers, path: Path, cameras: dict[str, int]) -> Events:
@@ -207,9 +205,9 @@ def _events_of_scans(keys: EventKeys, starts: Integers, ends: Integers, path: Pa
     disorder = np.flatnonzero(np.diff(event) <= 0)
     if disorder.size:
         raise _split_event(path, int(starts[disorder[0] + 1]))
-    row_start, row_end = np.zeros((2, len(scans.time_s)), dtype=np.int64)
+    row_start, row_end = np.zeros((2, len(scans)), dtype=np.int64)
     row_start[event], row_end[event] = starts, ends
-    return Events(scans.time_s, row_start, row_end)
+    return Events(scans["time_s"].copy(), row_start, row_end)
 
 
 def _split_event(path: Path, row: int) -> InputError:

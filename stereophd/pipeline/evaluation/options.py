@@ -1,7 +1,5 @@
 """Options of `stereophd.commands.evaluate`, and what is wrong with them."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import fields

@@ -1,8 +1,5 @@
 """Tracks in the frame and on the clock of the truth, if the options of an evaluation state it."""
 
-from __future__ import annotations
-
-import logging
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -16,8 +13,7 @@ from stereophd.core.metrics.truth.scored import Sightings
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks
 from stereophd.pipeline.evaluation.options import ScoreOptions
-
-LOGGER = logging.getLogger("stereophd")
+from stereophd.wording import LOGGER
 
 
 def registration_of(

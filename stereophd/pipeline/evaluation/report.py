@@ -1,14 +1,13 @@
 """The report of `stereophd.commands.evaluate`: ``report.json``, and ``per_scan.parquet``."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import NDArray
 
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.registration import Registration
@@ -18,9 +17,6 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.evaluation.gates import Limits, gates
 from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.registering import registration_report
-
-if TYPE_CHECKING:
-    from numpy.typing import NDArray
 
 REPORT_VERSION = 1
 INTEGER_COLUMNS = frozenset({"n_truth", "n_estimates", "n_matched", "identity_switches"})

@@ -1,8 +1,5 @@
 """Do tracks and truth belong together? The default cutoff, and warnings where they come from different scenes."""
 
-from __future__ import annotations
-
-import logging
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -11,6 +8,7 @@ from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
 from stereophd.io.outputs.provenance import origin
 from stereophd.pipeline.evaluation.inputs import Tracks
+from stereophd.wording import LOGGER
 
 # The paper's cutoff: 20 cm, or 20 standard deviations.
 PAPER_CUTOFF, PAPER_UNIT = 20.0, "cm"
@@ -19,8 +17,6 @@ LEAST_IN_COMMON = 0.5
 
 # Largest share of matches beside another object without a warning: newborn tracks have large errors.
 MOST_BESIDE = 0.01
-
-LOGGER = logging.getLogger("stereophd")
 
 
 def default_cutoff(base: str, unit: str | None, record: Mapping[str, Any] | None, tracks_path: Path) -> float:

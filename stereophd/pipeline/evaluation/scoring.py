@@ -13,7 +13,7 @@ from stereophd.config.tracking import RegionConfig
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.region import box_half_spaces
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
-from stereophd.core.metrics.errors import first_reports, waits
+from stereophd.core.metrics.errors import confirmation_figures
 from stereophd.core.metrics.matching.assignment import is_positive_definite
 from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
 from stereophd.core.metrics.matching.near_pairs import near_pairs
@@ -146,9 +146,9 @@ def _scored(
     ospa2 = track_ospa(estimates, points, options.ospa2_window, order, cutoff, mahalanobis=mahalanobis)
     errors = pair_errors(estimates, points, scores)
     rows, start = rows_of(tracks.events)  # tentative reports count as the first
-    first = first_reports(tracks.track_id[rows], np.repeat(tracks.events.time_s, np.diff(start)))
-    waited = waits(time_s, estimates, points, scores, first)
-    summary = figures(estimates, points, scores, near, matchable, ospa2, errors, waited)
+    reported_s = np.repeat(tracks.events.time_s, np.diff(start))
+    confirmation = confirmation_figures(time_s, estimates, points, scores, tracks.track_id[rows], reported_s)
+    summary = figures(estimates, points, scores, near, matchable, ospa2, errors, confirmation)
     if options.switch_cost is not None:
         tgospa = trajectory_gospa(estimates, points, near, order, cutoff, options.switch_cost)
         summary["tgospa"] = {"mean": tgospa.mean(order), **asdict(tgospa)}

@@ -7,8 +7,6 @@ a manoeuvre costs more than one that settles late. The likelihood is therefore c
 the value is large enough for all windows but a few.
 """
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -7,8 +7,6 @@ the objects stand on the ground, and their height is along its normal. A run of 
 the sizes of its tracks.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass

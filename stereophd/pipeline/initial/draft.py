@@ -5,8 +5,6 @@ with (`stereophd.pipeline.checks`). Then the filter runs over stretches of the l
 acceleration, its tracks give depths, speeds and births, and its residuals the detectors that are unknown.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path

@@ -1,8 +1,6 @@
 """Figures of the scene measured from a log: roughly from rays and one-camera tracks, then from tracks of a first filter
 run."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any

@@ -10,11 +10,9 @@ from stereophd.core.motion.settings import motion_models
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.io.cameras.models import CameraConfig
 from stereophd.pipeline.checks.finding import Finding
+from stereophd.validated import METRES
 
 Kind = Literal["animals", "drones", "lab"]
-
-# Metres in a unit of length.
-METRES = {"mm": 0.001, "cm": 0.01, "m": 1.0, "km": 1000.0}
 
 
 @dataclass(frozen=True)

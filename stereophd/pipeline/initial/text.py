@@ -1,7 +1,5 @@
 """A draft as commented YAML."""
 
-from __future__ import annotations
-
 import textwrap
 from collections.abc import Iterable, Iterator
 from typing import Any

@@ -1,7 +1,5 @@
 """Summary of cameras: what each is and sees, and how they stand to each other."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from itertools import pairwise

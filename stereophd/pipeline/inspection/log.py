@@ -1,7 +1,5 @@
 """Summary of a detection log, in one pass and bounded memory."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any

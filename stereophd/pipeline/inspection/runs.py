@@ -1,7 +1,5 @@
 """Output folders of `track`, `calibrate` and `evaluate`, read back and put together: what a report shows."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -19,7 +17,7 @@ from stereophd.io.documents import expecting
 from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.io.outputs.json_text import read_report
 from stereophd.io.outputs.provenance import file_sha256
-from stereophd.io.tables.reading import arrays_of, open_parquet, read_table
+from stereophd.io.tables.reading import arrays_of, finite_column, open_parquet, read_table
 from stereophd.io.tables.schemas import ASSOCIATIONS, CONFIRMED, FLOAT, INTEGER, SCANS, TRACKS, kinds_of
 from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
 from stereophd.pipeline.inspection.shapes import SHAPES
@@ -184,11 +182,14 @@ def _tracks(path: Path) -> Columns:
     required = kinds_of(TRACKS)
     optional = {"status": required.pop("status"), "height": FLOAT, "width": FLOAT}
     table = read_table(path, required, optional, what="table of tracks")
+    for name in ("x", "y", "z", "vx", "vy", "vz"):
+        finite_column(table, name, path)
     if "status" in table.schema.names:
         table = table.filter(pc.equal(table["status"], CONFIRMED)).drop_columns(["status"])
     columns = arrays_of(table)
     variances = columns.pop("covariance").reshape(-1, 6, 6)[:, [0, 1, 2], [0, 1, 2]]
-    columns["position_std"] = np.sqrt(variances.sum(axis=1))
+    with np.errstate(over="ignore", invalid="ignore"):  # what is no covariance gives no standard deviation
+        columns["position_std"] = np.sqrt(variances.sum(axis=1))
     columns["speed"] = np.sqrt(columns["vx"] ** 2 + columns["vy"] ** 2 + columns["vz"] ** 2)
     return columns
 

@@ -3,8 +3,6 @@
 What a page does not show is not stated here, and may hold anything.
 """
 
-from __future__ import annotations
-
 from typing import Annotated, Any, NotRequired, TypedDict
 
 from msgspec import Meta

@@ -1,7 +1,5 @@
 """Summaries of tracks, truth and any other table."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

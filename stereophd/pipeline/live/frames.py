@@ -1,8 +1,5 @@
 """Frames of messages, checked as the rows of a log are."""
 
-from __future__ import annotations
-
-from collections import deque
 from collections.abc import Sequence
 from typing import Literal
 
@@ -20,6 +17,8 @@ from stereophd.io.streams.messages import Message
 
 # Kinds of frames that a running recording cannot use, beside the kinds of bad rows.
 FRAME_KINDS = ("too_late", "repeated_frame")
+# Last frames of a camera among which one may come again.
+MOST_RECENT = 1000
 
 
 class FrameChecks:
@@ -34,7 +33,7 @@ class FrameChecks:
         self._index = {camera.name: i for i, camera in enumerate(cameras)}
         self._sizes = np.array([(c.width, c.height) for c in cameras], dtype=float)
         self._drop, self._margin = on_bad_row == "drop", image_margin_px
-        self._recent: list[deque[int]] = [deque(maxlen=1000) for _ in cameras]
+        self._recent: list[dict[int, None]] = [{} for _ in cameras]
         self.counts = dict.fromkeys(("frames", "empty_frames", "detections", *KINDS, *FRAME_KINDS), 0)
 
     def frame(self, message: Message, where: str) -> Frame | None:
@@ -52,10 +51,13 @@ class FrameChecks:
                 return None
             good = good[: len(pixels)]  # a frame without detections has one row
             pixels, sigma, sizes = pixels[good], _rows(sigma, good), _rows(sizes, good)
-        if message.frame in self._recent[camera]:
+        recent = self._recent[camera]
+        if message.frame in recent:
             self.refuse("repeated_frame", f"{where}: frame: expected each frame once, found {message.frame} again")
             return None
-        self._recent[camera].append(message.frame)
+        recent[message.frame] = None
+        if len(recent) > MOST_RECENT:
+            del recent[next(iter(recent))]
         self.counts["frames"] += 1
         self.counts["empty_frames"] += not len(pixels)
         self.counts["detections"] += len(pixels)

@@ -1,7 +1,5 @@
 """Records of a live run, smoothed with a fixed lag: each comes once the recording has gone on for so long."""
 
-from __future__ import annotations
-
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence

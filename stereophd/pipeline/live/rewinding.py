@@ -6,8 +6,6 @@ worked again: exactly what a run over the frames in order gives, because `RunSta
 Memory is bounded by the span, and a frame older than that is too late.
 """
 
-from __future__ import annotations
-
 import math
 from bisect import bisect_left
 from collections.abc import Iterator, Sequence
@@ -124,4 +122,4 @@ def copy_of(run: RunState[Any]) -> RunState[Any]:
         claimed=dict(waiting.claimed),
         pending={label: list(rows) for label, rows in waiting.pending.items()},
     )
-    return replace(run, attribution=Attribution(run.attribution.pending), associations=associations)
+    return replace(run, attribution=Attribution(dict(run.attribution.pending)), associations=associations)

@@ -1,7 +1,5 @@
 """A live run: messages in, records out, with the time that each took."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import heapq
@@ -19,6 +17,8 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.build import prepare
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.numerics.random_streams import WARM_UP_SEED
+from stereophd.core.two_views.turns import prepare_turns
+from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame
 from stereophd.io.streams.messages import Message
 from stereophd.io.streams.sources import Arrivals
@@ -31,8 +31,8 @@ from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes
 WARM_UP_FRAMES, WARM_UP_INTERVAL_S, WARM_UP_DETECTIONS = 20, 0.02, 4
 # Width and height of their boxes, which filters of points do not read.
 WARM_UP_BOX_PX = 50.0
-# Classes of latencies: to 10 s.
-LATENCY_STEP_S, LATENCY_STEPS = 1e-4, 100_000
+# Classes of durations, from 10 us to 100 s: the least, the ratio of neighbours, and their number.
+SHORTEST_S, CLASS_RATIO, CLASSES = 1e-5, 1.02, 814
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 
 
@@ -46,20 +46,21 @@ class LiveRecord:
 
 
 class Histogram:
-    """Numbers of durations, in steps of `LATENCY_STEP_S`: memory does not grow with them."""
+    """Numbers of durations, in classes of `CLASS_RATIO`: memory does not grow with them."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros(LATENCY_STEPS, dtype=np.int64)
+        self._counts = np.zeros(CLASSES, dtype=np.int64)
 
     def add(self, duration_s: float) -> None:
         """Count a duration."""
-        self._counts[min(int(duration_s / LATENCY_STEP_S), LATENCY_STEPS - 1)] += 1
+        place = int(math.log(max(duration_s / SHORTEST_S, 1.0)) / math.log(CLASS_RATIO))
+        self._counts[min(place, CLASSES - 1)] += 1
 
     def percentiles_ms(self) -> dict[str, float]:
-        """Return `PERCENTILES` of the durations by name, ms, rounded up to a step; NaN without durations."""
+        """Return `PERCENTILES` of the durations by name, ms, rounded up to a class; NaN without durations."""
         total = self._counts.sum()
         places = np.searchsorted(np.cumsum(self._counts), np.ceil(total * np.asarray(PERCENTILES) / 100.0))
-        values = [1e3 * LATENCY_STEP_S * (place + 1) if total else math.nan for place in places.tolist()]
+        values = [1e3 * SHORTEST_S * CLASS_RATIO ** (k + 1) if total else math.nan for k in places.tolist()]
         return {f"p{p:g}": value for p, value in zip(PERCENTILES, values, strict=True)}
 
 
@@ -122,15 +123,21 @@ class LiveRun:
     def records(self, arrivals: Arrivals, source: str) -> Iterator[LiveRecord]:
         """Yield the records of messages, and at the end of the stream those that are left.
 
-        Raises InputError if a message cannot be used, and the configuration does not drop such.
+        Raises InputError if no message comes, or one cannot be used and the configuration does not drop such.
         """
-        for number, message in enumerate(arrivals, start=1):
+        number = 0
+        for message in arrivals:
             if message is not None:
+                number += 1
                 self._take(message, f"{source}: frame {message.frame} of camera {message.camera} (message {number})")
             # while messages come, only their own times count: a backlog is no wait
             yield from self._release(-np.inf if message is not None else time.perf_counter())
             if self._on_grid and message is None:
                 yield from self._predict()
+        if not number:
+            raise InputError(
+                f"{source}: expected frames, found none until its end: did the program that sends them fail?"
+            )
         yield from self._release(np.inf)
         now = time.perf_counter()
         yield from (LiveRecord(record, False, now) for record in self._run.finish())
@@ -209,6 +216,7 @@ def without_collections(kind: str) -> Iterator[None]:
     """
     if kind in filters():
         prepare(kind)
+    prepare_turns()
     gc.collect()
     gc.disable()
     try:

@@ -1,7 +1,5 @@
 """How the work of every command reports its progress."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 # Called with (done, total): rows of a log, frames, runs, starts. An exception that it raises ends the work.

@@ -4,8 +4,6 @@ A run that does not fit is refused. One that fills much of a disk may be wanted,
 configuration is wrong: it begins only if the user confirms it. How long a run takes is shown by its progress.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil

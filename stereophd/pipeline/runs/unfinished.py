@@ -7,8 +7,6 @@ table; it counts as far as the state says that was written after it. States are 
 Everything in the folder is data (`stereophd.io.outputs.saved`). It goes when the results come into their places.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import shutil
@@ -181,6 +179,8 @@ def finished_report(folder: Path | str, record: Mapping[str, Any], force: bool) 
     except FileNotFoundError:
         return None
     except (OSError, ValueError) as error:
+        if force:
+            return None
         raise InputError(f"{path}: cannot be read ({error}); use `force=True` to start anew") from error
     if isinstance(report, dict) and report.get("provenance") == record:
         return report

@@ -1,7 +1,5 @@
 """The input of `track` for bodies (``object.shape: ellipsoid``): events whose detections all have boxes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np

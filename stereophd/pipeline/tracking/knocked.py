@@ -15,8 +15,6 @@ together, and stay so while they brake: the ratios are divided by the factor by 
 spreads more than that of independent ones.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from functools import cache
@@ -31,8 +29,8 @@ from stereophd.core.two_views.turns import all_turns, turn_ratios
 
 # Mean time between two false alarms, s, if the model holds: ten days.
 FALSE_ALARM_S = 864_000.0
-# Shortest time between two looks at a camera, s; tracks of a look, the most certain ones; the fewest that must agree.
-LOOK_S, MOST_TRACKS, FEWEST_TRACKS = 0.1, 10, 2
+# Most looks a second at all cameras; tracks of a look, the most certain ones; the fewest that must agree.
+MOST_LOOKS, MOST_TRACKS, FEWEST_TRACKS = 80.0, 10, 2
 # Pairs of a track and a detection of a look: in a crowd fewer tracks are predicted.
 MOST_PAIRS = 20_000
 # Age from which a track counts, s: a new one may be wrong.
@@ -41,14 +39,17 @@ LEAST_AGE_S = 1.0
 FORGET_S = 5.0
 # Part of the threshold from which a camera may be the one that was knocked, if another is beyond it.
 SUSPICIOUS = 0.4
+# So long after a knock tracks have followed the camera, if it moved their images by less than so many deviations of the
+# noise: then any other camera may be the one.
+CLEAR_S, FOLLOWED = 0.2, 10.0
 # Part of the tracks that must agree, if it is more than the fewest.
 AGREEING = 0.5
 # A frame whose median squared residual is below this, in variances, is passed over while no CUSUM is above 0.
 CALM = 2.0
 # Part of the running mean of residuals that stays from look to look.
-LASTING = 0.8
-# Squared residual, in variances, within which a detection belongs to a track.
-TAKEN = 16.0
+LASTING = 0.925
+# Squared residual, in variances, within which a detection belongs to a track, and beyond which it is surely another's.
+TAKEN, STRANGE = 16.0, 100.0
 # Least probability that a track has no detection: it may be wrong, or hidden.
 MISSED = 0.1
 # A factor of variances follows a quantile: the squared residual in variances (two dimensions), the part beyond it, and
@@ -110,7 +111,7 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     known = test.cameras.get(name, CameraLooks())
     if test.is_over or not len(before.track_ids) or before.extents is not None:
         return test, None
-    if event.time_s < known.looked_s + LOOK_S or not len(event.points):
+    if event.time_s < known.looked_s + len(cameras) / MOST_LOOKS or not len(event.points):
         return test, None
     camera = cameras[event.camera].at(event.time_s)
     predicted = _predict(camera, before, event.time_s - since_s)
@@ -120,13 +121,13 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     ids, points, covariances = predicted[0][:most_known], predicted[1][:most_known], predicted[2][:most_known]
     noise = covariances + event.covariances.mean(axis=0)
     residuals = event.points[None] - points[:, None]
-    squares = np.einsum("nmi,nij,nmj->nm", residuals, np.linalg.inv(noise), residuals)
+    squares = (residuals @ np.linalg.inv(noise) * residuals).sum(axis=2)
     born_s = {track: test.born_s.get(track, event.time_s) for track in before.track_ids.tolist()}
     test = replace(test, born_s=born_s)
     is_old = np.array([born_s[track] <= event.time_s - LEAST_AGE_S for track in ids.tolist()])
     chosen, others = np.flatnonzero(is_old)[:MOST_TRACKS], np.ones(len(ids), dtype=bool)
     if not len(chosen):
-        return test, None
+        return replace(test, cameras={**test.cameras, name: replace(known, looked_s=event.time_s)}), None
     others[chosen] = False
     # what belongs to a track that is not looked at speaks for no turn of the others
     detections = event.points[~(squares[others] < TAKEN * known.spread).any(axis=0)]
@@ -143,8 +144,9 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
             p_detect * camera.width * camera.height / len(event.points),
         )  # fmt: skip
         sums, rising_s = _added(sums, rising_s, ratios, known.coherence, event.time_s)
-    spread = _followed(known.spread, squares / known.spread, TAIL, known.looks)
     good = squares < TAKEN * known.spread
+    typical = squares if known.looks < FIRST_LOOKS else squares[squares < STRANGE * known.spread]
+    spread = _followed(known.spread, typical / known.spread, TAIL, known.looks)
     lasting, together = known.lasting, np.empty(0)
     if good.any():
         variance = noise[good].sum(axis=0) * known.spread
@@ -152,7 +154,7 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
         lasting = alone if lasting is None else LASTING * lasting + math.sqrt(1.0 - LASTING**2) * alone
         together = np.array([lasting @ lasting])
     coherence = _followed(known.coherence, together / known.coherence, MEDIAN, known.looks)
-    ratio, suspicion = _suspicion(sums, rising_s, _threshold(len(cameras)), event.time_s, known.suspicion)
+    ratio, suspicion = _suspicion(sums, rising_s, _threshold(), event.time_s, known.suspicion)
     looks = CameraLooks(event.time_s, known.looks + 1, spread, lasting, coherence, sums, rising_s, suspicion)
     test = replace(test, cameras={**test.cameras, name: looks})
     return (test, None) if ratio < 1.0 else (KnockTest(is_over=True), _knock(test, cameras, event.time_s))
@@ -163,8 +165,13 @@ def _knock(test: KnockTest, cameras: tuple[Camera, ...], time_s: float) -> Knock
     suspects = [(c, test.cameras[c.name].suspicion) for c in cameras if c.name in test.cameras]
     (camera, first), *others = sorted(((c, s) for c, s in suspects if s is not None), key=lambda each: each[1].first_s)
     u, v = (all_turns().shifts[first.turn] * (camera.fx, camera.fy)).tolist()
-    turn_deg = math.degrees(all_turns().size(first.turn))
-    return Knock(camera.name, time_s, first.since_s, turn_deg, (u, v), tuple(c.name for c, _ in others))
+    size = all_turns().size(first.turn)
+    noise_px = max(camera.detector.sigma) * math.sqrt(test.cameras[camera.name].spread)
+    if time_s > first.since_s + CLEAR_S and size * camera.fx < FOLLOWED * noise_px:
+        names = tuple(c.name for c, _ in suspects if c is not camera)
+    else:
+        names = tuple(c.name for c, _ in others)
+    return Knock(camera.name, time_s, first.since_s, math.degrees(size), (u, v), names)
 
 
 def _followed(factor: float, squares: Array, quantile: tuple[float, float, float], looks: int) -> float:
@@ -204,9 +211,9 @@ def _suspicion(
 
 
 @cache
-def _threshold(cameras: int) -> float:
-    """CUSUM that is exceeded once in `FALSE_ALARM_S` in so many cameras."""
-    return math.log(cameras * len(all_turns().spread) * FALSE_ALARM_S / LOOK_S)
+def _threshold() -> float:
+    """CUSUM that is exceeded once in `FALSE_ALARM_S` by chance."""
+    return math.log(len(all_turns().spread) * FALSE_ALARM_S * MOST_LOOKS)
 
 
 def _predict(camera: Camera, before: Estimates, elapsed_s: float) -> tuple[Integers, Array, Array] | None:

@@ -5,9 +5,6 @@ Filters of many objects (`stereophd.core.multi.base.DisparityFilter`) and estima
 depends on: with it and the events that follow, another process gives the records of an uninterrupted run.
 """
 
-from __future__ import annotations
-
-import logging
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
@@ -22,6 +19,7 @@ from stereophd.core.numerics.times import TIME_DECIMALS, same_time
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking.associations import Associated, Associations
 from stereophd.pipeline.tracking.knocked import Knock, KnockTest, look
+from stereophd.wording import LOGGER
 
 # Number of events after which the data of ended tracks are removed.
 FORGET_EVERY = 50
@@ -33,8 +31,6 @@ SUPPORT = 2
 # without an object, all after the first are left out. A pause of the recording may last for years.
 MOST_FORECASTS = 1_000_000
 MOST_EMPTY_FORECASTS = 10_000
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)
@@ -65,52 +61,24 @@ class ReportTimes:
 
 @dataclass(frozen=True)
 class Record:
-    """One event of a run, or one prediction to a time of the grid.
+    """One event of a run, or a prediction to a time of the grid: camera and frame are those of the last event then."""
 
-    Attributes
-    ----------
-    time_s : float
-        True time of the event, or of the grid.
-    camera, frame : str, int
-        The event; of a prediction, the last one before it.
-    n_detections : int
-        Number of detections of the event; 0 for a prediction.
-    first_label : int
-        Smallest label that an object first detected in this event can have.
-    info : Info
-        Diagnostics of the event. Those of a prediction are from the last event, faded, with log-likelihood 0.
-    estimates : Estimates
-    attributed : mapping
-        Track -> camera -> number of detections that are known to be its own since this event (at the first
-        report of a track, those before it too).
-    reported : bool
-        Whether the estimates are to be written.
-    is_event : bool
-    event : Event, optional
-        The detections themselves, where a run keeps them.
-    associations : tuple of Associated
-        Detections that reported tracks claim: those of the event, and earlier ones of tracks that are reported for
-        the first time.
-    knock : Knock, optional
-        A camera that the event shows to have been knocked.
-    outside : int
-        Number of those that see nothing of the region, or are of tracks beside it.
-    """
-
-    time_s: float
+    time_s: float  # True time
     camera: str
     frame: int
-    n_detections: int
-    first_label: int
-    info: Info
+    n_detections: int  # 0 of a prediction
+    first_label: int  # Smallest label that an object first detected in this event can have
+    info: Info  # Of a prediction that of the last event, faded, with log-likelihood 0
     estimates: Estimates
+    # Track -> camera -> number of detections known to be its own since the last record; before it, too, when it is new.
     attributed: Mapping[int, Mapping[str, int]] = field(default_factory=dict)
-    reported: bool = True
+    reported: bool = True  # Whether the estimates are to be written
     is_event: bool = True
-    event: Event | None = None
+    event: Event | None = None  # The detections themselves, where a run keeps them
+    # Detections that reported tracks claim: also earlier ones of tracks that are reported for the first time.
     associations: tuple[Associated, ...] = ()
-    knock: Knock | None = None
-    outside: int = 0
+    knock: Knock | None = None  # A camera that the event shows to have been knocked
+    outside: int = 0  # Detections that see nothing of the region, or are of tracks beside it
 
 
 class EstimatorState(Protocol):
@@ -149,17 +117,17 @@ class Estimator(Protocol[State]):
 class Attribution:
     """Detections of each label: counts until the label is reported as a track."""
 
-    # Label -> camera -> detections, of the labels that are not reported yet.
+    # Label -> camera -> detections, of the labels that are not reported yet; counts are replaced, never changed.
     pending: dict[int, dict[str, int]] = field(default_factory=dict)
 
-    def update(self, camera: str, detected: NDArray[np.int64], estimates: Estimates) -> dict[int, dict[str, int]]:
+    def update(self, camera: str, detected: Iterable[int], estimates: Estimates) -> dict[int, dict[str, int]]:
         """Count the labels that an event of a camera detected; return what falls to the reported tracks."""
-        for label in detected.tolist():
+        for label in detected:
             counts = self.pending.get(label)
             if counts is None:
                 self.pending[label] = {camera: 1}
             else:
-                counts[camera] = counts.get(camera, 0) + 1
+                self.pending[label] = counts | {camera: counts.get(camera, 0) + 1}
         tracks = zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True)
         return {track_id: self.pending.pop(label) for track_id, label in tracks if label in self.pending}
 
@@ -221,7 +189,10 @@ def work_event(
     if times.region is not None and not times.whole_run:
         labels, estimates = estimates.labels, estimates.inside(times.region)
         outside = int(np.isin(info.detected, np.setdiff1d(labels, estimates.labels)).sum())
-    attributed = run.attribution.update(name, info.detected, estimates)
+    # most newborns are other detections of known objects, and gone at once
+    alive = set(run.estimator.labels.tolist())
+    detected = [label for label in info.detected.tolist() if label < first_label or label in alive]
+    attributed = run.attribution.update(name, detected, estimates)
     estimates = _supported(estimates, run, len(cameras))
     associations = run.associations.update(event, name, info.claims)
     if info.claims is not None and (times.whole_run or times.after(name)):

@@ -1,7 +1,5 @@
 """Outputs of `stereophd.commands.track`: rows of events and estimates, figures of each identity."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Where a long log is cut into pieces, and how long before its own span each piece is tracked."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -10,8 +8,8 @@ from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.runs.progress import Progress
 
-# A piece is tracked this long before its span, s: an object that only one camera sees keeps the depth that it had
-# when two did, so that the time is that for which objects stay in one view.
+# A piece is tracked this long before its span, s: an object in only one view keeps the depth that it had in two,
+# so the time is that for which objects stay in one view.
 OVERLAP_S = 60.0
 
 # More pieces than this are an error.

@@ -8,8 +8,6 @@ continue beyond their spans: the smoother looks ahead.
 A piece is finished when its whole file is there; what a piece holds does not depend on who made it, nor when.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -30,7 +28,7 @@ from stereophd.pipeline.stream import EventStream, open_log
 from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.piece_plan import LogPiece
 from stereophd.pipeline.tracking.run import build_tracking
-from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
+from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.tracking.unfinished import RecordFile, RecordPart, read_records
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
@@ -148,7 +146,7 @@ class JoinedPieces:
     def lasting_records(self) -> Iterator[Record]:
         """Yield the records without tracks shorter than ``report.min_track_length``."""
         least = self.work.loaded.config.report.min_track_length
-        return lasting(self.records(), least) if least > 0.0 else self.records()
+        return LastingTracks(least).records(self.records()) if least > 0.0 else self.records()
 
     @property
     def not_invertible(self) -> int:

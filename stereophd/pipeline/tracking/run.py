@@ -6,7 +6,9 @@ import contextlib
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pyarrow as pa
 
 from stereophd.config.loading import LoadedConfig
 from stereophd.config.report import GridTimes, ReportConfig
@@ -31,13 +33,10 @@ from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.bodies import with_boxes
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.outputs import RecordWriter, Tables
-from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
+from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 from stereophd.pipeline.tracking.smoothed import smoothed_records
 from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE = "tracks.parquet", "scans.parquet", "associations.parquet"
 
@@ -151,7 +150,9 @@ def reported_records(
             records = (replace(record, estimates=record.estimates.inside(inside)) for record in records)
     if report.min_track_length <= 0.0:
         return records
-    return (lasting if kept is None else kept.lasting)(records, report.min_track_length)
+    if kept is not None:
+        return kept.lasting(records, report.min_track_length)
+    return LastingTracks(report.min_track_length).records(records)
 
 
 def build_tracking(loaded: LoadedConfig, threads: int = 1, cameras: tuple[Camera, ...] | None = None) -> TrackingRun:

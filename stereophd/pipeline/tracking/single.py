@@ -1,7 +1,5 @@
 """`track` for one object without clutter (``filter.kind: single``): one track, number 0."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path

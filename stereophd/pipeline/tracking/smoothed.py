@@ -6,9 +6,6 @@ probability 1, and all other claims of a track at an event at which its detectio
 of others to that detection, if the track is written. All other claims stay those of the filter.
 """
 
-from __future__ import annotations
-
-import logging
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
 from dataclasses import replace
@@ -27,8 +24,7 @@ from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smoot
 from stereophd.core.trajectories.swaps import choose_anew
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run_claims import RunClaims, claims_of_run
-
-LOGGER = logging.getLogger("stereophd")
+from stereophd.wording import LOGGER
 
 # A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
 # more probable than not.

@@ -6,8 +6,6 @@ continues replays the rows or records, passes over the events of the log that th
 the outputs are those of an undisturbed run.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -183,7 +181,7 @@ class UnfinishedTracking:
         self._records = RecordFile(self._unfinished.grow(RECORDS, length))
 
     def lasting(self, records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
-        """Yield records without short tracks, as `stereophd.pipeline.tracking.run_figures.lifetimes.lasting` does."""
+        """Yield records without short tracks, as `LastingTracks` does."""
         kept = None if self._saved is None else self._saved.lasting
         lasting = LastingTracks(min_length_s) if kept is None else kept
         if not self.keeps_records:

@@ -1,7 +1,5 @@
 """Work in a process of its own, beside a run that goes on."""
 
-from __future__ import annotations
-
 import logging
 import os
 import threading
@@ -15,9 +13,10 @@ NICER = 10
 
 
 class Aside:
-    """One piece of work at a time in a new process, which waits when the run needs its core."""
+    """One piece of work at a time in a new process, which waits when the run needs its core, unless `nicer` is 0."""
 
-    def __init__(self) -> None:
+    def __init__(self, nicer: int = NICER) -> None:
+        self._nicer = nicer
         self._thread: threading.Thread | None = None
         self._worker: WorkerProcess | None = None
         self._outcome: Any = None
@@ -53,7 +52,7 @@ class Aside:
         try:
             worker.call(logging.disable, logging.CRITICAL)  # what it finds is for the outcome to tell
             if hasattr(os, "nice"):
-                worker.call(os.nice, NICER)
+                worker.call(os.nice, self._nicer)
             self._outcome = work(worker)
         except Exception as error:
             self._outcome = error

@@ -4,8 +4,6 @@ It compiles the kernels that the run needs last, and the run finds them in the f
 run. One such process a filter and folder is enough: the lock of the folder refuses a second one.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess

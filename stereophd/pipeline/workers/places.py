@@ -4,9 +4,6 @@ All three call a function of a module for each of some arguments and yield the r
 does not depend on where they were made. `complete` continues when workers die.
 """
 
-from __future__ import annotations
-
-import logging
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
@@ -14,6 +11,7 @@ from typing import Any, Protocol, TypeVar
 
 from stereophd.errors import InputError
 from stereophd.pipeline.workers.processes import on_processes
+from stereophd.wording import LOGGER
 
 Argument = TypeVar("Argument")
 Result = TypeVar("Result")
@@ -23,8 +21,6 @@ CONNECT_S = 10
 
 # How often in a row workers may be lost without a result.
 ATTEMPTS = 3
-
-LOGGER = logging.getLogger("stereophd")
 
 
 class WorkersLostError(Exception):

@@ -5,8 +5,6 @@ two pipes to it. There is nothing with a name that could outlive them, such as s
 killed, and at whatever moment, nothing is left.
 """
 
-from __future__ import annotations
-
 import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator

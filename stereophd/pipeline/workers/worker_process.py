@@ -1,7 +1,5 @@
 """A worker process: it receives calls as pickles on standard input, and answers on standard output."""
 
-from __future__ import annotations
-
 import ctypes
 import json
 import os

@@ -1,7 +1,5 @@
 """Columns for the page: tracks in order, thinned out, and as compact text."""
 
-from __future__ import annotations
-
 import base64
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass

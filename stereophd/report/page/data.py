@@ -1,7 +1,5 @@
 """The data of each run that the page's script draws, as JSON-able values."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import Any
 

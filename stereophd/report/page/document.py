@@ -1,7 +1,5 @@
 """Put the page together: tables as HTML, the data, the script and the style."""
 
-from __future__ import annotations
-
 import json
 from base64 import b64encode
 from collections.abc import Iterator, Sequence

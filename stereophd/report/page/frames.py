@@ -1,7 +1,5 @@
 """Frames of each camera: detections, reprojected tracks, and residuals."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 Needs the extra ``plot``. The same data give the same files.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any

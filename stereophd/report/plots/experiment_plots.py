@@ -4,15 +4,13 @@ Of an experiment of kind move it shows the Gaussians of the methods over that of
 Needs the extra ``plot``. The same results give the same files.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
@@ -31,9 +29,6 @@ from stereophd.report.style import (
     save_figures,
 )
 from stereophd.wording import counted
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 BOUND_LABEL = "bound"
 DASHES = (0, (4, 3))

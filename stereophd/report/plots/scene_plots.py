@@ -1,11 +1,15 @@
-"""Truth, estimates and cameras, seen from above and from the side."""
+"""Plots of an evaluation: its scores over time; truth, estimates and cameras from above and from the side.
 
-from __future__ import annotations
+Needs the extra ``plot``. The same data give the same files: no dates, fixed identifiers in the SVG.
+"""
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from stereophd.core.arrays import Array, Integers
@@ -13,11 +17,13 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.errors import UNLABELLED
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import in_window
+from stereophd.report.plots.time_plots import draw_cardinality, draw_ospa
 from stereophd.report.plots.views import SceneView, field_of_view, limits, viewing_depth, views
 from stereophd.report.style import (
     BLUE,
     CAMERA_COLOUR,
     INK,
+    STYLE,
     TRACK_COLOURS,
     TRACK_MARKERS,
     WRONG,
@@ -25,17 +31,22 @@ from stereophd.report.style import (
     bracketed,
     legend_right,
     new_figure,
+    save_figures,
     unit_text,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # Crosses on false tracks.
 MOST_CROSSES = 40
 
 # More than this cannot be distinguished on a page, and makes the files large.
 MOST_POINTS_DRAWN = 20_000
+
+
+def write_plots(pictures: Pictures, paths: Mapping[str, Path]) -> None:
+    """Draw the plots ``ospa``, ``cardinality``, ``top`` and ``side`` as the files that `paths` names: png or svg."""
+    with mpl.rc_context(STYLE):
+        over_time = {"ospa": draw_ospa(pictures), "cardinality": draw_cardinality(pictures)}
+        save_figures({**over_time, **draw_views(pictures)}, paths)
 
 
 def draw_views(pictures: Pictures) -> dict[str, Figure]:

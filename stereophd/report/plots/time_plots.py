@@ -1,21 +1,17 @@
 """OSPA and cardinality over time."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.report.style import BLUE, GREY, INK, ORANGE, Pictures, bracketed, legend_right, new_figure, unit_text
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # More than this cannot be distinguished on a page, and makes the files large.
 MOST_SCANS_DRAWN = 1500

@@ -3,14 +3,12 @@
 Needs the extra ``plot``. The same run gives the same files.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
@@ -31,9 +29,6 @@ from stereophd.report.style import (
     plots_named,
     save_figures,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # Points of one track, and residuals of one camera, that are drawn.
 MOST_ROWS = 2000

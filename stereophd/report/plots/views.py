@@ -1,7 +1,5 @@
 """The world seen from above and from the side: which axes, how far, and what the cameras see."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings, Extent, Ground
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose
+from stereophd.core.geometry.camera import Camera
+from tests.scenes import build_camera
 
 
 def camera_at(center: list[float], target: list[float], name: str = "a", p_detect: float = 0.95) -> Camera:
@@ -16,10 +15,8 @@ def camera_at(center: list[float], target: list[float], name: str = "a", p_detec
     right = np.cross(forward, [0.0, 0.0, 1.0])
     right /= np.linalg.norm(right)
     rotation = np.stack([right, np.cross(forward, right), forward])
-    detector = Detector((20.0, 20.0), p_detect, 0.5)
-    return Camera(
-        name, 1920, 1080, 1100.0, 1050.0, 959.5, 539.5, Pose(rotation, np.array(center)), Lens("none"), detector
-    )
+    detector = {"noise": 20.0, "p_detect": p_detect, "clutter": 0.5}
+    return build_camera(name, center, rotation, size=(1920, 1080), focal=(1100.0, 1050.0), **detector)
 
 
 def people(**changes: object) -> EllipsoidSettings:

@@ -8,11 +8,11 @@ import pytest
 from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.filter_settings.common import BirthPrior
+from tests import scenes
 
 STARTS = np.array([[5.0, -3.0, 120.0], [-10.0, 8.0, 90.0]])
 VELOCITIES = np.array([[0.5, 0.2, -0.8], [0.3, -0.4, 1.0]])
@@ -21,8 +21,8 @@ TIMES = np.arange(12.0)
 
 def camera(name: str, x: float, lens: Lens) -> Camera:
     """Return one of two parallel cameras."""
-    pose = Pose(np.eye(3), np.array([x, 0.0, 0.0]))
-    return Camera(name, 640, 480, 500.0, 500.0, 319.5, 239.5, pose, lens, Detector([1.0, 2.0], 1.0, 0.0))
+    detector = {"noise": (1.0, 2.0), "p_detect": 1.0, "clutter": 0.0}
+    return scenes.build_camera(name, [x, 0.0, 0.0], size=(640, 480), focal=500.0, **detector, lens=lens)
 
 
 def estimate(prior: BirthPrior, noise: float, seed: int, lens: Lens) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -6,10 +6,10 @@ from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observa
 from stereophd.core.calibration.adjustment.trajectories import fit_states, interpolation, knot_spacing, place_knots
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
-from stereophd.core.geometry.camera import Camera, Clock, Detector
+from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.constant_velocity import ConstantVelocity
+from tests.scenes import AROUND, build_camera
 
 STDS = {
     "center": 0.3, "rotation": 0.02, "focal": 0.05, "aspect": 0.002, "principal_point": 8.0, "distortion": 0.02,
@@ -23,19 +23,14 @@ MOTION = ConstantVelocity([ACCELERATION] * 3)
 def rig(lens: str = "brown_conrady") -> tuple[Camera, ...]:
     """Three cameras around a stage of a few metres, of 10, 7 and 5 Hz."""
     lenses = {"none": Lens(), "brown_conrady": Lens("brown_conrady", k1=-0.1, k2=0.02, p1=0.001, p2=-0.001)}
-    places = (
-        ([-4.0, 0.0, -8.0], [0.0, -0.4, 0.0]),
-        ([4.0, -1.0, -8.0], [0.1, 0.4, 0.0]),
-        ([0.0, -4.0, -8.0], [0.4, 0.0, 0.0]),
-    )
-    out = []
-    for k, ((center, vector), rate) in enumerate(zip(places, (10.0, 7.0, 5.0), strict=True)):
-        pose, detector = Pose(rotation_from_vector(vector), center), Detector((SIGMA, SIGMA), 1.0, 0.0)
-        clock = Clock(0.05 * k, 1.0 + 1e-4 * k)
-        out.append(
-            Camera(f"cam{k}", 800, 600, 700.0, 700.0, 399.5, 299.5, pose, lenses[lens], detector, rate, clock=clock)
+    detector = {"noise": SIGMA, "p_detect": 1.0, "clutter": 0.0}
+    return tuple(
+        build_camera(
+            f"cam{k}", *place, **detector, lens=lenses[lens], frame_rate_hz=rate,
+            clock=Clock(0.05 * k, 1.0 + 1e-4 * k),
         )
-    return tuple(out)
+        for k, (place, rate) in enumerate(zip(AROUND, (10.0, 7.0, 5.0), strict=True))
+    )  # fmt: skip
 
 
 def unknowns(cameras: tuple[Camera, ...], names: tuple[str, ...]) -> ParameterSet:

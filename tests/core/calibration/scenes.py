@@ -11,9 +11,8 @@ from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
 from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.camera import Camera
+from tests import scenes
 
 STDS = (5.0, 5.0, 5.0, np.pi / 180, np.pi / 24, np.pi / 180)
 SIGMA = 1.4
@@ -31,8 +30,8 @@ class MadeUp:
 
 def camera(name: str, center: tuple[float, float, float], vector: tuple[float, float, float]) -> Camera:
     """A camera of the paper's experiments."""
-    pose = Pose(rotation_from_vector(vector), center)
-    return Camera(name, 800, 600, 899.0, 889.0, 400.0, 300.0, pose, Lens(), Detector((SIGMA, SIGMA), 0.95, 10.0))
+    detector = {"noise": SIGMA, "p_detect": 0.95, "clutter": 10.0}
+    return scenes.build_camera(name, center, vector, focal=(899.0, 889.0), middle=(400.0, 300.0), **detector)
 
 
 def make_problem(seed: int, objects: int = 6, frames: int = 60, three: bool = False, still: bool = False) -> MadeUp:

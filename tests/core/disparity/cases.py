@@ -9,10 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.base import Motion
+from tests.scenes import build_camera
 
 LENSES = {
     "none": Lens(),
@@ -32,9 +32,8 @@ def make_camera(
     clutter: float = 10.0,
 ) -> Camera:
     """An 800x600 camera with a pose given by a rotation vector (rad) and a centre."""
-    pose = Pose(rotation_from_vector(turn), center)
-    detector = Detector(sigma, p_detect, clutter)
-    return Camera("camera", 800, 600, *focal, 400.0, 300.0, pose, lens or Lens(), detector)
+    detector = {"noise": sigma, "p_detect": p_detect, "clutter": clutter}
+    return build_camera("camera", center, turn, focal=focal, middle=(400.0, 300.0), **detector, lens=lens or Lens())
 
 
 def make_space(

@@ -8,23 +8,19 @@ import numpy as np
 import pytest
 
 from stereophd.core.disparity.events import Event, make_event
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.trajectories.chain import make_run
 from stereophd.core.trajectories.reaching_back import reach_back
 from stereophd.core.trajectories.smoothing import Trajectory
+from tests import scenes
 
 MOTION = ConstantVelocity([0.1, 0.1, 0.1])
 VELOCITY = np.array([0.5, -0.2, 0.3])
 
 
 def camera(name: str, x: float, clutter: float = 5.0, readout_s: float = 0.0) -> Camera:
-    return Camera(
-        name=name, width=640, height=480, fx=500.0, fy=500.0, cx=319.5, cy=239.5, lens=Lens(),
-        pose=Pose(np.eye(3), [x, 0.0, 0.0]), detector=Detector([1.0, 1.0], 0.9, clutter), readout_s=readout_s,
-    )  # fmt: skip
+    return scenes.build_camera(name, [x, 0.0, 0.0], size=(640, 480), focal=500.0, clutter=clutter, readout_s=readout_s)
 
 
 CAMERAS = (camera("left", -1.0), camera("right", 1.0))
@@ -127,10 +123,7 @@ def test_how_often_clutter_is_taken_for_it(clutter: float) -> None:
 
 
 def test_predictions_and_events_out_of_view_say_nothing() -> None:
-    behind = Camera(
-        name="right", width=640, height=480, fx=500.0, fy=500.0, cx=319.5, cy=239.5, lens=Lens(),
-        pose=Pose(np.diag([-1.0, 1.0, -1.0]), [0.0, 0.0, 0.0]), detector=Detector([1.0, 1.0], 0.9, 5.0),
-    )  # fmt: skip
+    behind = scenes.build_camera("right", turn=np.diag([-1.0, 1.0, -1.0]), size=(640, 480), focal=500.0, clutter=5.0)
     cameras = (CAMERAS[0], behind)
     events, times = frames([False, False, True, False] + [False] * 4 + [True] * 4, (CAMERAS[0], CAMERAS[1]))
     # two misses of the left camera in between, none of the right one, which looks away

@@ -10,13 +10,13 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from stereophd.core.disparity.events import Event, make_event
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.trajectories.chain import NONE, Chain, WholeRun, make_chain, make_run
 from stereophd.core.trajectories.smoothing import Trajectory, smooth
 from stereophd.core.trajectories.swaps import choose_anew
+from tests.scenes import build_camera
 
 MOTION = ConstantVelocity([0.3, 0.3, 0.3])
 RATE, FRAMES = 6.0, 16
@@ -25,11 +25,8 @@ RATE, FRAMES = 6.0, 16
 def _camera(number: int, readout_s: float = 0.0) -> Camera:
     angle = 0.9 * number
     turn = rotation_from_vector([0.0, angle, 0.0]).T
-    return Camera(
-        name=f"cam{number}", width=1280, height=720, fx=700.0, fy=700.0, cx=639.5, cy=359.5, lens=Lens(),
-        pose=Pose(turn, np.array([0.0, 0.0, 1.0]) - turn[2]), detector=Detector([0.7, 0.7], 0.9, 0.05),
-        readout_s=readout_s,
-    )  # fmt: skip
+    center = np.array([0.0, 0.0, 1.0]) - turn[2]
+    return build_camera(f"cam{number}", center, turn, size=(1280, 720), noise=0.7, clutter=0.05, readout_s=readout_s)
 
 
 CAMERAS = tuple(_camera(k) for k in range(3))

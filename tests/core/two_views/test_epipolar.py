@@ -9,11 +9,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from stereophd.core.arrays import Array
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.two_views.epipolar import essential_matrices, nearest_depths, ray_distances, sampson_distances
 from stereophd.core.two_views.track_rays import Rays
+from tests.scenes import build_camera
 
 ROWS = 12
 
@@ -23,10 +23,10 @@ def cameras() -> tuple[Camera, ...]:
     """Three cameras with different focal lengths."""
     rng = np.random.default_rng(5)
     return tuple(
-        Camera(
-            f"cam{k}", 640, 480, 500.0 + 40.0 * k, 520.0 - 30.0 * k, 320.0, 240.0,
-            Pose(Rotation.from_rotvec(0.2 * rng.standard_normal(3)).as_matrix(), rng.standard_normal(3)), Lens(),
-            Detector((1.0, 1.0), 0.9, 1.0),
+        build_camera(
+            f"cam{k}", turn=Rotation.from_rotvec(0.2 * rng.standard_normal(3)).as_matrix(),
+            center=rng.standard_normal(3), size=(640, 480), focal=(500.0 + 40.0 * k, 520.0 - 30.0 * k),
+            middle=(320.0, 240.0),
         )
         for k in range(3)
     )  # fmt: skip

@@ -124,17 +124,20 @@ def test_files_of_yolo(tmp_path: Path, imported: Import) -> None:
     _, out = imported("yolo", tmp_path / "north", tmp_path / "south" / "labels", least_score=0.5, **stated)
     # the corner of the image is the corner of the first pixel
     assert log_rows(out / "detections.parquet") == [
-        (1.0, "north", 2, 49.5, 99.5),
-        (1.0, "south", 2, None, None),
-        (1.5, "north", 3, None, None),
-        (1.5, "south", 3, None, None),
-        (2.0, "north", 4, 0.0, 0.5),
-        (2.0, "south", 4, 0.0, 0.5),
+        (0.5, "north", 2, 49.5, 99.5),
+        (0.5, "south", 2, None, None),
+        (1.0, "north", 3, None, None),
+        (1.0, "south", 3, None, None),
+        (1.5, "north", 4, 0.0, 0.5),
+        (1.5, "south", 4, 0.0, 0.5),
     ]
     table = pq.read_table(out / "detections.parquet").to_pydict()
     assert (table["width_px"][0], table["height_px"][0]) == (25.0, 100.0)
     _, out = imported("yolo", tmp_path / "north", box_point="bottom", **stated)
-    assert log_rows(out / "detections.parquet")[0] == (1.0, "north", 2, 49.5, 149.5)
+    assert log_rows(out / "detections.parquet")[0] == (0.5, "north", 2, 49.5, 149.5)
+    (tmp_path / "north" / "labels" / "street_0.txt").write_text("0 0.5 0.5 0.25 0.5 0.9\n")
+    _, out = imported("yolo", tmp_path / "north", **stated)
+    assert log_rows(out / "detections.parquet")[0] == (0.0, "north", 0, 49.5, 99.5)
     with pytest.raises(InputError, match="expected the size of the images, for boxes are shares of it"):
         imported("yolo", tmp_path / "north", rates=2.0)
     (tmp_path / "north" / "labels" / "street_4.txt").write_text("0 0.5 0.5\n")

@@ -146,3 +146,12 @@ def test_warnings_name_pixels_that_cannot_be(tmp_path: Path, imported: Import) -
     source = write(tmp_path / "c.csv", "t,u,v\n0,0.1,0.2\n1,0.5,0.5\n")
     report, _ = imported("csv", source)
     assert "divided by the image size" in report["warnings"][0]
+
+
+def test_cameras_of_other_names_only_are_refused(tmp_path: Path, imported: Import) -> None:
+    (tmp_path / "hive.csv").write_text("frame,x,y\n0,1,2\n1,2,3\n")
+    text = "{image_width: 100, image_height: 80, K: [[90, 0, 50], [0, 90, 40], [0, 0, 1]], D: [0, 0, 0, 0], "
+    text += "rvec: [0, 0, 0], tvec: [0, 0, 0]}"
+    (tmp_path / "hive_calibration.yml").write_text(f"left: {text}\n")
+    with pytest.raises(InputError, match="expected a name of left, found only others; use `rename` hive=NAME"):
+        imported("csv", tmp_path / "hive.csv", cameras=tmp_path / "hive_calibration.yml", rates=10.0)

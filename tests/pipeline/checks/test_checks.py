@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.config.loading import make_config
+from stereophd.core.geometry.camera import Camera, Clock, Detector
+from stereophd.core.geometry.pose import Pose
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL
@@ -23,14 +23,16 @@ from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
 from stereophd.pipeline.checks.run_figures.losses import check_losses
 from stereophd.pipeline.checks.run_figures.tracking import check_detections, check_noise, check_tracking
+from stereophd.pipeline.checks.settings import check_settings, measure_scene
+from tests.scenes import build_camera
 
 DEPTHS = (3.0, 15.0)
 FRAMES, RATE = 40, 10.0
 
 
 def _camera(name: str, x: float, turn_deg: float) -> Camera:
-    pose = Pose(rotation_from_vector([0.1, np.deg2rad(turn_deg), 0.05]), [x, -1.0, 0.3])
-    return Camera(name, 800, 600, 650.0, 650.0, 399.5, 299.5, pose, Lens("none"), Detector([1.0, 1.0], 0.95, 1.0), RATE)
+    turn = [0.1, np.deg2rad(turn_deg), 0.05]
+    return build_camera(name, [x, -1.0, 0.3], turn, focal=650.0, p_detect=0.95, frame_rate_hz=RATE)
 
 
 CAMERAS = (_camera("left", -3.0, -20.0), _camera("right", 3.0, 20.0))
@@ -129,6 +131,44 @@ def test_a_clock_offset_is_measured() -> None:
     named = _geometry(sample_log(_frames(CAMERAS, 0.7), CAMERAS), thorough=True)[0]
     assert named.cause == "clock_offset"
     assert "0.7" in named.message
+
+
+def test_a_clock_that_is_off_names_the_change_that_mends_it() -> None:
+    late = sample_log(_frames(CAMERAS, 0.7), tuple(replace(c, clock=Clock(0.1)) for c in CAMERAS))
+    change = _geometry(late, thorough=True)[0].change
+    assert change is not None
+    key, value = change.split("=")
+    assert key.split(".")[2:] == ["clock", "offset_s"]
+    assert float(value) == pytest.approx(0.1 + (0.7 if "left" in key else -0.7), abs=0.05)
+
+
+@pytest.mark.parametrize(("factor", "warned"), [(1.0, False), (1000.0, True)])
+def test_objects_faster_than_sound_doubt_the_unit(samples: list[CameraSample], factor: float, warned: bool) -> None:
+    """The images of a scene in mm taken for m are the same: its speeds are not those of anything but bullets."""
+    cameras = [_turned(c, c.pose.rotation, factor * c.pose.center) for c in CAMERAS]
+    config = make_config({"filter": {"kind": "pmb", "birth": {"depth_range": [3.0 * factor, 15.0 * factor],
+                          "velocity_std": factor, "per_s": 1.0}},
+                          "motion": {"acceleration_std": factor}}).config  # fmt: skip
+    placed = _with(samples, *cameras)
+    found = check_settings(config, measure_scene(measure(placed, (3.0 * factor, 15.0 * factor))), placed, True)
+    assert ("length_unit" in {one.cause for one in found if one.status == "warning"}) == warned
+
+
+def test_births_are_asked_where_objects_begin(samples: list[CameraSample]) -> None:
+    """Objects that fly away leave the depths of the births (set-up 3083 of the benchmark was warned of)."""
+    config = make_config({"filter": {"kind": "pmb", "birth": {"depth_range": [1.0, 3.0], "velocity_std": 1.0,
+                          "per_s": 1.0}}, "motion": {"acceleration_std": 1.0}}).config  # fmt: skip
+    scene = measure_scene(measure(samples, DEPTHS))
+    for first, cause in ((np.full(9, 2.0), None), (scene.first_depths, "depth_range")):
+        found = next(iter(check_settings(config, replace(scene, first_depths=first), samples, True)))
+        assert found.cause == cause
+
+
+def test_a_noise_that_is_far_too_large_is_named(samples: list[CameraSample]) -> None:
+    wrong = _with(samples, *(replace(c, detector=Detector([30.0, 30.0], 0.95, 1.0)) for c in CAMERAS))
+    named = [found for found in check_files(wrong) if found.status == "warning"]
+    assert {found.cause for found in named} == {"sigma"}
+    assert "neither clocks nor poses" in named[0].message
 
 
 def test_times_in_milliseconds_and_frame_numbers(samples: list[CameraSample]) -> None:

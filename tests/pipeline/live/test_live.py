@@ -82,6 +82,12 @@ def test_the_order_of_arrival_does_not_matter(loaded: LoadedConfig, frames: list
         assert batch == (tmp_path / "plain" / name).read_bytes() == (tmp_path / "late" / name).read_bytes()
 
 
+def test_a_stream_without_a_frame_is_refused(loaded: LoadedConfig, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="frames: expected frames, found none"):
+        run(loaded, [], tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Message]) -> None:
     waiting = load_config(
         loaded.path, ["report.times=events", "live.wait_s=0.6"], cameras_path=HALL / "hall" / "cameras.yaml"

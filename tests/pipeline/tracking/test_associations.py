@@ -15,8 +15,6 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.core.disparity.events import make_event
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.multi.association.attribution import Claims, claims_of
 from stereophd.core.multi.state.estimates import Estimates, Info
@@ -28,8 +26,9 @@ from stereophd.pipeline.tracking.associations import (
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run_claims import RunClaims
 from stereophd.pipeline.tracking.run_figures.explained import residuals_px
-from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
+from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
 from tests.commands.test_track import SCENE
+from tests.scenes import build_camera
 
 pytestmark = pytest.mark.usefixtures("without_checks")
 
@@ -38,10 +37,7 @@ COLUMNS = {
     "track_id": pa.int64(), "probability": pa.float64(),
 }  # fmt: skip
 
-PINHOLE = Camera(
-    "left", 640, 480, 500.0, 500.0, 319.5, 239.5, Pose(np.eye(3), np.zeros(3)), Lens("none"),
-    Detector([1.0, 1.0], 0.9, 1.0),
-)  # fmt: skip
+PINHOLE = build_camera("left", size=(640, 480), focal=500.0)
 
 
 PIXELS = np.array([[10.0, 20.0], [30.0, 40.0]])
@@ -118,7 +114,7 @@ def test_short_tracks_are_left_out() -> None:
     info = Info(0.0, 1.0, 1)
     shown = {0.0: [(0, 0)], 1.0: [(0, 0), (1, 1)], 2.0: [(0, 0), (1, 1), (2, 2)], 3.0: [(0, 0), (2, 2)], 4.0: [(2, 2)]}
     records = [Record(t, "left", int(t), 1, 0, info, estimates(*pairs)) for t, pairs in shown.items()]
-    kept = [(record.time_s, record.estimates.track_ids.tolist()) for record in lasting(records, 2.0)]
+    kept = [(record.time_s, record.estimates.track_ids.tolist()) for record in LastingTracks(2.0).records(records)]
     assert kept == [(0.0, [0]), (1.0, [0]), (2.0, [0, 2]), (3.0, [0, 2]), (4.0, [2])]
 
 

@@ -82,6 +82,13 @@ def test_a_knocked_camera_is_named(
     assert finding.camera == name
 
 
+def test_a_knock_that_tracks_may_have_followed_names_every_camera(loaded: LoadedConfig) -> None:
+    (knock,), _ = knocks(loaded, events(loaded, "right", (0.0, 0.0, 0.9), (0.0, 0.0, 0.0)))
+    assert knock.since_s >= KNOCK_S - 0.5
+    assert knock.time_s > knock.since_s + 0.2
+    assert {knock.camera, *knock.others} == {"left", "right", "middle"}
+
+
 def test_cameras_that_stay_raise_no_alarm(loaded: LoadedConfig) -> None:
     found, figures = knocks(loaded, events(loaded, "left", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     assert found == []

@@ -254,7 +254,7 @@ def test_detections_before_the_first_report_count() -> None:
         count = len(pairs)
         return Estimates(tracks, np.zeros((count, 6)), np.zeros((count, 6, 6)), np.ones(count), labels)
 
-    assert attribution.update("a", np.array([7, 8]), estimates()) == {}
+    assert attribution.update("a", [7, 8], estimates()) == {}
     assert attribution.update("b", np.array([7, 9]), estimates()) == {}
     assert attribution.update("a", np.array([7]), estimates((0, 7))) == {0: {"a": 2, "b": 1}}
     assert attribution.update("b", np.array([7]), estimates((0, 7))) == {0: {"b": 1}}

@@ -16,7 +16,7 @@ from stereophd.config.loading import load_config
 from stereophd.core.disparity.events import Event
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.pipeline.tracking.loop import run_estimator
-from stereophd.pipeline.tracking.run_figures.lifetimes import lasting
+from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
 from tests.commands.test_track import SCENE
 
 pytestmark = pytest.mark.usefixtures("without_checks")
@@ -84,7 +84,7 @@ def test_after_the_first_frames_two_cameras_must_have_seen_a_tentative_object() 
 
 def test_short_tracks_are_not_tentative_either() -> None:
     script = [([1, 2], [], [1, 2]), ([1, 2], [], [1, 2]), *[([], [1], [])] * 6]
-    records = list(lasting(run_estimator(Scripted(tuple(script)), events(8)), 1.0))
+    records = list(LastingTracks(1.0).records(run_estimator(Scripted(tuple(script)), events(8))))
     found = [record.estimates.tentative for record in records[:2]]
     assert [one is not None and one.track_ids.tolist() for one in found] == [[1], [1]]
     assert [record.estimates.track_ids.tolist() for record in records[2:]] == [[1]] * 6

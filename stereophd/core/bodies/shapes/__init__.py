@@ -3,8 +3,6 @@
 A module holds the settings of its shape (`SETTINGS`).
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

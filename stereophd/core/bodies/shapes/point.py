@@ -1,7 +1,5 @@
 """Objects without a size (``object.shape: point``): a detection is a place in the image."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from stereophd.core.settings import parameter, settings

@@ -11,8 +11,6 @@ A noise that is stated too small hides itself: trajectories follow the detection
 not reach. What is left fits. Such a camera shows by its redundancy, and its noise is then looked for from above.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

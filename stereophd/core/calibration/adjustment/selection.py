@@ -11,8 +11,6 @@ If the model and the priors are right, freeing everything under its prior is bes
 only if its prediction is better by more than the standard error of the difference over the stretches.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

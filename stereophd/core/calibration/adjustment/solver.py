@@ -106,13 +106,17 @@ def adjust(
 
 
 def posterior_covariance(equations: NormalEquations, prior_std: Array) -> Array:
-    """Covariance (m, m) of the values, the trajectories integrated out: the inverse Schur complement.
+    """Covariance (m, m) of the values, the trajectories integrated out: the inverse Schur complement."""
+    return within_prior(eliminate(equations, 0.0)[1], prior_std)
 
-    The posterior is never wider than the prior: in units of `prior_std` (m,) the eigenvalues of the Schur complement
-    are at least 1. Where rounding makes one smaller (objects far away), it is set to 1.
+
+def within_prior(precision: Array, prior_std: Array) -> Array:
+    """Invert a precision (m, m); the covariance is never wider than the prior.
+
+    In units of `prior_std` (m,) the eigenvalues of the precision are at least 1. Where rounding makes one smaller
+    (objects far away), it is set to 1.
     """
-    _, schur = eliminate(equations, 0.0)
-    whitened = schur * np.outer(prior_std, prior_std)
+    whitened = precision * np.outer(prior_std, prior_std)
     eigenvalues, vectors = np.linalg.eigh((whitened + whitened.T) / 2.0)
     covariance = (vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T * np.outer(prior_std, prior_std)
     return np.asarray((covariance + covariance.T) / 2.0)

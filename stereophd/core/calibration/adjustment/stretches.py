@@ -11,8 +11,6 @@ Pastur, 1967). Only directions beyond that are widened. Errors may stay alike fo
 stretches are joined and looked at again.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array

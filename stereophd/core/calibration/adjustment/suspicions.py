@@ -14,8 +14,6 @@ its covariance. What this moves is measured on the tracks (a principal point and
 where tracks move by more than the stated covariance H_F^-1 of the free values moves them, the statement matters.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

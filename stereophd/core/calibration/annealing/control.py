@@ -11,8 +11,6 @@ so that gradient and curvature are differences of two eliminations of the knots.
 optimum that integrating out removes (`adjustment.marginal`) cancel.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

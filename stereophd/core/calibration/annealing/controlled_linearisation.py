@@ -6,8 +6,6 @@ trajectory at the time t that belongs to it, of the residual y - q: the knots ab
 enters the same normal equations as a detection, along three axes instead of two.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Adjustments of cameras and trajectories to detections: to paired tracks, to the tracks of a filter, to fits."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -27,12 +25,7 @@ from stereophd.core.calibration.adjustment.trajectories import (
 from stereophd.core.calibration.annealing.membership import chosen_detections
 from stereophd.core.calibration.annealing.rejected import collapsed, lone
 from stereophd.core.calibration.annealing.task import Fit, Task
-from stereophd.core.calibration.pairing.association import (
-    keep,
-    shared,
-    track_detections,
-    with_cameras,
-)
+from stereophd.core.calibration.pairing.association import keep, shared, track_detections, with_cameras
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.pairing.refinement import meeting_points
@@ -278,12 +271,14 @@ def restricted_fit(task: Task, fit: Fit, free: Booleans) -> Fit:
 
 def _with_held_unknown(task: Task, fit: Fit) -> Fit:
     """Give a fit with held values the covariance of all values being unknown, as `restricted_fit` says."""
-    assert fit.held is not None
     equations = Linearisation.of(problem_of(task, fit)).at(fit.adjustment.values, fit.adjustment.states)
-    prior_std, held = task.parameters.prior_std, fit.held
-    covariance = posterior_covariance(equations, prior_std)
-    covariance[held], covariance[:, held] = 0.0, 0.0
-    covariance[held, held] = prior_std[held] ** 2
+    return with_covariance(task, fit, posterior_covariance(equations, task.parameters.prior_std))
+
+
+def with_covariance(task: Task, fit: Fit, covariance: Array) -> Fit:
+    """Give a fit the covariance (m, m) of all values being unknown; what it holds is known as by the prior."""
+    if (held := fit.held) is not None:
+        covariance = np.where(held[:, None] | held, np.diag(task.parameters.prior_std**2), covariance)
     return replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
 
 
@@ -365,15 +360,15 @@ def _knots(task: Task, observations: Observations, points: Array, values: Array)
 
 
 def _length_of_noise(task: Task, observations: Observations, points: Array, values: Array) -> float:
-    """Median over detections of their noise at the depth of the object, length."""
+    """Median over detections of their noise at the depth of the object, length, in the camera where it is least."""
     depth = np.empty(len(points))
     focal = np.empty(len(points))
     for number, camera in enumerate(task.parameters.build(values)):
         here = observations.cameras == number
         depth[here] = np.abs((points[here] - camera.pose.center) @ camera.pose.rotation[2])
         focal[here] = camera.fx
-    sigma = 1.0 / np.sqrt(observations.precisions[:, 0, 0])
-    return float(np.median(sigma * depth / focal))
+    lengths = depth / (focal * np.sqrt(observations.precisions[:, 0, 0]))
+    return min(float(np.median(lengths[observations.cameras == c])) for c in np.unique(observations.cameras))
 
 
 def _noise(task: Task, fit: Fit) -> float:

@@ -8,8 +8,6 @@ as rigid as this one. The odds that a pair is rigid are then 1 / E, or the numbe
 Many objects that move alike make E large, and the distances of their pairs count little.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

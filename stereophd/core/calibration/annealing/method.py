@@ -6,14 +6,14 @@ holds is tested (`adjustment.suspicions`). Where the noise is another, or a cont
 answer is stated anew under the better model, until nothing changes. What remains in doubt is a remark.
 """
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.linalg import LinAlgError
 
 from stereophd.core.arrays import Array, Integers
+from stereophd.core.calibration.adjustment.marginal import exact_covariance
 from stereophd.core.calibration.adjustment.noise import noise_factors
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.selection import Comparison, compare
@@ -28,6 +28,7 @@ from stereophd.core.calibration.annealing.fits import (
     refitted,
     restricted_fit,
     stated_fit,
+    with_covariance,
     with_stated_motion,
 )
 from stereophd.core.calibration.annealing.known_lengths import with_lengths
@@ -301,11 +302,16 @@ def problem_of_answer(task: Task, answer: Answer) -> Problem:
 
 
 def widened(task: Task, answer: Answer) -> tuple[Answer, tuple[Remark, ...]]:
-    """Widen the covariance of an answer by the disagreement of stretches of the log, with a remark if that is large."""
-    problem = problem_of_answer(task, answer)
-    more, factor = disagreement_of_stretches(problem, answer.fit.adjustment, answer.noise_factor)
-    adjustment = answer.fit.adjustment
-    fit = replace(answer.fit, adjustment=replace(adjustment, covariance=adjustment.covariance + more))
+    """Give an answer its exact covariance, and widen it by the disagreement of stretches of the log; say if large."""
+    problem, fit = problem_of_answer(task, answer), answer.fit
+    if fit.adjustment.converged:
+        try:
+            exact = exact_covariance(replace(problem, held=None), fit.adjustment, answer.noise_factor)
+            fit = with_covariance(task, fit, exact)
+        except LinAlgError:
+            fit = replace(fit, adjustment=replace(fit.adjustment, converged=False))
+    more, factor = disagreement_of_stretches(problem, fit.adjustment, answer.noise_factor)
+    fit = replace(fit, adjustment=replace(fit.adjustment, covariance=fit.adjustment.covariance + more))
     text = (
         f"stretches of the log disagree on the cameras by up to {factor:.1f} times what their noise allows: the stated "
         "deviations were widened; something of what is stated is wrong"

@@ -13,8 +13,6 @@ the search for the marginal optimum fails. The marginal posterior itself does no
 with the inverse square of the depth.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers

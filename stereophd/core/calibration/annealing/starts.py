@@ -9,8 +9,6 @@ A start succeeds only if the trajectories that two cameras share explain the det
 sum of evidence (PMB filter at the true noise) and log-prior.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array

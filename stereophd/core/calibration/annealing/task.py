@@ -14,12 +14,7 @@ from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import Knots
 from stereophd.core.calibration.pairing.clock_search import ClockOffsets, search_offsets
-from stereophd.core.calibration.pairing.track_pairs import (
-    TrackPairs,
-    image_tracks,
-    make_pairs,
-    one_camera_tracks,
-)
+from stereophd.core.calibration.pairing.track_pairs import TrackPairs, image_tracks, make_pairs, one_camera_tracks
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet

@@ -7,8 +7,6 @@ near by this factor, and the filter loses most of them. The filter therefore get
 the objects lie where its prior expects them, and its estimates are brought back.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array

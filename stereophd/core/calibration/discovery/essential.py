@@ -9,8 +9,6 @@ four-dimensional null space, and the eigenvectors of a matrix of ten rows. What 
 eigenvectors of a normal matrix, so that all samples of two straight tracks count, not five of them.
 """
 
-from __future__ import annotations
-
 from itertools import combinations_with_replacement
 
 import numpy as np

@@ -11,8 +11,6 @@ times the number of quadratic pieces that the common part of the curves needs. C
 track little, a long curved one much.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from itertools import combinations
@@ -20,12 +18,7 @@ from itertools import combinations
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.calibration.discovery.essential import (
-    constraint_rows,
-    eight_point,
-    five_point,
-    nearest_essential,
-)
+from stereophd.core.calibration.discovery.essential import constraint_rows, eight_point, five_point, nearest_essential
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
 
 # Share of detections whose distance is chance's, and the range of distances by chance.

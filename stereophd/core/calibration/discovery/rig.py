@@ -5,8 +5,6 @@ tracks at the same times before a camera that it shares with a pair already plac
 agrees with the poses confirms the pairs between its cameras.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
@@ -124,11 +122,7 @@ def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, f
 
 
 def _rig(
-    views: Sequence[View],
-    found: SlopeTracks,
-    reference: int,
-    pairs: Sequence[PairResult],
-    others: Sequence[PairResult],
+    views: Sequence[View], found: SlopeTracks, reference: int, pairs: Sequence[PairResult], others: Sequence[PairResult]
 ) -> FoundRig | None:
     """Place cameras along the tree of pairs, the reference first; None if the baselines cannot be compared."""
     scales = _scales(found, reference, pairs)

@@ -1,7 +1,5 @@
 """One-camera tracks that can show cameras: those that move, as slopes on the clocks of the prior mean."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

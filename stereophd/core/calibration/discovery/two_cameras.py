@@ -1,7 +1,5 @@
 """Two cameras from nothing: hypotheses refined, and the distinct optima with the greatest gains."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import product

@@ -4,8 +4,6 @@ A start counts by absolute deviations and by the gap to the next other optimum: 
 about what the data determine. The limits parted right from wrong answers on recordings with known cameras.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Which detections belong to which object: from the tracks of a filter."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

@@ -1,7 +1,5 @@
 """Which one-camera tracks are one object: the gain of each pair of tracks, and the choice of the greatest total."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -6,8 +6,6 @@ correlate for any poses and focal lengths. Objects that stand still or move unif
 stay at the prior.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 

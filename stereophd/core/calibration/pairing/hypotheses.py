@@ -10,8 +10,6 @@ hypotheses of the camera pairs along a spanning tree are then fitted together.
 Distances are linearised about the cameras of a start, so that a hypothesis takes milliseconds.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from itertools import product

@@ -8,21 +8,12 @@ tracks are paired at the greatest total gain, and the cameras moved to where the
 are kept. Pairs whose rays meet behind a camera do not count, and neither do cameras that the prior rules out.
 """
 
-from __future__ import annotations
-
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.pairing.choice import Pairing, choose_pairs
 from stereophd.core.calibration.pairing.hypotheses import crowded, hypotheses
-from stereophd.core.calibration.pairing.refinement import (
-    TOLERANCES,
-    gains_at,
-    judged,
-    less_prior,
-    settled,
-    slopes_of,
-)
+from stereophd.core.calibration.pairing.refinement import TOLERANCES, gains_at, judged, less_prior, settled, slopes_of
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 

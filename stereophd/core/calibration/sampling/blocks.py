@@ -13,8 +13,6 @@ therefore
 Each particle always carries the intensity of the filter conditional on it: moves recompute it, resampling copies it.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 

@@ -17,8 +17,6 @@ The sampler is `init` and `step` over a frozen state of arrays; random numbers d
 step alone, so that a run continued from any state gives the same result as an uninterrupted one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
@@ -28,12 +26,7 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.numerics.resampling import systematic
-from stereophd.core.numerics.weights import (
-    effective_sample_size,
-    normalised,
-    step_generator,
-    weighted_mean_covariance,
-)
+from stereophd.core.numerics.weights import effective_sample_size, normalised, step_generator, weighted_mean_covariance
 
 
 @dataclass(frozen=True)

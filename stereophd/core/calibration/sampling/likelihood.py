@@ -12,8 +12,6 @@ at the scale of the prior mean, so that only the prior of the cameras constrains
 Hypotheses of anything else than poses need events of their own: `calibration.sampling.recording_evidence`.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol

@@ -11,8 +11,6 @@ that other cameras would have seen is no continuous function of the cameras, so 
 as in the batch.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor

@@ -18,8 +18,6 @@ The sampler is `init` and `step` over a frozen state of arrays; random numbers d
 event alone, so that a run continued from any state gives the same result as an uninterrupted one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -32,12 +30,7 @@ from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.disparity.events import Event
 from stereophd.core.multi.camera_hypotheses.batch import BatchState, FilterBatch
 from stereophd.core.numerics.resampling import systematic
-from stereophd.core.numerics.weights import (
-    effective_sample_size,
-    normalised,
-    step_generator,
-    weighted_mean_covariance,
-)
+from stereophd.core.numerics.weights import effective_sample_size, normalised, step_generator, weighted_mean_covariance
 
 # Streams of random numbers: the prior's draws, and then one for each event.
 PRIOR_STREAM, FIRST_EVENT_STREAM = 0, 1
@@ -127,14 +120,7 @@ def step(
         log_weights = np.full(len(values), -np.log(len(values)))
     after = SequentialState(values, log_weights, filters, state.log_evidence + log_likelihood)
     return after, SequentialInfo(
-        event.time_s,
-        event.camera,
-        mean,
-        covariance,
-        effective,
-        resampled,
-        log_likelihood,
-        float(filters.counts.mean()),
+        event.time_s, event.camera, mean, covariance, effective, resampled, log_likelihood, float(filters.counts.mean())
     )
 
 

@@ -7,8 +7,6 @@ move runs the filter over the whole log again with the same sample sets, which m
 of the evidence is that of the log, x integrated out.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ how far an answer moves if it is not quite so, are questions to one set of unkno
 (`calibration.adjustment.suspicions`).
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

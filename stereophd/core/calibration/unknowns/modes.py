@@ -1,7 +1,5 @@
 """Modes of a posterior, and the mixture of Student t distributions that particles are drawn from around them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

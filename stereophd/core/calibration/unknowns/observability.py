@@ -1,7 +1,5 @@
 """The posterior of a calibration: spreads of poses, and which directions of the parameter space the data determine."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass
 

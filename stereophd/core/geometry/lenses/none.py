@@ -1,7 +1,5 @@
 """The word ``none``: a pinhole camera."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Distortion model ``radial``: one coefficient (paper section VIII-F)."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from stereophd.core.geometry.layout import LENS_RADIAL

@@ -9,7 +9,7 @@ evaluating multi-object tracking", International Journal of Computer Vision 129,
 prefers pairs of tracks that agree over the whole run).
 """
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -21,8 +21,7 @@ THRESHOLDS = np.arange(1, 20) / 20.0
 ROUNDING = float(np.finfo(np.float64).eps)
 
 
-@dataclass(frozen=True)
-class Hota:
+class Hota(NamedTuple):
     """HOTA and its parts at each of `THRESHOLDS`, (19,), between 0 and 1."""
 
     hota: Array  # (19,) array: Geometric mean of detection and association

@@ -1,7 +1,5 @@
 """The files that OpenCV's ``FileStorage`` and NumPy write, as plain dictionaries of arrays, numbers and text."""
 
-from __future__ import annotations
-
 import json
 import re
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Cameras in TOML, as caliscope and aniposelib write them."""
 
-from __future__ import annotations
-
 import tomllib
 from collections.abc import Mapping
 from pathlib import Path

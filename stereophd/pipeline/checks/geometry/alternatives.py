@@ -3,8 +3,6 @@
 Every alternative turns the camera of the configuration into the one that explains the log if this mistake was made.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial

@@ -1,7 +1,5 @@
 """Mistakes in cameras and clocks that are tried, and the one that explains the log best."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -60,13 +58,11 @@ class Explanation:
     given_share: float
     chance: float
     score: float
+    change: str | None  # As that of a `Finding`
 
 
 def best_explanation(
-    geometry: Geometry,
-    thorough: bool = True,
-    clocks_only: bool = False,
-    tolerances: tuple[float, ...] = TOLERANCES,
+    geometry: Geometry, thorough: bool = True, clocks_only: bool = False, tolerances: tuple[float, ...] = TOLERANCES
 ) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
@@ -122,6 +118,7 @@ class Trial:
     remedy: str
     views: list[Reading]
     samples: list[CameraSample] | None = None  # With other times; None: as they are
+    change: str | None = None  # As that of a `Finding`
 
     def explain(self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES) -> Explanation | None:
         """Return how much the change explains of the pairs concerned; None if it concerns none."""
@@ -148,6 +145,7 @@ class Trial:
         return Explanation(
             self.scope, self.cause, self.text, self.remedy, mean("excess", after), mean("excess", before),
             mean("share", after), mean("share", before), mean("chance", after), max(one.score for one in after),
+            self.change,
         )  # fmt: skip
 
 
@@ -201,9 +199,8 @@ def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> I
         shift = _best_shift(geometry, concerned, c, steps)
         if shift is not None:
             yield Trial(
-                (c,), "clock_offset", f"its clock seems to be off by {-shift:+.3g} s",
-                f"add {shift:.4g} s to its clock (clock.offset_s)", geometry.views,
-                _with_times(geometry, c, sample.times + shift),
+                (c,), "clock_offset", f"its clock seems to be off by {-shift:+.3g} s", shift_remedy(shift),
+                geometry.views, _with_times(geometry, c, sample.times + shift), shifted(sample, shift),
             )  # fmt: skip
         for rate in rates:
             times = sample.times[0] + (sample.times - sample.times[0]) * rate
@@ -214,11 +211,21 @@ def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> I
             )  # fmt: skip
 
 
+def shift_remedy(shift_s: float) -> str:
+    """Return what to do about a clock that must be shifted."""
+    return f"add {shift_s:.4g} s to its clock (clock.offset_s), then run `init` again if it chose the settings"
+
+
+def shifted(sample: CameraSample, shift_s: float) -> str:
+    """Return the change of the configuration that shifts a clock."""
+    return f"cameras.{sample.camera.name}.clock.offset_s={sample.camera.clock.offset_s + shift_s:.6g}"
+
+
 def _with_times(geometry: Geometry, camera: int, times: Array) -> list[CameraSample]:
     """Return the samples with other times of one camera; its one-camera tracks stay."""
     sample = geometry.samples[camera]
     moved = replace(sample, times=times)
-    moved.__dict__.update(links=sample.links, between=sample.between)
+    moved.__dict__.update(linking=sample.linking, between=sample.between)
     return [moved if k == camera else one for k, one in enumerate(geometry.samples)]
 
 

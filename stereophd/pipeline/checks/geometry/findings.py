@@ -1,7 +1,5 @@
 """Findings about cameras and clocks: do rays meet, and if not, which of the usual mistakes explains it?"""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 from stereophd.pipeline.checks.finding import Finding
@@ -130,4 +128,5 @@ def _named(geometry: Geometry, found: Explanation) -> Finding:
         None if everybody or len(names) != 1 else names[0],
         found.remedy,
         found.cause,
+        found.change,
     )

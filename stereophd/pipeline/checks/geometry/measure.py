@@ -1,7 +1,5 @@
 """How often the rays of each pair of cameras meet, and what the configuration promises."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import combinations

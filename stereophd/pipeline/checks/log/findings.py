@@ -1,13 +1,11 @@
 """Checks that need the log alone: times, frames, pixels and the statements about the detectors."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
 
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.log.sample import CameraSample
+from stereophd.pipeline.checks.log.sample import MOST_BY_CHANCE, CameraSample
 from stereophd.wording import percent
 
 # Relative difference of frame rates that is reported.
@@ -139,7 +137,8 @@ def _places(sample: CameraSample) -> Iterator[Finding]:
         "log.places", "warning",
         f"{name}: the same places detect again and again: {shown} of {len(sample.times)} frames{more}: dead pixels, "
         "lamps, or objects at rest", len(places), 0, name,
-        f"leave them out if they are no objects: input.leave_out={{{name}: [{areas}]}}", "lasting_places",
+        "leave them out if they are no objects (input.leave_out)", "lasting_places",
+        f"input.leave_out={{{name}: [{areas}]}}",
     )  # fmt: skip
 
 
@@ -169,15 +168,21 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             f"clutter_per_frame is {detector.clutter_per_frame:g}",
             detector.clutter_per_frame, round(isolated, 3), camera.name,
             f"set clutter_per_frame near {isolated:.2g}, or estimate it (detector: estimate)", "clutter",
+            f"cameras.{camera.name}.detector.clutter_per_frame={isolated:.2g}",
         )  # fmt: skip
-    noise, least = sample.noise_px or (0.0, 0.0)
-    if follows and least > NOISE_FACTOR * float(detector.sigma.mean()):
+    noise, least = sample.noise_px or (np.nan, np.nan)
+    stated = float(detector.sigma.mean())
+    # neighbours that chance links lie nearer together than the noise
+    too_large = noise * NOISE_FACTOR < stated and sample.linking[1] <= MOST_BY_CHANCE
+    if follows and (least > NOISE_FACTOR * stated or too_large):
+        effect = ": rays meet anywhere with it, so that neither clocks nor poses show their errors" if too_large else ""
         yield Finding(
             "detector.sigma", "warning",
             f"{camera.name}: detections scatter by about {noise:.2g} px about one-camera tracks, but sigma_px is "
-            f"{detector.sigma.mean():g}",
-            float(detector.sigma.mean()), round(noise, 4), camera.name,
+            f"{stated:g}{effect}",
+            stated, round(noise, 4), camera.name,
             f"set sigma_px near {noise:.2g}, or estimate it (detector: estimate)", "sigma",
+            f"cameras.{camera.name}.detector.sigma_px=[{noise:.2g}, {noise:.2g}]",
         )  # fmt: skip
     sigma = float(detector.sigma.max())
     if not float(detector.sigma.min()) >= LEAST_SIGMA_PX or sigma > LARGEST_SIGMA_SHARE * camera.width:

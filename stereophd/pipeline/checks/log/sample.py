@@ -4,8 +4,6 @@ Checks look at raw pixels and at the times of frames, before any filter. A one-c
 successive frames that are mutually nearest, within a gate that separates objects from clutter.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,8 +33,9 @@ PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.
 # Differences from which noise is told, and the relative error of a variance from their median over the root of their
 # number: they overlap.
 LEAST_DIFFERENCES, VARIANCE_ERROR = 60, 3.5
-# Frames of the shortest track that counts.
-LEAST_LENGTH = 6
+# Frames of the shortest track that counts, and the share of the links that chance may give: neighbours in a crowd of
+# noisy detections leap, and lie nearer together than the noise.
+LEAST_LENGTH, MOST_BY_CHANCE = 6, 0.5
 
 
 @dataclass(frozen=True)
@@ -65,10 +64,18 @@ class CameraSample:
         """Frame of each detection (n,)."""
         return np.repeat(np.arange(len(self.times)), np.diff(self.first))
 
-    @cached_property
+    @property
     def links(self) -> Integers:
         """Next detection of each detection's one-camera track (n,); -1 where the track ends."""
-        return _link(self)
+        return self.linking[0]
+
+    @cached_property
+    def linking(self) -> tuple[Integers, float]:
+        """The `links`, and the share of them that frames which lie far apart have too."""
+        first, second, near, _, by_chance = _gated(self, None, None)
+        following = np.full(len(self.pixels), -1, dtype=np.int64)
+        following[first[near]] = second[near]
+        return following, by_chance
 
     @cached_property
     def linked(self) -> Booleans:
@@ -268,25 +275,17 @@ def _neighbours(here: Array, there: Array) -> tuple[Array, Integers, Integers]:
     return nearest, np.where(np.isfinite(nearest), index, len(there)), squared.argmin(axis=0)
 
 
-def _link(sample: CameraSample) -> Integers:
-    """Link detections of successive frames within the gate that gains most over frames that lie far apart."""
-    following = np.full(len(sample.pixels), -1, dtype=np.int64)
-    first, second, near, _ = _gated(sample, None, None)
-    following[first[near]] = second[near]
-    return following
-
-
 def _gated(
     sample: CameraSample, going: Booleans | None, coming: Booleans | None
-) -> tuple[Integers, Integers, Booleans, float]:
+) -> tuple[Integers, Integers, Booleans, float, float]:
     """Mutually nearest detections of successive frames, whether they lie within the best gate, and how sure that is.
 
-    The gate is that which gains most over frames that lie far apart. The last value is its gain in standard deviations
-    of what chance gives.
+    The gate is that which gains most over frames that lie far apart: by the fourth value, in standard deviations of
+    what chance gives, and but for the share that is the last.
     """
     first, second, distances = _nearest(sample, 1, going, coming)
     if not len(first):
-        return first, second, np.empty(0, dtype=np.bool_), 0.0
+        return first, second, np.empty(0, dtype=np.bool_), 0.0, 1.0
     _, _, chance = _nearest(sample, max(2, min(len(sample.times) // 3, 200)), going, coming)
     expected = len(distances) / max(1, len(chance))
     by_chance = np.array([expected * np.count_nonzero(chance <= gate) for gate in GATES_PX])
@@ -294,7 +293,8 @@ def _gated(
     best = int(np.argmax(gains))
     # the expectation is itself a count, scaled
     sure = gains[best] / np.sqrt((1.0 + expected) * max(by_chance[best], 1.0))
-    return first, second, distances <= GATES_PX[best], float(sure)
+    near = distances <= GATES_PX[best]
+    return first, second, near, float(sure), float(by_chance[best] / max(np.count_nonzero(near), 1))
 
 
 def _leaping(sample: CameraSample) -> Booleans:
@@ -304,7 +304,7 @@ def _leaping(sample: CameraSample) -> Booleans:
     going, coming = following < 0, np.ones(len(following), dtype=np.bool_)
     coming[following[following >= 0]] = False
     while True:
-        first, second, near, sure = _gated(sample, going, coming)
+        first, second, near, sure, _ = _gated(sample, going, coming)
         if sure < LEAST_SURE:
             return leaps
         leaps[first[near]], leaps[second[near]] = True, True

@@ -1,13 +1,11 @@
 """How much of the distances of rays a small error of clock, lens or pose explains."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
@@ -33,7 +31,7 @@ class CauseFit:
 
     value: float  # The number of a cause that has one: s, or k1
     error: float  # Its standard error, from the spread between pairs of tracks
-    explained: float  # Share of the squared distances
+    explained: float  # Share of the squared distances, predicted from other parts of the time
     effect: float  # Root mean square of what is explained, standard deviations of a detection
 
     @property
@@ -89,16 +87,17 @@ def explain(pair: Partners, first: Camera, second: Camera) -> PairFits:
         _fit(pair, slope(lambda s: between(first, second, pair.pixels_b + s * pair.velocity_b), STEP_S)),
         _fit(pair, slope(lambda k: between(_bent(first, k), second, pair.pixels_b), STEP_K1)),
         _fit(pair, slope(lambda k: between(first, _bent(second, k), pair.pixels_b), STEP_K1)),
-        _fit_all(pair, np.stack(columns, axis=1)),
+        _fit(pair, *columns),
     )
 
 
-def _fit_all(pair: Partners, design: Array) -> CauseFit:
-    """Fit a cause with several numbers; those that the data do not determine (the scale) stay 0.
+def _fit(pair: Partners, *slopes: Array) -> CauseFit:
+    """Fit a cause with one number or several; those that the data do not determine (the scale) stay 0.
 
     What it explains of a part of the time is predicted from the others: two objects that pass each other's epipolar
     line meet smoothly for a while, which a fit to all of it would explain.
     """
+    design = np.stack(slopes, axis=1)
     design = design / np.maximum(np.abs(design).max(axis=0), 1e-12)
     if not np.isfinite(design).all():
         return CauseFit(0.0, float("inf"), 0.0, 0.0)
@@ -109,20 +108,24 @@ def _fit_all(pair: Partners, design: Array) -> CauseFit:
         fitted[out] = design[out] @ np.linalg.lstsq(design[~out], -pair.distance[~out], rcond=DETERMINED)[0]
     total = float((pair.distance**2).sum())
     explained = 1.0 - float(((pair.distance + fitted) ** 2).sum()) / max(total, 1e-12)
-    return CauseFit(0.0, float("inf"), explained, float(np.sqrt((fitted**2).mean())))
+    value, error = _number(pair, slopes[0], fold) if len(slopes) == 1 else (0.0, float("inf"))
+    return CauseFit(value, error, explained, float(np.sqrt((fitted**2).mean())))
 
 
-def _fit(pair: Partners, slope: Array) -> CauseFit:
-    """Fit a cause with one number."""
+def _number(pair: Partners, slope: Array, fold: Integers) -> tuple[float, float]:
+    """Return the number that fits all distances best, and its standard error.
+
+    The error is that of the jackknife over pairs of tracks, in parts of the time: one pair of tracks that holds most of
+    what the slope weighs is no evidence, whatever its own distances say (J. G. MacKinnon and H. White, "Some
+    heteroskedasticity-consistent covariance matrix estimators", 1985).
+    """
     weight = float((slope**2).sum())
-    if not np.isfinite(weight) or weight <= 0.0:
-        return CauseFit(0.0, float("inf"), 0.0, 0.0)
+    if weight <= 0.0:
+        return 0.0, float("inf")
     value = -float((slope * pair.distance).sum()) / weight
-    left = pair.distance + value * slope
-    spread = np.bincount(np.unique(pair.tracks, return_inverse=True)[1], slope * left)
-    explained = 1.0 - float((left**2).sum()) / max(float((pair.distance**2).sum()), 1e-12)
-    effect = abs(value) * np.sqrt(weight / len(slope))
-    return CauseFit(value, float(np.sqrt((spread**2).sum())) / weight, explained, float(effect))
+    part = np.unique(pair.tracks * FOLDS + fold, return_inverse=True)[1]
+    spread, share = np.bincount(part, slope * (pair.distance + value * slope)), np.bincount(part, slope**2) / weight
+    return value, float(np.sqrt(((spread / np.maximum(1.0 - share, 1e-9)) ** 2).sum())) / weight
 
 
 def _bent(camera: Camera, k1: float) -> Camera:

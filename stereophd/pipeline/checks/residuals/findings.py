@@ -7,14 +7,13 @@ function of the place. Each cause is fitted separately; the one that explains mo
 errors follow from the spread between pairs of tracks, so that errors that last do not pass for evidence.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.geometry.causes import shift_remedy, shifted
 from stereophd.pipeline.checks.geometry.measure import pairs_of
 from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.pipeline.checks.residuals.causes import PairFits, explain
@@ -87,13 +86,13 @@ def _warning(
     names = " or ".join(samples[c].camera.name for c in sorted(cameras))
     share = max(fits.of(cause).explained for _, fits in suspicious)
     text = f"{names}: the distances of its rays from those of other cameras"
-    value: float = max(fits.of(cause).effect for _, fits in suspicious)
+    change, value = None, max(fits.of(cause).effect for _, fits in suspicious)
     if cause == "clock":
-        late = lateness[cameras[0]]
-        if len(cameras) > 1:  # of two cameras the log does not show which one
-            late = abs(late)
+        # of two cameras the log does not show which one
+        latest = cameras[0] if len(cameras) == 1 else max(cameras, key=lambda c: float(lateness[c]))
+        late = float(lateness[latest])
         text += f" follow the speed of the objects: its clock seems to be off by {late:+.3g} s"
-        remedy, value = f"add {-late:.4g} s to its clock (clock.offset_s)", late
+        remedy, value, change = shift_remedy(-late), late, shifted(samples[latest], -late)
     elif cause == "lens":
         text += " grow from the centre of the image outwards: its lens coefficients seem to be off"
         remedy = "calibrate the lens again, or let calibrate estimate it (calibration.prior)"
@@ -102,7 +101,7 @@ def _warning(
         remedy = "let calibrate refine the poses, starting from these cameras"
     return Finding(
         "geometry.residuals", "warning", f"{text} (this explains {percent(share)} of their squares)", round(value, 5),
-        0.0, names if len(cameras) == 1 else None, remedy, CAUSES[cause],
+        0.0, names if len(cameras) == 1 else None, remedy, CAUSES[cause], change,
     )  # fmt: skip
 
 

@@ -1,7 +1,5 @@
 """Detections of two cameras that belong to the same object, from one-camera tracks that meet most of the time."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

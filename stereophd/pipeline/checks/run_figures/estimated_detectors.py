@@ -1,7 +1,5 @@
 """Findings about estimated detectors: which noise could not be estimated, and which errors are not noise."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Findings about what a run leaves out: bad rows, detections beyond the lens model, full filters."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Checks of a finished tracking run: is the log explained, and by more than one camera?"""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Mapping
 from typing import Any
 
@@ -130,6 +128,7 @@ def check_noise(summary: Mapping[str, Any], cameras: tuple[Camera, ...], noise_i
             yield Finding("tracking.noise", "not checked", f"{name}: {why}", camera=name)
             continue
         stated = float(np.sqrt((camera.detector.sigma**2).mean()))
+        seen = f"{ratio * stated:.2g}"
         text = f"{name}: residuals are {ratio:.2g} times what the stated noise of {stated:.3g} px leads to expect"
         if RESIDUAL_RATIOS[0] <= ratio <= RESIDUAL_RATIOS[1]:
             yield Finding("tracking.noise", "ok", text, round(ratio, 3), 1.0, name)
@@ -140,6 +139,6 @@ def check_noise(summary: Mapping[str, Any], cameras: tuple[Camera, ...], noise_i
             effect = "tracks follow their detections too little, and are less sure than they could be"
         yield Finding(
             "tracking.noise", "warning", f"{text}: {effect}", round(ratio, 3), 1.0, name,
-            f"set cameras.{name}.detector.sigma_px near {ratio * stated:.2g}, or let track estimate it "
-            "(detector: estimate)", "sigma",
+            f"set cameras.{name}.detector.sigma_px near {seen}, or let track estimate it (detector: estimate)", "sigma",
+            f"cameras.{name}.detector.sigma_px=[{seen}, {seen}]",
         )  # fmt: skip

@@ -1,7 +1,5 @@
 """How well tracks explain the detections of each camera: the share that belongs to tracks, and the residuals."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Figures of a run of `stereophd.commands.track`: of all of it, of each camera and of each identity."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field

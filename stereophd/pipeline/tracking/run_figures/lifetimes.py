@@ -1,7 +1,5 @@
 """Leave out tracks that are too short (``report.min_track_length``)."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 
@@ -11,19 +9,13 @@ from stereophd.core.numerics.times import same_time
 from stereophd.pipeline.tracking.loop import Record
 
 
-def lasting(records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
-    """Yield records, in order of time, without the tracks that are shorter than a length.
-
-    The length is the least time between the first and the last reported estimate, s. Every record waits until the
-    records are `min_length_s` past it: a track is known then to last that long, or not to. A track that is not reported
-    at that time, but again later, is left out before the gap.
-    """
-    return LastingTracks(min_length_s).records(records)
-
-
 @dataclass
 class LastingTracks:
-    """What `lasting` knows between two records."""
+    """Takes tracks out of records whose first and last reported estimates are less than a time apart; holds its state.
+
+    Every record waits until the records are `min_length_s` past it: a track is known then to last that long, or not to.
+    A track that is not reported at that time, but again later, is left out before the gap.
+    """
 
     min_length_s: float
     waiting: list[Record] = field(default_factory=list)
@@ -32,7 +24,7 @@ class LastingTracks:
     last: dict[int, float] = field(default_factory=dict)
 
     def records(self, records: Iterable[Record]) -> Iterator[Record]:
-        """Yield records as `lasting` does."""
+        """Yield records, in order of time, without the short tracks."""
         waiting = self.waiting
         for record in records:
             if record.reported:

@@ -9,7 +9,7 @@ import pytest
 
 from stereophd.core.calibration.adjustment import marginal
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, exact_covariance, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Problem
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, marginal_fit
@@ -17,11 +17,13 @@ from stereophd.core.calibration.annealing.task import Fit
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
 from stereophd.core.motion.ballistic import Ballistic
 from stereophd.core.motion.base import Motion
+from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.motion.static import Static
 from tests.core.calibration.adjustment.test_solver import solve
 from tests.core.calibration.scenes import make_problem
 
-from ..problems_of_unknowns import ACCELERATION, MOTION, observe, problem_of, rig, some_problem, unknowns
+from .. import problems_of_unknowns
+from ..problems_of_unknowns import ACCELERATION, MOTION, SIGMA, observe, problem_of, rig, some_problem, unknowns
 
 
 def check_gradient(problem: Problem, states: np.ndarray, values: np.ndarray, **tolerance: float) -> None:
@@ -39,6 +41,30 @@ def check_gradient(problem: Problem, states: np.ndarray, values: np.ndarray, **t
 def test_the_marginal_posterior_has_the_gradient_of_its_objective() -> None:
     problem, states, drawn = some_problem(("center", "rotation", "focal", "clock_offset"))
     check_gradient(problem, states, drawn, rel=0.02, abs=1e-4)
+
+
+def test_the_exact_covariance_is_that_of_the_objective_where_velocities_follow_the_noise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Normal equations believe velocities that the noise has bent: they are 8 % off here."""
+    monkeypatch.setattr(problems_of_unknowns, "ACCELERATION", 1.0)
+    monkeypatch.setattr(problems_of_unknowns, "MOTION", ConstantVelocity([1.0] * 3))
+    cameras = rig()[:2]
+    true = unknowns(cameras, ("center", "rotation", "clock_offset"))
+    observations, _, points = observe(cameras, 1, 1, 2.5)
+    errors = 10.0 * SIGMA * np.random.default_rng(1).standard_normal((len(observations), 2))
+    observations = replace(
+        observations, points=observations.points + errors, precisions=observations.precisions / 10.0**2
+    )
+    problem, states = problem_of(true, observations, points)
+    found = marginal_optimum(problem, adjust(problem, np.zeros(true.size), states))
+    assert found.adjustment.converged
+    covariance = exact_covariance(problem, found.adjustment, found.noise_factor)
+    posterior = MarginalPosterior(Linearisation.of(problem))
+    at = posterior.of_answer(found.adjustment.values, found.adjustment.states, found.noise_factor)
+    step = np.append(covariance[-1] / np.sqrt(covariance[-1, -1]), 0.0)
+    ahead, behind = (posterior.at(at.unknowns + sign * step, at.states).objective for sign in (1.0, -1.0))
+    assert ahead + behind - 2.0 * at.objective == pytest.approx(1.0, abs=0.02)
 
 
 def test_the_gradient_minimises_the_knots_where_one_camera_alone_sees_an_object_for_long() -> None:

@@ -9,10 +9,11 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.discovery.rig import View
-from stereophd.core.geometry.camera import Camera, Clock, Detector
+from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.pose import Pose
 from stereophd.core.two_views.track_rays import RawTracks
+from tests import scenes
 
 NOISE, RATE, SECONDS = 0.5, 15.0, 30.0
 Path = Callable[[Array], Array]
@@ -20,9 +21,8 @@ Path = Callable[[Array], Array]
 
 def camera(name: str, center: list[float], turn: list[float], offset: float = 0.0, k1: float = 0.0) -> Camera:
     lens = Lens("radial", k1=k1) if k1 else Lens()
-    detector = Detector((NOISE, NOISE), 0.95, 0.1)
-    pose = Pose(rotation_from_vector(turn), center)
-    return Camera(name, 1280, 720, 1000.0, 1000.0, 639.5, 359.5, pose, lens, detector, clock=Clock(offset))
+    same = {"size": (1280, 720), "focal": 1000.0, "noise": NOISE, "p_detect": 0.95, "clutter": 0.1}
+    return scenes.build_camera(name, center, turn, **same, lens=lens, clock=Clock(offset))
 
 
 def cameras(offsets: tuple[float, ...] = (0.0, 0.0, 0.0)) -> tuple[Camera, ...]:

@@ -7,10 +7,9 @@ import pytest
 
 from stereophd.core.calibration.pairing.clock_search import search_offsets
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
-from stereophd.core.geometry.camera import Camera, Clock, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.two_views.track_rays import RawTracks
+from tests.scenes import AROUND, build_camera
 
 RATES = (10.0, 7.0, 5.0)
 TRUE = (0.0, 2.3, -1.1)
@@ -18,15 +17,10 @@ TRUE = (0.0, 2.3, -1.1)
 
 def cameras() -> tuple[Camera, ...]:
     """Three cameras around a stage, their clocks unknown by seconds."""
-    places = (
-        ([-4.0, 0.0, -8.0], [0.0, -0.4, 0.0]),
-        ([4.0, -1.0, -8.0], [0.1, 0.4, 0.0]),
-        ([0.0, -4.0, -8.0], [0.4, 0.0, 0.0]),
-    )
-    detector = Detector((0.5, 0.5), 1.0, 0.0)
+    same = {"noise": 0.5, "p_detect": 1.0, "clutter": 0.0}
     return tuple(
-        Camera(f"cam{k}", 800, 600, 700.0, 700.0, 399.5, 299.5, Pose(rotation_from_vector(v), c), Lens(), detector, r)
-        for k, ((c, v), r) in enumerate(zip(places, RATES, strict=True))
+        build_camera(f"cam{k}", *place, **same, frame_rate_hz=rate)
+        for k, (place, rate) in enumerate(zip(AROUND, RATES, strict=True))
     )
 
 

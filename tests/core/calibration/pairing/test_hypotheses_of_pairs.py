@@ -11,9 +11,9 @@ from stereophd.core.calibration.pairing.hypotheses import crowded, hypotheses
 from stereophd.core.calibration.pairing.search import coarse_columns
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import rotation_from_vector
+from tests.scenes import build_camera
 
 CORNERS, FRAMES, SPACING, NOISE = 8, 24, 0.054, 0.5
 PRIORS = {"center": 0.07, "rotation": 0.052, "focal": 0.1}
@@ -28,15 +28,9 @@ def board(times: np.ndarray) -> np.ndarray:
 
 
 def cameras_around() -> tuple[Camera, ...]:
-    detector = Detector((NOISE, NOISE), 1.0, 0.0)
-    poses = (
-        Pose(np.eye(3), [0.0, 0.0, 0.0]),
-        Pose(rotation_from_vector([0.0, 0.7, 0.0]), [0.7, 0.0, 0.2]),
-        Pose(rotation_from_vector([-0.6, 0.0, 0.0]), [0.0, 0.6, 0.2]),
-    )
-    return tuple(
-        Camera(f"cam{k}", 1280, 720, 800.0, 800.0, 639.5, 359.5, pose, Lens(), detector) for k, pose in enumerate(poses)
-    )
+    places = (([0.0] * 3, [0.0] * 3), ([0.7, 0.0, 0.2], [0.0, 0.7, 0.0]), ([0.0, 0.6, 0.2], [-0.6, 0.0, 0.0]))
+    same = {"size": (1280, 720), "focal": 800.0, "noise": NOISE, "p_detect": 1.0, "clutter": 0.0}
+    return tuple(build_camera(f"cam{k}", *place, **same) for k, place in enumerate(places))
 
 
 def unknowns(cameras: tuple[Camera, ...]) -> ParameterSet:

@@ -8,18 +8,15 @@ import numpy as np
 
 from stereophd.core.calibration.unknowns.held import K1_STD, enlarge
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
-from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose
+from tests.scenes import build_camera
 
 PERIODS = np.array([0.1, 0.04])
 
 
 def cameras(lens: Lens) -> tuple[Camera, ...]:
-    left = Camera(
-        "left", 800, 600, 900.0, 900.0, 400.0, 300.0, Pose(np.eye(3), (0.0, 0.0, 0.0)), Lens(),
-        Detector((1.0, 1.0), 0.9, 1.0),
-    )  # fmt: skip
+    left = build_camera("left", focal=900.0, middle=(400.0, 300.0))
     return left, replace(left, name="right", lens=lens)
 
 

@@ -13,9 +13,7 @@ from stereophd.core.calibration.unknowns.observability import (
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
 from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from tests.scenes import build_camera
 
 STDS = np.array([5.0, 5.0, 5.0, 0.01, 0.1, 0.01])
 
@@ -23,10 +21,7 @@ STDS = np.array([5.0, 5.0, 5.0, 0.01, 0.1, 0.01])
 @pytest.fixture
 def parameters() -> ParameterSet:
     cameras = tuple(
-        Camera(
-            name, 800, 600, 900.0, 890.0, 400.0, 300.0,
-            Pose(rotation_from_vector([0.0, yaw, 0.0]), (x, 0.0, 0.0)), Lens(), Detector((1.0, 1.0), 0.9, 1.0),
-        )
+        build_camera(name, (x, 0.0, 0.0), (0.0, yaw, 0.0), focal=(900.0, 890.0), middle=(400.0, 300.0))
         for name, x, yaw in (("left", -20.0, -0.2), ("right", 20.0, 0.3))
     )  # fmt: skip
     chosen = zip(CENTER + ROTATION, STDS, strict=True)

@@ -6,14 +6,13 @@ import pytest
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.center import CENTER
 from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
-from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.pose import rotation_from_vector
+from tests import scenes
 
 
 def camera(name: str, center: tuple[float, float, float], yaw: float) -> Camera:
-    pose = Pose(rotation_from_vector([0.0, yaw, 0.0]), center)
-    return Camera(name, 800, 600, 900.0, 890.0, 400.0, 300.0, pose, Lens(), Detector((1.0, 1.0), 0.9, 1.0))
+    return scenes.build_camera(name, center, [0.0, yaw, 0.0], focal=(900.0, 890.0), middle=(400.0, 300.0))
 
 
 @pytest.fixture

@@ -8,9 +8,17 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.metrics.identities import tabulate_objects, tabulate_tracks
+from stereophd.core.metrics.identities import PartnerCounts, tabulate
 
 NOTHING = np.zeros(0, dtype=np.int64)
+
+
+def of_tracks(label: np.ndarray, pair_track: np.ndarray, pair_object: np.ndarray) -> PartnerCounts:
+    return tabulate(label[label >= 0], pair_track[pair_track >= 0], pair_object[pair_track >= 0])
+
+
+def of_objects(truth: np.ndarray, pair_track: np.ndarray, pair_object: np.ndarray) -> PartnerCounts:
+    return tabulate(truth, pair_object, pair_track, pair_track >= 0)
 
 
 def test_by_hand():
@@ -18,27 +26,27 @@ def test_by_hand():
     label = np.array([5, 5, 5, 5, 6, 6, 9, -1])
     pair_track = np.array([5, 5, 5, 9, -1])
     pair_object = np.array([1, 2, 1, 2, 1])
-    tracks = tabulate_tracks(label, pair_track, pair_object)
-    assert tracks.track_id.tolist() == [5, 6, 9]
-    assert tracks.n_estimates.tolist() == [4, 2, 1]
+    tracks = of_tracks(label, pair_track, pair_object)
+    assert tracks.identity.tolist() == [5, 6, 9]
+    assert tracks.n_points.tolist() == [4, 2, 1]
     assert tracks.n_matched.tolist() == [3, 0, 1]
-    assert tracks.object_id[[0, 2]].tolist() == [1, 2]
+    assert tracks.partner[[0, 2]].tolist() == [1, 2]
     assert tracks.n_dominant.tolist() == [2, 0, 1]
-    assert tracks.purity.tolist() == [0.5, 0.0, 1.0]
+    assert tracks.share_dominant.tolist() == [0.5, 0.0, 1.0]
     # Object 1 exists at 4 scans, 2 at 2 (both of its tracks equally often: the smaller), 3 is never found.
-    objects = tabulate_objects(np.array([1, 2, 1, 2, 1, 1, 3]), pair_track, pair_object)
-    assert objects.object_id.tolist() == [1, 2, 3]
-    assert objects.track_id[:2].tolist() == [5, 5]
-    assert objects.completeness.tolist() == [0.75, 1.0, 0.0]
-    assert objects.completeness_dominant.tolist() == [0.5, 0.5, 0.0]
-    assert objects.n_tracks.tolist() == [1, 2, 0]
+    objects = of_objects(np.array([1, 2, 1, 2, 1, 1, 3]), pair_track, pair_object)
+    assert objects.identity.tolist() == [1, 2, 3]
+    assert objects.partner[:2].tolist() == [5, 5]
+    assert objects.share_matched.tolist() == [0.75, 1.0, 0.0]
+    assert objects.share_dominant.tolist() == [0.5, 0.5, 0.0]
+    assert objects.n_partners.tolist() == [1, 2, 0]
 
 
 def test_nothing():
-    tracks = tabulate_tracks(NOTHING, NOTHING, NOTHING)
-    assert len(tracks.purity) == 0
-    objects = tabulate_objects(np.array([4, 4]), NOTHING, NOTHING)
-    assert objects.completeness.tolist() == objects.completeness_dominant.tolist() == [0.0]
+    tracks = of_tracks(NOTHING, NOTHING, NOTHING)
+    assert len(tracks.share_dominant) == 0
+    objects = of_objects(np.array([4, 4]), NOTHING, NOTHING)
+    assert objects.share_matched.tolist() == objects.share_dominant.tolist() == [0.0]
 
 
 # One scan: {object: track that is matched to it, or None}
@@ -54,26 +62,26 @@ def test_as_counted_one_by_one(scans, false):
     pair_track, pair_object = (
         np.array(column, dtype=np.int64) for column in (zip(*pairs, strict=True) if pairs else ((), ()))
     )
-    tracks = tabulate_tracks(np.array(label, dtype=np.int64), pair_track, pair_object)
-    assert tracks.track_id.tolist() == sorted({track for track in label if track >= 0})
-    for row, track in enumerate(tracks.track_id.tolist()):
+    tracks = of_tracks(np.array(label, dtype=np.int64), pair_track, pair_object)
+    assert tracks.identity.tolist() == sorted({track for track in label if track >= 0})
+    for row, track in enumerate(tracks.identity.tolist()):
         count = Counter(thing for own, thing in pairs if own == track)
-        assert tracks.n_estimates[row] == label.count(track)
+        assert tracks.n_points[row] == label.count(track)
         assert tracks.n_matched[row] == count.total()
         assert tracks.n_dominant[row] == max(count.values(), default=0)
         if count:
             best = min(thing for thing, times in count.items() if times == max(count.values()))
-            assert tracks.object_id[row] == best
-    objects = tabulate_objects(np.array(truth, dtype=np.int64), pair_track, pair_object)
-    assert objects.object_id.tolist() == sorted(set(truth))
-    for row, thing in enumerate(objects.object_id.tolist()):
+            assert tracks.partner[row] == best
+    objects = of_objects(np.array(truth, dtype=np.int64), pair_track, pair_object)
+    assert objects.identity.tolist() == sorted(set(truth))
+    for row, thing in enumerate(objects.identity.tolist()):
         count = Counter(track for track, other in pairs if other == thing and track >= 0)
-        assert objects.n_scans[row] == truth.count(thing)
+        assert objects.n_points[row] == truth.count(thing)
         assert objects.n_matched[row] == sum(other == thing for _, other in pairs)
-        assert objects.n_tracks[row] == len(count)
+        assert objects.n_partners[row] == len(count)
         assert objects.n_dominant[row] == max(count.values(), default=0)
         if count:
             best = min(track for track, times in count.items() if times == max(count.values()))
-            assert objects.track_id[row] == best
-    assert ((objects.completeness_dominant <= objects.completeness) & (objects.completeness <= 1)).all()
-    assert ((tracks.purity >= 0) & (tracks.purity <= 1)).all()
+            assert objects.partner[row] == best
+    assert ((objects.share_dominant <= objects.share_matched) & (objects.share_matched <= 1)).all()
+    assert ((tracks.share_dominant >= 0) & (tracks.share_dominant <= 1)).all()

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.metrics.scans import PointSets
-from stereophd.core.metrics.truth.events import EventKeys, find_events, first_repeated, first_rows_of_events
+from stereophd.core.metrics.truth.events import event_keys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import (
     Events,
     Truth,
@@ -134,11 +134,11 @@ def test_unseen_objects_go_with_their_estimates():
 
 
 def test_events_are_found_by_time_camera_and_frame():
-    scans = EventKeys(np.array([0.0, 0, 1, 1]), np.array([0, 1, 0, 1]), np.array([5, 5, 6, 6]))
+    scans = event_keys(np.array([0.0, 0, 1, 1]), np.array([0, 1, 0, 1]), np.array([5, 5, 6, 6]))
     rows = scans.take(np.array([1, 1, 1, 2]))
     assert first_rows_of_events(rows).tolist() == [0, 3]
-    assert find_events(rows.take(np.array([0, 3])), scans).tolist() == [1, 2]
-    other = EventKeys(np.array([1.0]), np.array([0]), np.array([7]))
+    assert find_events(rows[[0, 3]], scans).tolist() == [1, 2]
+    other = event_keys(np.array([1.0]), np.array([0]), np.array([7]))
     assert find_events(other, scans).tolist() == [-1]
     assert first_repeated(scans) is None
     assert first_repeated(scans.take(np.array([0, 2, 0]))) == 2

@@ -1,7 +1,5 @@
 """The aspect of a camera's pixels: the logarithm of a factor on fy over fx."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

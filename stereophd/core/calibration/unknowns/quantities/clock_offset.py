@@ -1,7 +1,5 @@
 """The offset of a camera's clock: true time at time 0 of its log."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The rate of a camera's clock: true seconds in a second of its log."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

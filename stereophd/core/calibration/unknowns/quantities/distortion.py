@@ -1,7 +1,5 @@
 """The coefficients of a camera's lens model: offsets without unit."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

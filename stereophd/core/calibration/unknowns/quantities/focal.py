@@ -1,7 +1,5 @@
 """The focal length of a camera: the logarithm of a factor on fx and fy together."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

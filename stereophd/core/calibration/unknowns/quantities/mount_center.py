@@ -1,7 +1,5 @@
 """Where a body of known trajectory carries a camera: the optical centre in the body's axes (hand-eye)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 The rotation from body to camera axes is exp([v]_x) times that of the prior mean.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

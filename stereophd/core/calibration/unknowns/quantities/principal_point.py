@@ -1,7 +1,5 @@
 """The principal point of a camera: an offset in pixels."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

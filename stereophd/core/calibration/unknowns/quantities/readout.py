@@ -1,7 +1,5 @@
 """The readout time of a rolling shutter."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

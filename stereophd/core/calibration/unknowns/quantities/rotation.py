@@ -3,8 +3,6 @@
 So rotation_x is pitch, rotation_y yaw and rotation_z roll.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,19 +1,11 @@
 """The angular velocity w of a moving camera about its own axes: rotation(t) = exp(-[w]_x (t - t_0)) rotation(t_0)."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.unknowns.quantities.base import (
-    MOVES,
-    RADIANS_PER_SECOND,
-    CameraView,
-    Entry,
-    Quantity,
-)
+from stereophd.core.calibration.unknowns.quantities.base import MOVES, RADIANS_PER_SECOND, CameraView, Entry, Quantity
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import left_jacobians, turned
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose

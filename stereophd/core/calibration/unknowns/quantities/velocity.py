@@ -1,19 +1,11 @@
 """The velocity of a moving camera's centre in the world."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.unknowns.quantities.base import (
-    LENGTH_PER_SECOND,
-    MOVES,
-    CameraView,
-    Entry,
-    Quantity,
-)
+from stereophd.core.calibration.unknowns.quantities.base import LENGTH_PER_SECOND, MOVES, CameraView, Entry, Quantity
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 
