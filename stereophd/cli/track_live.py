@@ -1,12 +1,12 @@
 """``stereophd track`` of a recording that is still running."""
 
-import os
 import sys
 from pathlib import Path
 
 import typer
 
 from stereophd.cli.options import Session
+from stereophd.cli.terminal import quiet_pipe
 from stereophd.cli.unused_options import refuse
 from stereophd.commands.options import LiveOptions, TrackOptions
 from stereophd.config.loading import LoadedConfig
@@ -38,11 +38,8 @@ def run_live(
     rows += [] if mcap is None else [mcap]
     outputs = LiveOutputs(rows, out, live.record, options.force, options.resume)
     try:
-        done = track_live(loaded, arrivals, source, outputs)
-    except BrokenPipeError:
-        # the reader has gone; what Python would write at its end has no reader either
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return
+        with quiet_pipe():
+            done = track_live(loaded, arrivals, source, outputs)
     finally:
         if mcap is not None:
             mcap.close()

@@ -105,6 +105,12 @@ def _alignment(
 ) -> tuple[Alignment, str, dict[str, float] | None]:  # fmt: skip
     """Return how the cameras lie in the world, the world's unit of length, and its geographic origin."""
     unit = file.units.length
+    acts = {
+        "forward": control is None and str(to) in (FLOOR, FALL), "same_scale": control is not None,
+        "same_clock": isinstance(control, Control),
+    }  # fmt: skip
+    for option in (name for name, is_used in acts.items() if getattr(options, name) and not is_used):
+        raise InputError(f"`{option}`: expected another `to`, found {to}, with which it does nothing")
     forward = options.forward or next(iter(built))
     if forward not in built:
         raise InputError(f"`forward`: {unknown_camera(forward, list(built))}")

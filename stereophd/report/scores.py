@@ -42,6 +42,10 @@ def _error_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     note = ""
     if low is not None:
         note = f"{nees['dimension']} if consistent; 95 % between {low:.3g} and {high:.3g}"
+        if nees["position"] is not None and not low <= nees["position"] <= high:
+            ratio = (nees["position"] / nees["dimension"]) ** 0.5
+            note += f": errors are {ratio:.2g} times what the tracks state"
+            note += "; check noise, motion and cameras" if ratio > 1.0 else ""
     yield "NEES position", _number(nees["position"]), note
     if "without_cameras" in nees:
         yield "NEES without cameras", _number(nees["without_cameras"]), "what uncertain cameras add left out"

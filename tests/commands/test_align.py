@@ -257,6 +257,17 @@ def test_points_of_known_place_give_the_world_and_its_deviations(run: Path, tmp_
     assert np.linalg.norm(after - in_world(cameras[0].pose.center)) < 0.02 * np.linalg.norm(after - MOVE)
 
 
+def test_options_that_would_do_nothing_are_refused(run: Path, tmp_path: Path) -> None:
+    points = write_points(tmp_path / "court.csv", read_cameras(run / "cameras.yaml"))
+    for to, words in (
+        (points, {"same_clock": True}),
+        (points, {"forward": "a"}),
+        ("a", {"same_scale": True}),
+    ):
+        with pytest.raises(InputError, match="does nothing"):
+            align([run], to, tmp_path / "out", **words)
+
+
 def test_a_mistaken_point_is_named(run: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     align([run], write_points(tmp_path / "court.csv", read_cameras(run / "cameras.yaml"), mistaken=True))
     assert "point p2 in camera a" in caplog.text

@@ -6,8 +6,6 @@ past its confirmation to its first detection. Reference: H. E. Rauch, F. Tung an
 likelihood estimates of linear dynamic systems", AIAA Journal 3 (8), 1965.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,10 +13,11 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
 from stereophd.core.motion.base import Motion
+from stereophd.core.numerics.rows import ArrayRows
 
 
 @dataclass(frozen=True)
-class Trajectory:
+class Trajectory(ArrayRows):
     """States of one track at successive events."""
 
     track_id: int
@@ -28,13 +27,6 @@ class Trajectory:
     states: Array
     covariances: Array
     existence: Array  # (k,)
-
-    def take(self, places: slice) -> Trajectory:
-        """Return a part of the track."""
-        return Trajectory(
-            self.track_id, self.events[places], self.times[places], self.states[places], self.covariances[places],
-            self.existence[places]
-        )  # fmt: skip
 
 
 def smooth(trajectory: Trajectory, motion: Motion) -> Trajectory:

@@ -4,10 +4,8 @@ The columns are read from Arrow's buffers by NumPy: Arrow's own conversion impor
 takes 0.2 s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.numerics.rows import ArrayRows
 from stereophd.io.tables.reading import cast_column, check_texts
 from stereophd.io.tables.schemas import DETECTIONS, FLOAT, INTEGER, kinds_of
 
@@ -24,7 +23,7 @@ OPTIONAL = {**dict.fromkeys(("sigma_u_px", "sigma_v_px", "width_px", "height_px"
 
 
 @dataclass(frozen=True)
-class Rows:
+class Rows(ArrayRows):
     """Rows of a log as arrays of length n; `empty` marks the rows of frames without detections."""
 
     row: Integers
@@ -36,20 +35,6 @@ class Rows:
     sigma: Array | None
     object_id: Integers | None
     sizes: Array | None = None  # (n, 2): Width and height of the boxes, px
-
-    def take(self, which: Any) -> Rows:
-        """Return some of the rows: a mask, indices, or a slice."""
-        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
-        values = {name: None if value is None else value[which] for name, value in values.items()}
-        return Rows(**values)
-
-    def join(self, other: Rows) -> Rows:
-        """Return these rows followed by others."""
-        values: dict[str, Any] = {}
-        for f in fields(self):
-            mine, theirs = getattr(self, f.name), getattr(other, f.name)
-            values[f.name] = None if mine is None else np.concatenate([mine, theirs])
-        return Rows(**values)
 
     def __len__(self) -> int:
         return len(self.row)

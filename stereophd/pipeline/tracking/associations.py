@@ -4,26 +4,24 @@ A filter claims detections for labels. A label is a track once it has been repor
 then, and are forgotten with the label.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.multi.association.attribution import Claims
 from stereophd.core.multi.state.estimates import Estimates
+from stereophd.core.numerics.rows import ArrayRows
 
 # Claims of a smaller probability are left out.
 LEAST_PROBABILITY = 1e-3
 
 
 @dataclass(frozen=True)
-class Associated:
+class Associated(ArrayRows):
     """Detections of one event that tracks claim; one row a detection and track."""
 
     # `time_s`, `camera`, `frame`: The event.
@@ -34,13 +32,6 @@ class Associated:
     rows: Integers  # (k,): Those of `Event`: a detection is known by its row
     track_ids: Integers  # (k,) of int: (Labels, as long as they are not reported.)
     probabilities: Array  # (k,): Probability that the object of the track exists and made the detection
-
-    def take(self, kept: NDArray[Any]) -> Associated:
-        """Return some of the rows."""
-        return replace(
-            self, pixels=self.pixels[kept], rows=self.rows[kept], track_ids=self.track_ids[kept],
-            probabilities=self.probabilities[kept],
-        )  # fmt: skip
 
     def columns(self) -> dict[str, Any]:
         """Columns of ``associations.parquet``."""

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.arrays import Array, Integers
+from stereophd.core.numerics.rows import ArrayRows
 from stereophd.core.trajectories.chain import NONE, WholeRun
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated
@@ -16,25 +17,12 @@ from stereophd.pipeline.tracking.run_figures.explained import PROBABLE
 
 
 @dataclass(frozen=True)
-class RunClaims:
+class RunClaims(ArrayRows):
     """Detections of a run that tracks claim; one row a detection and track."""
 
     detections: Integers  # (k,), their numbers in the run
     track_ids: Integers  # (k,)
     probabilities: Array  # (k,)
-
-    def take(self, kept: Booleans) -> RunClaims:
-        """Return some of the rows."""
-        return RunClaims(self.detections[kept], self.track_ids[kept], self.probabilities[kept])
-
-    def join(self, *others: RunClaims) -> RunClaims:
-        """Return these rows and others."""
-        parts = (self, *others)
-        return RunClaims(
-            np.concatenate([one.detections for one in parts]),
-            np.concatenate([one.track_ids for one in parts]),
-            np.concatenate([one.probabilities for one in parts]),
-        )
 
     def renamed(self, name: Callable[[int], int]) -> RunClaims:
         """Return the rows with other names of their tracks."""

@@ -109,7 +109,8 @@ def _figures(run: Run) -> Iterator[str | None]:
     yield f"{number(score['gospa'].get('mean'))} {unit}" if score else None
     yield f"{number(score['rmse'].get('position'))} {unit}" if score else None
     yield str(score["identity_switches"]) if score and score["identity_switches"] is not None else None
-    yield number(score["nees"].get("position")) if score else None
+    nees = score["nees"] if score else {}
+    yield f"{number(nees['position'])} ({nees['dimension']} is right)" if nees.get("position") is not None else None
     yield number(score["nees"]["without_cameras"]) if score and "without_cameras" in score["nees"] else None
     part = tracking.get("cameras_part")
     yield f"{number(part.get('common_std'))}, {number(part.get('other_std'))} {unit}" if part else None

@@ -24,7 +24,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import Observations
-from stereophd.core.calibration.adjustment.solver import solve
+from stereophd.core.calibration.adjustment.solver import eliminate, within_prior
 from stereophd.core.calibration.adjustment.trajectories import positions
 from stereophd.core.numerics.compilation.compiled import compiled
 
@@ -141,7 +141,10 @@ def remaining_errors(linearisation: Linearisation, values: Array, states: Array,
         path.weights, linearisation.columns, normal_equations.SQUARED, 1.0, np.zeros((12, size)),
         np.zeros((size, count)), np.zeros((count, count)), state_vector, value_vector, np.zeros(len(observations)),
     )  # fmt: skip
-    value_step, state_step = solve(replace(equations, state_vector=state_vector, value_vector=value_vector), DAMPING)
+    eliminated, schur = eliminate(replace(equations, state_vector=state_vector), DAMPING)
+    right = value_vector - equations.coupling.T @ eliminated[:, -1]
+    value_step = within_prior(schur, linearisation.problem.parameters.prior_std) @ right
+    state_step = eliminated[:, -1] - eliminated[:, :-1] @ value_step
     moved = positions(state_step.reshape(states.shape), path.knot, path.weights, np.zeros((len(errors), 3)))
     left = errors - np.einsum("nij,nj->ni", by_point, moved)
     for columns, here in zip(linearisation.columns, linearisation.members, strict=True):

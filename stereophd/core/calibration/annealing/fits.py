@@ -349,11 +349,9 @@ def _fit(
 
 def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:
     """Knots of trajectories with the given detections, near the given positions."""
-    spans = []
     counts = np.bincount(observations.trajectories)
-    for j in range(len(counts)):
-        times = observations.times[observations.trajectories == j]
-        spans.append((float(times.min()), float(times.max())))
+    of_each = [observations.times[observations.trajectories == j] for j in range(len(counts))]
+    spans = [(float(times.min()), float(times.max())) for times in of_each]
     noise = _length_of_noise(task, observations, points, values)
     spacing = knot_spacing(task.filter.motion, noise)
     return place_knots(spans, spacing, task.filter.motion, counts)

@@ -1,19 +1,18 @@
 """All pairs of an estimate and a true point nearer than the cutoff, and assignments among them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.errors import UNLABELLED
 from stereophd.core.metrics.matching.assignment import optimal_assignment
 from stereophd.core.metrics.scans import PointSets, base_distances, batches_of_one_size
+from stereophd.core.numerics.rows import ArrayRows
 
 
 @dataclass(frozen=True)
-class NearPairs:
+class NearPairs(ArrayRows):
     """Pairs (q,) of an estimate and a true point of one scan that are nearer than the cutoff, in order of estimate."""
 
     scan: Integers  # (q,) array: Scan of the pair
@@ -21,10 +20,6 @@ class NearPairs:
     estimate: Integers
     truth: Integers
     ratio: Array  # (q,) array: Base distance over the cutoff, in [0, 1)
-
-    def take(self, index: Integers | Booleans) -> NearPairs:
-        """Return the chosen pairs."""
-        return NearPairs(self.scan[index], self.estimate[index], self.truth[index], self.ratio[index])
 
 
 def near_pairs(estimates: PointSets, truth: PointSets, cutoff: float, *, mahalanobis: bool = False) -> NearPairs:

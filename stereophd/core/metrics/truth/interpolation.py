@@ -3,14 +3,13 @@
 Times are true times in seconds.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.scans import PointSets
+from stereophd.core.numerics.rows import ArrayRows
 from stereophd.core.numerics.times import SAME_TIME_S
 
 # By default the truth may be interpolated over intervals a little longer than its usual step.
@@ -43,7 +42,7 @@ class Truth:
 
 
 @dataclass(frozen=True)
-class Events:
+class Events(ArrayRows):
     """The events of a run, in the order in which they were processed."""
 
     time_s: Array  # (k,) array: Time of each event, never decreasing
@@ -51,10 +50,6 @@ class Events:
     # there are none.
     row_start: Integers
     row_end: Integers
-
-    def take(self, index: Integers | Booleans) -> Events:
-        """Return the chosen events."""
-        return Events(self.time_s[index], self.row_start[index], self.row_end[index])
 
 
 @dataclass(frozen=True)

@@ -153,10 +153,10 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             detector.clutter_per_frame, round(rate, 3), camera.name,
             "state the false detections of a frame, or estimate them (detector: estimate)", "clutter",
         )  # fmt: skip
-    # where noise or motion outrun the chains, what they leave over are objects, and what they hold is not one object;
-    # what is missed before and after is left over too
+    # where noise or motion outrun the chains, or chance links them, what they leave over are objects, and what they
+    # hold is not one object; what is missed before and after is left over too
     continued = sample.continued_share or 0.0
-    follows = continued >= LEAST_CONTINUED * detector.p_detect
+    follows = continued >= LEAST_CONTINUED * detector.p_detect and sample.linking[1] <= MOST_BY_CHANCE
     missed = max(rate - detector.clutter_per_frame, 0.0) * (1.0 - continued) ** 2
     isolated = sample.isolated_per_frame - missed
     # chains that hold less than half of the detections say nothing of the others: a board that leaps moves them all
@@ -172,8 +172,7 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
         )  # fmt: skip
     noise, least = sample.noise_px or (np.nan, np.nan)
     stated = float(detector.sigma.mean())
-    # neighbours that chance links lie nearer together than the noise
-    too_large = noise * NOISE_FACTOR < stated and sample.linking[1] <= MOST_BY_CHANCE
+    too_large = noise * NOISE_FACTOR < stated
     if follows and (least > NOISE_FACTOR * stated or too_large):
         effect = ": rays meet anywhere with it, so that neither clocks nor poses show their errors" if too_large else ""
         yield Finding(

@@ -35,7 +35,7 @@ PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.
 LEAST_DIFFERENCES, VARIANCE_ERROR = 60, 3.5
 # Frames of the shortest track that counts, and the share of the links that chance may give: neighbours in a crowd of
 # noisy detections leap, and lie nearer together than the noise.
-LEAST_LENGTH, MOST_BY_CHANCE = 6, 0.5
+LEAST_LENGTH, MOST_BY_CHANCE = 6, 1 / 3
 
 
 @dataclass(frozen=True)

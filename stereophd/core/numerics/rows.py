@@ -1,0 +1,24 @@
+"""Rows of several arrays that belong together: some of them, or those of several tables."""
+
+from dataclasses import replace
+from typing import Any, Self
+
+import numpy as np
+
+
+class ArrayRows:
+    """Base of frozen dataclasses whose arrays have a row for each member; their other fields describe all members."""
+
+    def _arrays(self) -> dict[str, Any]:
+        return {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
+
+    def take(self, rows: Any) -> Self:
+        """Return some of the rows: a mask, indices in the order wanted, or a slice."""
+        some: dict[str, Any] = {name: values[rows] for name, values in self._arrays().items()}
+        return replace(self, **some)  # type: ignore[type-var]
+
+    def join(self, *others: Self) -> Self:
+        """Return these rows and after them those of others, which have the same arrays."""
+        parts = [one._arrays() for one in (self, *others)]
+        joined: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        return replace(self, **joined)  # type: ignore[type-var]
