@@ -21,7 +21,9 @@ runs.) Here all detections of each track decide, by two proposals:
 
 Both are decided by the log-likelihood of all detections of the tracks that would change (`Chain.log_likelihood`). This
 is repeated until nothing changes, for `ROUNDS` rounds at most. What was refused is not tried again before one of its
-tracks has changed, and no group is longer than `MOST_CHANGES`: so the work grows with tracks times events.
+tracks has changed, no group is longer than `MOST_CHANGES`, and in every stretch of time each state is smoothed or
+predicted `MOST_WORK` times in the mean: so the work grows with tracks times events, even in a crowd whose detections
+are so much worse than stated that proposals never end.
 """
 
 from collections.abc import Iterator, Sequence
@@ -41,6 +43,8 @@ ROUNDS, REACH = 6, 60
 WINDOWS = (0.0, 0.5, 1.0)
 # Most changes that are decided together: in a crowd all changes of a recording may be linked.
 MOST_CHANGES = 64
+# How often the states about an event are smoothed or predicted in the mean. Crowded corners of a board take 11.
+MOST_WORK = 12
 # Times the window, to either side of a cut, in which the two tracks choose anew.
 AROUND = 4.0
 # Tracks further apart than this many standard deviations of a prediction over the window do not swap their ends.
@@ -83,7 +87,7 @@ def choose_anew(tracks: Sequence[Chain], run: WholeRun) -> list[Chain]:
         width = WINDOWS[number % len(WINDOWS)] * interval
         # elsewhere the last round has decided the same proposals
         where = np.logical_or.reduce(touched[-len(WINDOWS) :])
-        book.decide_parts(list(proposed_changes(book.tracks, run, width, where)), 2.0 * width + interval)
+        book.decide_parts(book.proposed(width, where), 2.0 * width + interval)
         touched.append(book.settle())
         if not np.logical_or.reduce(touched[-len(WINDOWS) :]).any():
             if not sum(book.swap_ends(width * interval) for width in WINDOWS if width):
@@ -152,6 +156,18 @@ class _Book:
         self._changed: set[int] = set()
         self._touched = np.zeros(len(run.times), dtype=np.bool_)
         self._refused: set[tuple[Any, ...]] = set()
+        # (r,): how many states about each event may still be smoothed, for windows and for ends
+        self._work = np.zeros(len(run.times), dtype=np.int64)
+        for track in self.tracks:
+            self._work[track.trajectory.events] += MOST_WORK
+        self._ends = 2 * self._work
+
+    def proposed(self, width: float, where: Booleans) -> list[Change]:
+        """Changes at events among those (r,) to look at, where work is left."""
+        where = where & (self._work > 0)
+        for track in self.tracks if where.any() else ():
+            self._work[track.trajectory.events] -= 1
+        return list(proposed_changes(self.tracks, self._run, width, where))
 
     def decide_parts(self, changes: Sequence[Change], apart_s: float) -> int:
         """Decide groups of changes; those refused once more in two parts. Return how many changes were taken."""
@@ -173,6 +189,7 @@ class _Book:
     def settle(self) -> Booleans:
         """Smooth the tracks that changed, over all of their events; return the events (r,) about the changes."""
         for number in self._changed:
+            self._work[self.tracks[number].trajectory.events] -= 1
             self.tracks[number] = self.tracks[number].smoothed()
         touched, self._touched = self._touched, np.zeros_like(self._touched)
         self._changed.clear()
@@ -186,7 +203,7 @@ class _Book:
         done: set[int] = set()
         for cut in sorted(best_cuts(self.tracks, width, LEAST_GAIN), key=lambda one: -one.odds):
             pair = (cut.first, cut.second)
-            if not done.isdisjoint(pair):
+            if not done.isdisjoint(pair) or not _is_left(self._ends, cut.event, cut.event):
                 continue
             before = [self.tracks[k] for k in pair]
             tried = [self._cut_at(before, pair, cut.event, width)]
@@ -207,9 +224,10 @@ class _Book:
         owners = np.where(np.isin(self._owners, [*numbers, NONE]), NONE, ANOTHER)
         tracks = [_joined(a, at_a, b, at_b).smoothed(), _joined(b, at_b, a, at_a).smoothed()]
         book = _Book(tracks, _owners(tracks, run, owners), run)
+        book._work = self._ends
         near = np.abs(run.times - run.times[event]) <= AROUND * width
         for again in (width, 0.0, width):
-            book.decide_parts(list(proposed_changes(book.tracks, run, again, near)), AROUND * width)
+            book.decide_parts(book.proposed(again, near), AROUND * width)
             book.settle()
         return book.tracks
 
@@ -217,9 +235,9 @@ class _Book:
         """Take a group of changes if it explains the detections better; return whether it was taken."""
         numbers = sorted({change.track for change in group})
         key = (*group, *(self._versions[number] for number in numbers))
-        if key in self._refused or not self._are_free(group):
-            return False
         events = [change.event for change in group]
+        if key in self._refused or not self._are_free(group) or not _is_left(self._work, min(events), max(events)):
+            return False
         gain, tried = 0.0, []
         for number in numbers:
             track = self.tracks[number]
@@ -228,6 +246,7 @@ class _Book:
             places = np.searchsorted(track.trajectory.events, [change.event for change in own])
             detections[places] = [change.after for change in own]
             first, last = track.around(min(events), max(events), REACH)
+            self._work[track.trajectory.events[first:last]] -= 1
             part = track.with_detections(detections).part(first, last).smoothed()
             gain += part.log_likelihood - track.part(first, last).log_likelihood
             # at the ends of the part little is known
@@ -258,6 +277,11 @@ class _Book:
         self._versions[number] += 1
         self._changed.add(number)
         self._touched[max(events[0] - REACH, 0) : events[1] + REACH] = True
+
+
+def _is_left(work: Integers, first: int, last: int) -> bool:
+    """Whether any of the work (r,) is left about the events from first to last."""
+    return bool(work[max(first - REACH, 0) : last + REACH + 1].sum() > 0)
 
 
 def _owners(tracks: Sequence[Chain], run: WholeRun, owners: Integers | None = None) -> Integers:
