@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
 import html
 import json
 import re
@@ -120,6 +122,17 @@ def test_page_holds_everything_and_refers_to_nothing(folders: Path, tmp_path: Pa
     assert data["runs"][1]["whole_frames"]
     with pytest.raises(InputError, match="exists"):
         report([folders / "phd"], tmp_path / "page.html")
+
+
+def test_the_policy_names_the_scripts_of_the_page_and_no_other(folders: Path, tmp_path: Path) -> None:
+    report([folders / "pmb"], tmp_path / "page.html")
+    text = (tmp_path / "page.html").read_bytes()
+    run = [body for attributes, body in re.findall(rb"<script([^>]*)>(.*?)</script>", text, re.S) if not attributes]
+    digests = [base64.b64encode(hashlib.sha256(body).digest()).decode() for body in run]
+    policy = re.search(r"script-src ([^;]*);", text.decode())
+    assert policy is not None
+    assert policy[1].split() == [*(f"'sha256-{digest}'" for digest in digests), "'unsafe-eval'"]
+    assert len(digests) == 2
 
 
 def test_names_are_escaped(folders: Path, tmp_path: Path) -> None:

@@ -107,6 +107,15 @@ def test_damaged_kernels_are_compiled_anew(folders: list[Path], tmp_path: Path, 
     assert _run() == [1, 0]
 
 
+@pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no owners of files")
+def test_a_folder_is_looked_at_each_time_that_a_kernel_is_loaded(folders: list[Path], tmp_path: Path) -> None:
+    folders.append(tmp_path / "kept")
+    assert _run() == [0, 1]
+    assert _run() == [1, 0]
+    (tmp_path / "kept").chmod(0o777)  # after the first look
+    assert _run() == [0, 1]
+
+
 def test_kernels_of_a_read_only_package_are_used(folders: list[Path], full: list[Path], tmp_path: Path) -> None:
     folders += [Path(os.devnull) / "x", tmp_path / "package", tmp_path / "own"]
     assert _run() == [0, 1]
