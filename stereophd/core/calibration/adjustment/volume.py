@@ -21,6 +21,8 @@ from stereophd.core.numerics.compilation.compiled import compiled
 
 # Step of the differences, in pixels.
 STEP_PX = 0.1
+# Stands for a norm of 0, of what is not seen; its inverse squared is a number.
+LEAST_NORM = 1e-150
 
 
 @compiled
@@ -86,8 +88,8 @@ class VolumeSlopes:
         of_value, of_point = np.zeros((count, linearisation.columns.shape[1])), np.zeros((count, 3))
         for r in (0, 1):
             size = np.linalg.norm(rows[:, r], axis=1)
-            steps = STEP_PX / np.maximum(np.linalg.norm(by_point, axis=(1, 2)), 1e-300)
-            moved = rows[:, r] * (steps / np.maximum(size, 1e-300))[:, None]
+            steps = STEP_PX / np.maximum(np.linalg.norm(by_point, axis=(1, 2)), LEAST_NORM)
+            moved = rows[:, r] * (steps / np.maximum(size, LEAST_NORM))[:, None]
             (_, seen_after, point_after, value_after), (_, seen_before, point_before, value_before) = (
                 linearisation.seen(placement, values, world + sign * moved, velocities) for sign in (1.0, -1.0)
             )
