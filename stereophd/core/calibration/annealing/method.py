@@ -33,7 +33,13 @@ from stereophd.core.calibration.annealing.fits import (
 )
 from stereophd.core.calibration.annealing.known_lengths import with_lengths
 from stereophd.core.calibration.annealing.known_scale import measured_scale, rescaled
-from stereophd.core.calibration.annealing.starts import agreeing_with_best, best_of, rival_of
+from stereophd.core.calibration.annealing.starts import (
+    NOISE_AS_STATED,
+    agreeing_with_best,
+    best_of,
+    rival_of,
+    squared_residuals,
+)
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
 from stereophd.core.calibration.unknowns.held import EnlargedSet, enlarge, free_of
 from stereophd.core.calibration.unknowns.scale import scale_is_free
@@ -137,7 +143,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     task, answer = believed.task, believed.answer
     remarks += (*motion_remarks(answer), *believed.remarks)
     if not choices.is_sampled:
-        answer, remark = widened(task, answer)
+        answer, remark = widened(task, answer, believed.doubtful)
         remarks += remark
     fit, pairs = answer.fit, None
     if has_known_length(task, choices):
@@ -190,6 +196,13 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
             remarks = (
                 Remark("starts", f"{why}; narrower priors or more starts (calibration.annealed.starts) show it"),
             )
+    assert best.fit is not None
+    if (squares := float(squared_residuals(best.fit).mean())) > NOISE_AS_STATED:
+        text = (
+            f"residuals were {np.sqrt(squares):.1f} times the stated noise before it was estimated: detector.sigma_px "
+            "is too small, or lenses, clocks or motion do not fit"
+        )
+        remarks += (Remark("noise", text, is_reservation=True),)
     if not is_sampled and (rival := rival_of(starts)) is not None:
         doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
     return doubt, remarks
@@ -252,6 +265,7 @@ class Believed:
     suspicions: tuple[tuple[EnlargedSet, Suspicion], ...]
     freed: tuple[str, ...]
     remarks: tuple[Remark, ...]
+    doubtful: Array  # (m, k): Root of the covariance that what is stated adds to that of the answer.
 
 
 def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
@@ -263,7 +277,8 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and doubted: these cameras are the best so far"
             remarks = (Remark("time", text, is_reservation=True), *noise_remarks(task, noise), *freed_remarks(given_up))
-            return Believed(task, Answer(fit, 1.0, None), noise, tuple(given_up), freed, remarks)
+            nothing = np.zeros((task.parameters.size, 0))
+            return Believed(task, Answer(fit, 1.0, None), noise, tuple(given_up), freed, remarks, nothing)
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
         basis = with_stated_motion(task, answer.fit)
@@ -284,7 +299,9 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         task, fit = with_freed(task, basis, enlarged, wrong)
     held = [(enlarged, suspicion) for suspicion in suspicions]
     remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held_remarks(enlarged, suspicions))
-    return Believed(task, answer, noise, (*given_up, *held), freed, remarks)
+    size = task.parameters.size
+    doubtful = np.hstack([np.zeros((size, 0)), *(suspicion.spread[:size] for suspicion in suspicions)])
+    return Believed(task, answer, noise, (*given_up, *held), freed, remarks, doubtful)
 
 
 def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
@@ -301,8 +318,11 @@ def problem_of_answer(task: Task, answer: Answer) -> Problem:
     return replace(problem_of(task, with_stated_motion(task, answer.fit)), held=answer.fit.held)
 
 
-def widened(task: Task, answer: Answer) -> tuple[Answer, tuple[Remark, ...]]:
-    """Give an answer its exact covariance, and widen it by the disagreement of stretches of the log; say if large."""
+def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[Remark, ...]]:
+    """Give an answer its exact covariance, and widen it by the disagreement of stretches of the log; say if large.
+
+    `doubtful` (m, k) is the root of the covariance that what is stated adds.
+    """
     problem, fit = problem_of_answer(task, answer), answer.fit
     if fit.adjustment.converged:
         try:
@@ -311,7 +331,8 @@ def widened(task: Task, answer: Answer) -> tuple[Answer, tuple[Remark, ...]]:
         except LinAlgError:
             fit = replace(fit, adjustment=replace(fit.adjustment, converged=False))
     more, factor = disagreement_of_stretches(problem, fit.adjustment, answer.noise_factor)
-    fit = replace(fit, adjustment=replace(fit.adjustment, covariance=fit.adjustment.covariance + more))
+    covariance = fit.adjustment.covariance + more + doubtful @ doubtful.T
+    fit = replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
     text = (
         f"stretches of the log disagree on the cameras by up to {factor:.1f} times what their noise allows: the stated "
         "deviations were widened; something of what is stated is wrong"

@@ -108,8 +108,8 @@ def test_what_disagrees_is_named(made: MadeUp, task: Task) -> None:
     few = disagreement(task, replace(fit, detections=fit.detections[:10]))
     assert few is not None
     assert few.startswith("shared tracks explain only")
-    large = replace(fit, adjustment=replace(adjustment, distances=np.full_like(adjustment.distances, 8.0)))
-    assert disagreement(task, large) == "residuals are 2.0 times the detector's noise"
+    large = replace(fit, adjustment=replace(adjustment, distances=np.full_like(adjustment.distances, 32.0)))
+    assert disagreement(task, large) == "residuals are 4.0 times the detector's noise"
     far = replace(fit, adjustment=replace(adjustment, values=9.0 * task.parameters.prior_std))
     assert str(disagreement(task, far)).endswith("standard deviations from the prior")
 
