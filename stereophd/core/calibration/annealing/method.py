@@ -114,21 +114,30 @@ class Answer:
 
 
 @dataclass(frozen=True)
+class Believed:
+    """An answer whose model was doubted."""
+
+    task: Task  # With the scale, the noise and the unknowns of the answer.
+    answer: Answer
+    noise: Array  # Noise (c,) of each camera's detections over what is stated.
+    suspicions: tuple[tuple[EnlargedSet, Suspicion], ...]  # Statements that were given up, and those that are held.
+    freed: tuple[str, ...]  # Names of unknowns that were stated as known, and contradicted.
+    doubtful: Array  # (m, k): Root of the covariance that the held statements add to that of the answer.
+    remarks: tuple[Remark, ...]
+
+
+@dataclass(frozen=True)
 class Calibrated:
     """The result of method annealed."""
 
-    task: Task  # With the scale, the noise and the unknowns of the result.
-    fit: Fit
+    believed: Believed
+    fit: Fit  # That of the answer, widened, with known lengths and control.
     history: tuple[HistoryRow, ...]
-    answer: Answer
-    noise: Array  # Noise (c,) of each camera's detections over what is stated.
-    suspicions: tuple[tuple[EnlargedSet, Suspicion], ...]  # Statements that the answer holds, and those it gave up.
-    freed: tuple[str, ...]  # Names of unknowns that were stated as known, and contradicted.
     pairs_of_known_length: int | None
     moves: TrackMoves
     doubt: str  # Why the answer is not to be trusted; empty if it may be.
     remarks: tuple[Remark, ...]
-    world: World | None = None  # That of the control
+    world: World | None  # That of the control
 
 
 def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
@@ -146,9 +155,8 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
         answer, remark = widened(task, answer, believed.doubtful)
         remarks += remark
     fit, pairs = answer.fit, None
-    if has_known_length(task, choices):
-        assert choices.known is not None
-        fit, pairs = with_lengths(task, fit, choices.known.value, choices.known.std)
+    if (known := choices.known) is not None and known.kind == "length" and task.scale is not None:
+        fit, pairs = with_lengths(task, fit, known.value, known.std)
     world = None
     if choices.control is not None:
         try:
@@ -159,24 +167,11 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
     doubt = doubt or early
     if (against := task.parameters.prior_disagreement(values)) is not None:
-        by = choices.known.kind if choices.known is not None else "baseline" if task.scale is not None else ""
+        by = known.kind if known is not None else "baseline" if task.scale is not None else ""
         doubt = f"with the known {by} {against}" if by else against
     history, moves = history_of(task, answer.fit, fit), track_moves(problem_of(task, fit), fit.adjustment)
     remarks += prior_remarks(task, values)
-    return Calibrated(
-        task,
-        fit,
-        history,
-        answer,
-        believed.noise,
-        believed.suspicions,
-        believed.freed,
-        pairs,
-        moves,
-        doubt,
-        remarks,
-        world,
-    )
+    return Calibrated(believed, fit, history, pairs, moves, doubt, remarks, world)
 
 
 def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bool) -> tuple[str, tuple[Remark, ...]]:
@@ -231,11 +226,6 @@ def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Ta
     return replace(task, scale=measured), rescaled(task, fit, measured), ()
 
 
-def has_known_length(task: Task, choices: Choices) -> bool:
-    """Whether objects that keep a known distance hold what moving together would make too sure."""
-    return choices.known is not None and choices.known.kind == "length" and task.scale is not None
-
-
 def state(task: Task, fit: Fit, choices: Choices) -> Answer:
     """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
     joint, comparison = selected(task, fit, choices)
@@ -255,30 +245,16 @@ def selected(task: Task, fit: Fit, choices: Choices) -> tuple[Fit, Comparison | 
     return (fit if free.all() else restricted_fit(task, fit, free)), comparison
 
 
-@dataclass(frozen=True)
-class Believed:
-    """An answer whose model was doubted."""
-
-    task: Task
-    answer: Answer
-    noise: Array
-    suspicions: tuple[tuple[EnlargedSet, Suspicion], ...]
-    freed: tuple[str, ...]
-    remarks: tuple[Remark, ...]
-    doubtful: Array  # (m, k): Root of the covariance that what is stated adds to that of the answer.
-
-
 def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict."""
     count = len(task.parameters.cameras)
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
-    loosened = np.zeros(count, dtype=np.int64)
+    loosened, suspicions, held = np.zeros(count, dtype=np.int64), list[Suspicion](), tuple[Remark, ...]()
     for number in range(MOST_ROUNDS):
         if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and doubted: these cameras are the best so far"
-            remarks = (Remark("time", text, is_reservation=True), *noise_remarks(task, noise), *freed_remarks(given_up))
-            nothing = np.zeros((task.parameters.size, 0))
-            return Believed(task, Answer(fit, 1.0, None), noise, tuple(given_up), freed, remarks, nothing)
+            answer, suspicions, held = Answer(fit, 1.0, None), [], (Remark("time", text, is_reservation=True),)
+            break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
         basis = with_stated_motion(task, answer.fit)
@@ -291,17 +267,18 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             fit = adjusted_anew(task, basis)
             continue
         enlarged, suspicions = suspected(task, answer)
+        held = held_remarks(enlarged, suspicions)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
         if wrong is None or last:
             break
         given_up.append((enlarged, wrong))
         freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
         task, fit = with_freed(task, basis, enlarged, wrong)
-    held = [(enlarged, suspicion) for suspicion in suspicions]
-    remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held_remarks(enlarged, suspicions))
     size = task.parameters.size
     doubtful = np.hstack([np.zeros((size, 0)), *(suspicion.spread[:size] for suspicion in suspicions)])
-    return Believed(task, answer, noise, (*given_up, *held), freed, remarks, doubtful)
+    tested = (*given_up, *((enlarged, suspicion) for suspicion in suspicions))
+    remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held)
+    return Believed(task, answer, noise, tested, freed, doubtful, remarks)
 
 
 def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
