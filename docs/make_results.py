@@ -281,7 +281,7 @@ def calibration(runs: int | None) -> str:
             ("the paper's priors (5 cm; 1, 7.5 and 1 degrees)", []),
             ("priors three times as wide", ["--prior-factor", "3"]),
         ):
-            found = benchmark("calibration_monte_carlo.py", "--jobs", "1", "--runs", str(runs or 10), *words)
+            found = benchmark("calibration_monte_carlo.py", "--jobs", "1", "--runs", str(runs or 30), *words)
             rotation, direction = found["rotation_deg"], found["direction_deg"]
             yield [
                 label, str(found["runs"]), str(found["within_5_bounds"]), f"{number(rotation['median'], 2)} deg",

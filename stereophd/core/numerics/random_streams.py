@@ -76,6 +76,7 @@ MOVE_REFERENCE = Purpose(
 # Streams of a fixed seed. Any number would do; another one changes results a little.
 SCRAMBLE_SEED = 5  # scramble of the low-discrepancy points of the estimators of one object
 SHARED_ERRORS_SEED = 0  # errors that `calibrate` draws to find how much of them a fit absorbs
+BENDS_SEED = 0  # draws of a posterior of cameras beside which `calibrate` looks at its bend
 GROUND_SEED = 0  # triples of places by which `init` finds the ground that bodies stand on
 NOISE_SEED = 0  # errors that `calibrate` draws to find the redundancy of each camera's detections
 COMPILED_SAMPLES_SEED = 0  # samples of the small filters that are built to compile the kernels; no result uses them

@@ -67,6 +67,7 @@ from stereophd.core.calibration.adjustment.solver import (
 from stereophd.core.calibration.adjustment.trajectories import banded_product
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.unknowns.scale import log_scale
+from stereophd.core.numerics.random_streams import BENDS_SEED
 
 # Prior standard deviation of the logarithm of the noise of the motion over what is stated, beside that of the scale.
 NOISE_STD = 0.5
@@ -86,6 +87,9 @@ MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
 KNOT_STEPS, KNOTS_SETTLED = 15, 1e-8
 # Step of differences of the gradient, in standard deviations by the normal equations.
 CURVATURE_STEP = 0.3
+# Directions of the posterior beyond this part of the prior are loose. Draws of these, beside which the bend of the
+# others is looked at, and their length in parts of theirs.
+LOOSE, BENDS, BEND_STEP = 0.1, 12, 0.5
 # Step of differences by the knots, in standard deviations of all together; part of the residual at which equations of
 # their second derivatives are solved, and most products with these.
 KNOT_DIFFERENCE, KNOTS_SOLVED, MOST_PRODUCTS = 0.1, 1e-3, 12
@@ -149,7 +153,9 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: flo
         change = posterior.gradient(beyond)[0] - posterior.gradient(before)[0]
         curvature[:, k] = root.T @ change / (CURVATURE_STEP * (ahead + behind))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
-    return within_prior(inverse.T @ curvature @ inverse, posterior.prior_std)[:size, :size]
+    covariance = within_prior(inverse.T @ curvature @ inverse, posterior.prior_std)
+    bends = _bends(posterior, at, covariance, np.random.default_rng(BENDS_SEED))
+    return (covariance + bends.T @ bends / max(len(bends) - 1, 1))[:size, :size]
 
 
 @dataclass(frozen=True)
@@ -321,6 +327,24 @@ class MarginalPosterior:
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point."""
         return posterior_covariance(at.equations, self.prior_std)
+
+
+def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.random.Generator) -> Array:
+    """Moves (d, u) of what is well known beside draws of what is loosely known, to second order.
+
+    A step of the loose directions and its opposite leave gradients whose mean, but for that at the minimum, is of
+    second order; the others move by their covariance times that.
+    """
+    std = posterior.prior_std
+    variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
+    root, loose = std[:, None] * vectors * np.sqrt(np.maximum(variances, 0.0)), variances > LOOSE**2
+    bends, gradient = [np.zeros(len(std))], posterior.gradient(at)[0]
+    for step in BEND_STEP * rng.standard_normal((BENDS, int(loose.sum()))) @ root[:, loose].T:
+        ends = [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
+        if len(ends) == 2 and ends[0][0] == ends[1][0]:
+            mean = sum(posterior.gradient(point)[0] for _, point in ends) / 2.0 - gradient
+            bends.append(-root[:, ~loose] @ (root[:, ~loose].T @ mean) / (BEND_STEP * ends[0][0]) ** 2)
+    return np.array(bends)
 
 
 def _short(bands: Array, direction: Array) -> float:
