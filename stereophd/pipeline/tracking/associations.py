@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.multi.association.attribution import Claims, join_claims
 from stereophd.core.multi.state.estimates import Estimates
@@ -59,25 +59,18 @@ class Associations:
         if claims is None or event.pixels is None or event.rows is None:
             return ()
         labels, detections, probabilities = join_claims(claims, LEAST_PROBABILITY)
+        pixels, rows = event.pixels[detections], event.rows[detections]
         ids = np.array([self.known.get(label, -1) for label in labels.tolist()], dtype=np.int64)
-        parts = []
-        for chosen, names in ((ids < 0, labels), (ids >= 0, ids)):
-            places = detections[chosen]
-            parts.append(
-                Associated(
-                    event.time_s,
-                    camera,
-                    event.frame,
-                    event.pixels[places],
-                    event.rows[places],
-                    names[chosen],
-                    probabilities[chosen],
-                )  # fmt: skip
+
+        def claimed(chosen: Booleans, names: Integers) -> Associated:
+            return Associated(
+                event.time_s, camera, event.frame, pixels[chosen], rows[chosen], names[chosen], probabilities[chosen]
             )
-        new, known = parts
-        if len(new.rows):
-            self.waiting.append(new)
-        return (known,) if len(known.rows) else ()
+
+        is_known = ids >= 0
+        if not is_known.all():
+            self.waiting.append(claimed(~is_known, labels))
+        return (claimed(is_known, ids),) if is_known.any() else ()
 
     def report(self, estimates: Estimates) -> Iterator[Associated]:
         """Take in which labels are reported; yield the claims of those that had not been reported before."""
