@@ -201,8 +201,8 @@ def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
     if covered < LEAST_BORN:
         yield Finding(
             "settings.depth_range", "warning",
-            f"rays meet at depths {where}, but filter.birth covers {number(low)} to {number(high)} {unit}: it seems to be "
-            "in another unit, or the centres of the cameras are",
+            f"rays meet at depths {where}, but filter.birth covers {number(low)} to {number(high)} {unit}: it seems "
+            "to be in another unit, or the centres of the cameras are",
             f"{low:.4g} to {high:.4g}", f"{scene.depths[0]:.4g} to {scene.depths[2]:.4g}", None,
             "set filter.birth.depth_range to these depths and some more", "depth_range",
             f"filter.birth.depth_range=[{0.7 * scene.depths[0]:.3g}, {1.5 * scene.depths[2]:.3g}]",
