@@ -108,9 +108,13 @@ def suspect(quadratic: QuadraticPosterior, enlarged: EnlargedSet, free: Integers
         both = np.append(free, group.places)
         inverse = np.asarray(np.linalg.inv(precision[np.ix_(both, both)]), dtype=np.float64)
         covariance, values = inverse[len(free) :, len(free) :], step[len(free) :]
+        # where other statements are far more doubtful the probability is too small for a covariance of its own
         spreads = [
-            _spread(precision, free, group.places, spread)
-            for spread in (covariance, probability * (covariance + np.outer(values, values)))
+            part * _spread(precision, free, group.places, spread)
+            for part, spread in (
+                (1.0, covariance),
+                (np.sqrt(probability), covariance + np.outer(values, values)),
+            )
         ]
         moves = [quadratic.tracks.relative_std(spread) / max(stated, LEAST_STATED) for spread in spreads]
         added = spreads[1][:size] * std[:, None]
