@@ -22,7 +22,7 @@ from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import wraps
 from typing import Any, TypeVar, dataclass_transform
 
-from stereophd.errors import InputError
+from stereophd.errors import InputError, nearest
 
 Class = TypeVar("Class")
 Result = TypeVar("Result")
@@ -82,8 +82,9 @@ def takes(kind: type[Any]) -> Callable[[Callable[..., Result]], Callable[..., Re
 
         @wraps(function)
         def call(*arguments: Any, options: Any = None, **words: Any) -> Result:
-            if unknown := [name for name in words if name not in (*names, *plain.parameters)]:
-                raise InputError(f"`{unknown[0]}`: expected one of {', '.join(names)}, found another name")
+            known = [*(name for name in plain.parameters if name != "options"), *names]
+            if unknown := [name for name in words if name not in known]:
+                raise InputError(f"`{unknown[0]}`: unknown argument{nearest(unknown[0], known)}")
             stated = {name: words.pop(name) for name in names if name in words}
             chosen = kind(**stated) if options is None else replace(options, **stated)
             for name, declared in declarations(kind).items():

@@ -154,7 +154,7 @@ class TestOutputs:
             (lambda run: stereophd.track(3), "detections: expected a path, outputs or a table, found int"),
             (lambda run: stereophd.track(run.scans, 3), "found no u_px, v_px"),
             (lambda run: stereophd.track(ROOT, cameras=3), "cameras: expected a path, outputs or `Camera` objects"),
-            (lambda run: stereophd.track(ROOT, run, job=3), "`job`: expected one of force, jobs"),
+            (lambda run: stereophd.track(ROOT, run, job=3), "`job`: unknown argument; did you mean jobs?"),
             (lambda run: stereophd.evaluate(run, {"x": [1]}), "missing columns time_s"),
             (lambda run: stereophd.evaluate(run, 3), "truth: expected a path, outputs or a table, found int"),
             (lambda run: stereophd.report_page(3), "expected a path or outputs, found int"),

@@ -10,6 +10,7 @@ import sys
 import tomllib
 import types
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -73,15 +74,26 @@ def test_addresses_are_one() -> None:
     assert f"home: {SITE}" in text("recipe/meta.yaml")
 
 
+def script(name: str) -> Any:
+    """Return a script of the documents as a module."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_a_measured_number_has_one_home() -> None:
+    numbers = script("list_numbers")
+    measured = {number for number in numbers.twice() if "." in number}
+    assert measured == set(numbers.REVIEWED)
+
+
 def test_the_readme_of_the_index_has_addresses_that_the_site_has(monkeypatch: pytest.MonkeyPatch) -> None:
     interface = types.SimpleNamespace(MetadataHookInterface=object)  # hatchling is there only while it builds
     monkeypatch.setitem(sys.modules, "hatchling.metadata.plugin.interface", interface)
-    spec = importlib.util.spec_from_file_location("index_readme", DOCS / "index_readme.py")
-    assert spec is not None
-    assert spec.loader is not None
-    hook = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(hook)
-    shown = hook.with_addresses(text("README.md"), SITE, "SOURCE")
+    shown = script("index_readme").with_addresses(text("README.md"), SITE, "SOURCE")
     addresses = LINK.findall(shown)
     assert [address for address in addresses if not address.startswith((SITE, "SOURCE/blob/main/"))] == []
     assert f"{SITE}figures/demo.gif" in addresses

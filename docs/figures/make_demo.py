@@ -41,18 +41,18 @@ def main(folder: Path, target: Path) -> None:
         axis: (min(values.min(), own.min()) - 0.3, max(values.max(), own.max()) + 0.3)
         for (axis, values), own in zip(signed.items(), (centers * [1, -1, 1]).T, strict=True)
     }
-    figure = plt.figure(figsize=(8.0, 4.0), dpi=80)
-    grid = figure.add_gridspec(len(cameras), 2, width_ratios=[1, 2], left=0.03, right=0.99, top=0.9, bottom=0.03)
+    figure = plt.figure(figsize=(8.6, 4.2), dpi=80)
+    grid = figure.add_gridspec(len(cameras), 1, left=0.03, right=0.27, top=0.9, bottom=0.02, hspace=0.06)
     images = []
     for row, camera in enumerate(cameras):
-        axes = figure.add_subplot(grid[row, 0], facecolor="black")
+        axes = figure.add_subplot(grid[row], facecolor="black")
         axes.set(xlim=(0, camera.width), ylim=(camera.height, 0), xticks=[], yticks=[])
         axes.set_ylabel(camera.name, fontsize=8)
         axes.set_aspect("equal")
-        images.append(axes.scatter([], [], s=6, c="white"))
-    scene = figure.add_subplot(grid[:, 1], projection="3d")
-    figure.text(0.02, 0.94, "detections: three cameras, three frame rates, false ones too", fontsize=9)
-    figure.text(0.62, 0.94, "tracks in 3-D", fontsize=9)
+        images.append(axes.scatter([], [], s=9, c="white"))
+    scene = figure.add_axes((0.28, -0.02, 0.7, 1.0), projection="3d")
+    figure.text(0.02, 0.94, "you have: unlabelled detections, some false", fontsize=10, weight="bold")
+    figure.text(0.72, 0.94, "you get: tracks in 3-D", fontsize=10, weight="bold")
 
     def draw(number: int) -> None:
         time = START_S + number / FRAMES_PER_S
@@ -63,17 +63,18 @@ def main(folder: Path, target: Path) -> None:
         scene.set(xlim=limits["x"], ylim=limits["z"], zlim=limits["y"], xlabel="x, m", ylabel="depth, m")
         scene.set_zlabel("height, m")
         scene.view_init(30, -50)
-        scene.set_box_aspect((5, 8, 3), zoom=1.05)
+        scene.set_box_aspect((5, 8, 3), zoom=1.08)
         for camera in cameras:
             x, y, z = camera.pose.center
-            scene.scatter([x], [z], [-y], marker="s", c="black", s=14)
+            scene.scatter([x], [z], [-y], marker="s", c="black", s=18)
+            scene.text(x, z, -y + 0.5, camera.name, fontsize=8)
         shown = (tracks["time_s"] <= time) & (tracks["time_s"] > time - TRAIL_S) & (tracks["status"] == "confirmed")
         for track in np.unique(tracks["track_id"][shown]):
             rows = shown & (tracks["track_id"] == track)
             x, y, z = (tracks[axis][rows] for axis in "xyz")
             colour = COLOURS[int(track) % len(COLOURS)]
-            scene.plot(x, z, -y, color=colour, linewidth=1.5)
-            scene.scatter(x[-1:], z[-1:], -y[-1:], color=[colour], s=22)
+            scene.plot(x, z, -y, color=colour, linewidth=2.5)
+            scene.scatter(x[-1:], z[-1:], -y[-1:], color=[colour], s=36)
 
     animation = FuncAnimation(figure, draw, frames=round((END_S - START_S) * FRAMES_PER_S))
     animation.save(target, writer=PillowWriter(fps=FRAMES_PER_S))

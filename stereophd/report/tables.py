@@ -21,7 +21,10 @@ class SummaryTable:
 def table_text(table: SummaryTable) -> str:
     """Return a table as text for a terminal: its title, and its rows and notes indented below it."""
     if table.title == CHECKS:
-        lines = [f"{name} ({camera}): {state} Remedy: {remedy}." for name, camera, state, remedy in table.rows]
+        lines = [
+            f"{name} ({camera}): {state}{'' if remedy == '-' else f' Remedy: {remedy}.'}"
+            for name, camera, state, remedy in table.rows
+        ]
     else:
         head = [table.header] if table.header else []
         lines = aligned([*head, *table.rows], table.words) if table.rows else []
