@@ -44,6 +44,8 @@ def ring(count: int, rate_hz: float = 20.0, duration_s: float = 2.0) -> dict[str
         cameras[f"c{k:03d}"] = {**left, "pose": pose, "phase_s": k / count / rate_hz, "frame_rate_hz": rate_hz}
     document["cameras"] = cameras
     document["simulate"]["duration_s"] = duration_s
+    # within an hour some lives are long: their accelerations take those objects out of the ring
+    document["simulate"]["objects"]["stay_in_view"] = "none"
     return dict(document)
 
 

@@ -108,13 +108,6 @@ def _range(drawing: Drawing, axis: int) -> str:
     return f"[{drawing.low[axis]:g}, {drawing.high[axis]:g}]"
 
 
-def _combine(stay_in_view: str, seen: Booleans) -> Booleans:
-    """Return whether points (n,) seen by cameras (c, n) are in view as asked."""
-    if stay_in_view == "none":
-        return np.ones(seen.shape[1], dtype=np.bool_)
-    return np.asarray(seen.all(axis=0) if stay_in_view == "all" else seen.any(axis=0), dtype=np.bool_)
-
-
 def _stays_in_view_coarsely(
     stay_in_view: str,
     cameras: Sequence[Camera],
@@ -125,13 +118,16 @@ def _stays_in_view_coarsely(
     last_s: float,
 ) -> Booleans:
     """Return which paths without noise (n,) are in view at a few instants: cheap, and most fail here."""
+    if stay_in_view == "none":
+        return np.ones(len(positions), dtype=np.bool_)
     # The last instant stays clear of the end, which no frame reaches.
     times_s = first_s + (last_s - first_s) * np.arange(COARSE_INSTANTS) / COARSE_INSTANTS
     flow = motion.flow(times_s - first_s)
     points = positions[:, None] + velocities[:, None] * flow.reach[:, None] + flow.drift[:, :3]
     instants = np.broadcast_to(times_s, points.shape[:2])
     seen = np.stack([in_view_at(camera, points.reshape(-1, 3), instants.reshape(-1)) for camera in cameras])
-    return np.asarray(_combine(stay_in_view, seen).reshape(points.shape[:2]).all(axis=1), dtype=np.bool_)
+    seen = np.all(seen, axis=0) if stay_in_view == "all" else np.any(seen, axis=0)
+    return np.asarray(seen.reshape(points.shape[:2]).all(axis=1), dtype=np.bool_)
 
 
 def _stays_in_view(
@@ -148,7 +144,8 @@ def _stays_in_view(
             break
         times_s = grid.times(max(lower_s, candidate.birth_s), min(upper_s, end_s))
         points = path.states(times_s)[:, :3]
-        seen = np.stack([in_view_at(camera, points, times_s) for camera in cameras])
-        if not _combine(stay_in_view, seen).all():
+        looks = (in_view_at(camera, points, times_s) for camera in cameras)
+        # most candidates that leave leave the view of the first cameras: the others need not look
+        if not (all(look.all() for look in looks) if stay_in_view == "all" else np.any(list(looks), axis=0).all()):
             return False
     return True

@@ -80,6 +80,8 @@ def _buffered(values: NDArray[Any], kind: pa.DataType, nulls: NDArray[np.bool_] 
 def _has_rows(value: Any) -> bool:
     """Whether a value is an array or list, rather than one value for all rows."""
     # the commonest single values by their types: np.ndim would make arrays of them
+    if type(value) is np.ndarray:
+        return value.ndim > 0
     return not isinstance(value, (str, float, int)) and np.ndim(value) > 0
 
 
@@ -101,6 +103,7 @@ class TableWriter:
         self.path = Path(path)
         self.schema = schema.with_metadata(dict(metadata)) if metadata else schema
         self.rows = 0
+        self._names = frozenset(schema.names)
         self._row_group_rows = row_group_rows or ROW_GROUP_ROWS
         self._buffer: list[tuple[dict[str, Any], int]] = []
         self._buffered = 0
@@ -120,7 +123,7 @@ class TableWriter:
         6) or (n, 36). At least one column must be an array. Raises ValueError for missing or unknown columns, or arrays
         of different lengths.
         """
-        if set(columns) != set(self.schema.names):
+        if columns.keys() != self._names:
             raise ValueError(f"expected the columns {self.schema.names}, found {sorted(columns)}")
         lengths = {len(value) for value in columns.values() if _has_rows(value)}
         if len(lengths) != 1:

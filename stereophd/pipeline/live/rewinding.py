@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from stereophd.core.disparity.events import Event
+from stereophd.pipeline.tracking.associations import Associations
 from stereophd.pipeline.tracking.knocked import KnockTest
 from stereophd.pipeline.tracking.loop import (
     Attribution,
@@ -115,11 +116,5 @@ def _key(event: Event) -> tuple[float, int, int]:
 
 def copy_of(run: RunState[Any]) -> RunState[Any]:
     """Return a copy of a run that does not change when the run continues; states and records are frozen already."""
-    waiting = run.associations
-    associations = replace(
-        waiting,
-        known=dict(waiting.known),
-        claimed=dict(waiting.claimed),
-        pending={label: list(rows) for label, rows in waiting.pending.items()},
-    )
+    associations = Associations(dict(run.associations.known), list(run.associations.waiting))
     return replace(run, attribution=Attribution(dict(run.attribution.pending)), associations=associations)

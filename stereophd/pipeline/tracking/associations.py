@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.disparity.events import Event
-from stereophd.core.multi.association.attribution import Claims
+from stereophd.core.multi.association.attribution import Claims, join_claims
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.numerics.rows import ArrayRows
 
@@ -51,60 +51,39 @@ class Associations:
     """Claims of labels until they are reported as tracks."""
 
     known: dict[int, int] = field(default_factory=dict)  # Label -> track of the labels that have been reported
-    # Number of an event -> what was claimed in it, of events with claims that wait: thousands of labels may wait with
-    # claims to one event.
-    claimed: dict[int, Associated] = field(default_factory=dict)
-    # Label -> (number of an event, row in it), of the labels that are not reported yet.
-    pending: dict[int, list[tuple[int, int]]] = field(default_factory=dict)
-    events: int = 0
+    # What labels that were not reported yet claimed, an event each, in order of time: labels in the place of tracks.
+    waiting: list[Associated] = field(default_factory=list)
 
     def update(self, event: Event, camera: str, claims: Claims | None) -> tuple[Associated, ...]:
         """Take in the claims of an event; return those of the labels that have been reported before it."""
         if claims is None or event.pixels is None or event.rows is None:
             return ()
-        labels, places, probabilities = _joined(claims)
-        if not len(labels):
-            return ()
-        found = Associated(
-            event.time_s, camera, event.frame, event.pixels[places], event.rows[places], labels, probabilities
-        )
+        labels, detections, probabilities = join_claims(claims, LEAST_PROBABILITY)
+        pixels, rows = event.pixels[detections], event.rows[detections]
         ids = np.array([self.known.get(label, -1) for label in labels.tolist()], dtype=np.int64)
-        known = ids >= 0
-        if not known.all():
-            self.claimed[self.events] = found
-            for row in np.flatnonzero(~known).tolist():
-                self.pending.setdefault(int(labels[row]), []).append((self.events, row))
-            self.events += 1
-        return (replace(found.take(known), track_ids=ids[known]),) if known.any() else ()
+
+        def claimed(chosen: Booleans, names: Integers) -> Associated:
+            return Associated(
+                event.time_s, camera, event.frame, pixels[chosen], rows[chosen], names[chosen], probabilities[chosen]
+            )
+
+        is_known = ids >= 0
+        if not is_known.all():
+            self.waiting.append(claimed(~is_known, labels))
+        return (claimed(is_known, ids),) if is_known.any() else ()
 
     def report(self, estimates: Estimates) -> Iterator[Associated]:
         """Take in which labels are reported; yield the claims of those that had not been reported before."""
         for track_id, label in zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True):
+            if label not in self.known:
+                for claimed in self.waiting:
+                    for row in np.flatnonzero(claimed.track_ids == label).tolist():
+                        yield replace(claimed.take(np.array([row])), track_ids=np.array([track_id]))
             self.known[label] = track_id
-            for event, row in self.pending.pop(label, ()):
-                yield replace(self.claimed[event].take(np.array([row])), track_ids=np.array([track_id]))
 
     def keep(self, labels: Integers) -> None:
         """Forget all labels but these: memory does not grow with the log."""
         alive = set(labels.tolist())
         self.known = {label: track for label, track in self.known.items() if label in alive}
-        self.pending = {label: rows for label, rows in self.pending.items() if label in alive}
-        waiting = {event for rows in self.pending.values() for event, _ in rows}
-        self.claimed = {event: found for event, found in self.claimed.items() if event in waiting}
-
-
-def _joined(claims: Claims) -> tuple[Integers, Integers, Array]:
-    """Return labels, detections and probabilities with the alternatives of a label added up, negligible ones left out.
-
-    Rows are in order of detection, then of label.
-    """
-    kept = np.flatnonzero(claims.labels >= 0)
-    order = kept[np.lexsort((claims.labels[kept], claims.detections[kept]))]
-    labels, detections = claims.labels[order], claims.detections[order]
-    if not len(order):
-        return labels, detections, claims.probabilities[order]
-    starts = np.flatnonzero(np.append(True, (np.diff(labels) != 0) | (np.diff(detections) != 0)))
-    probabilities = np.add.reduceat(claims.probabilities[order], starts)
-    probable = probabilities >= LEAST_PROBABILITY
-    starts = starts[probable]
-    return labels[starts], detections[starts], probabilities[probable]
+        new = alive - self.known.keys()
+        self.waiting = [one for one in self.waiting if not new.isdisjoint(one.track_ids.tolist())]

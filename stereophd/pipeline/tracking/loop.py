@@ -228,7 +228,7 @@ def _supported(estimates: Estimates, run: RunState[State], cameras: int) -> Esti
     pending = run.attribution.pending
     least = 1 if run.events < cameras else SUPPORT
     kept = np.array([len(pending.get(label, ())) >= least for label in tentative.labels.tolist()], dtype=bool)
-    return replace(estimates, tentative=tentative.take(kept) if kept.any() else None)
+    return estimates if kept.all() else replace(estimates, tentative=tentative.take(kept) if kept.any() else None)
 
 
 def forecasts(

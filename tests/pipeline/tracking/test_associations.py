@@ -78,8 +78,7 @@ def test_claims_wait_until_their_label_is_reported() -> None:
     assert (second.pixels.tolist(), second.track_ids.tolist()) == ([[30, 40]], [0])
     book.keep(np.array([3]))
     assert list(book.report(estimates((1, 8)))) == []
-    assert not book.pending
-    assert not book.claimed
+    assert not book.waiting
 
 
 @pytest.mark.parametrize(

@@ -154,15 +154,14 @@ def test_claims_to_one_event_are_kept_once() -> None:
     count = 2000
     rows = np.arange(count)
     event = Associated(1.0, "left", 7, np.zeros((count, 2)), rows, rows, np.ones(count))
-    pending = {int(label): [(0, int(label))] for label in rows}
-    run = RunState(None, associations=Associations({-1: 5}, {0: event}, pending, 1))
+    run = RunState(None, associations=Associations({-1: 5}, [event]))
     kind: Any = RunState
     content = encode(run)
     assert len(content) < 100 * count
     restored = decoder(kind[None])(content).associations
     assert restored.known == {-1: 5}
-    assert restored.pending == pending
-    assert restored.claimed[0].camera == "left"
+    assert restored.waiting[0].camera == "left"
+    np.testing.assert_array_equal(restored.waiting[0].track_ids, rows)
 
 
 def kept(out: Path) -> dict[str, bytes]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import stable_order
+from stereophd.core.numerics.sorting import picked, places, stable_order
 
 # In the place of a detection where none is more probable than all others together.
 UNDECIDED = -1
@@ -35,6 +35,29 @@ def claims_of(labels: Integers, weights: Array, n_missed: int, updated: Integers
     for k in range(n_detected):
         detections[k] = _detection_of(k, updated)
     return Claims(labels[n_missed:].copy(), detections, weights[n_missed:].copy())
+
+
+@compiled
+def join_claims(claims: Claims, least: float) -> Claims:
+    """Return claims with the alternatives of a label and detection added up, those of less than `least` left out.
+
+    Rows are in order of detection, then of label.
+    """
+    labels, detections, probabilities = claims
+    order = places(labels >= 0)
+    order = picked(order, stable_order(picked(labels, order)))
+    order = picked(order, stable_order(picked(detections, order)))
+    rows, sums = np.empty(len(order), dtype=np.int64), np.empty(len(order))
+    count, start = 0, 0
+    while start < len(order):
+        k, end = order[start], start + 1
+        rows[count], sums[count] = k, probabilities[k]
+        while end < len(order) and labels[order[end]] == labels[k] and detections[order[end]] == detections[k]:
+            sums[count] += probabilities[order[end]]
+            end += 1
+        count += 1 if sums[count] >= least else 0
+        start = end
+    return Claims(picked(labels, rows[:count]), picked(detections, rows[:count]), sums[:count])
 
 
 @compiled
