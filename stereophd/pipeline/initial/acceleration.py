@@ -3,8 +3,10 @@
 The value of greatest likelihood over the whole log (tuning by the innovations: Y. Bar-Shalom, X. R. Li and T.
 Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001, section 5.4) describes the usual motion.
 Real objects turn in short manoeuvres, which a log of mostly steady flight outvotes, and a track that does not follow
-a manoeuvre costs more than one that settles late. The likelihood is therefore compared in short windows as well, and
-the value is large enough for all windows but a few.
+a manoeuvre costs more than one that settles late. Short windows of the log are therefore a sample of a population of
+accelerations, whose distribution is that of greatest likelihood (N. Laird, "Nonparametric maximum likelihood estimation
+of a mixing distribution", JASA 73, 1978). The value is large enough for nearly all of it. Where the acceleration does
+not vary, the population is one value, and chance in single windows moves it little.
 """
 
 import logging
@@ -32,11 +34,11 @@ from stereophd.pipeline.tracking.loop import run_estimator
 LEAST_EVENTS = 20
 # Factor between neighbouring values, and their number in either direction from the first.
 FACTOR, MOST_STEPS = 3.0, 8
-# Log-likelihood that counts as a difference, over all events and in one window of many: by the former two in a hundred
-# windows differ by chance.
-LEAST_GAIN, WINDOW_GAIN = 2.0, 6.0
-# Events of a window, and the share of the windows whose manoeuvres may be left out: at least one.
-WINDOW, LEFT_OUT = 25, 0.02
+# Log-likelihood that a smaller value must gain: where objects keep their velocity, it rises without end.
+LEAST_GAIN = 2.0
+# Events of a window, the share of the population whose manoeuvres may be left out, and the steps in which its
+# distribution is found.
+WINDOW, LEFT_OUT, STEPS = 25, 0.02, 500
 # Acceleration to start from over the spread of the velocity, 1/s.
 USUAL_RATIO = 0.3
 
@@ -93,29 +95,34 @@ def estimate_acceleration(
         if likelihoods(rounded(usual * factor)).sum() > likelihoods(usual).sum() + LEAST_GAIN:
             usual = rounded(usual * factor)
             break
-    value = usual
-    for _ in range(MOST_STEPS):
-        likelihoods(rounded(value * FACTOR))
-        following = max(usual, _of_windows(found))
-        if following <= value:
+    for _ in range(MOST_STEPS):  # until it lies within the values tried, with its neighbours among them
+        value = _of_windows(found)
+        missing = {rounded(value * FACTOR**power) for power in (-0.5, 0.5)} - found.keys()
+        if value == max(found):
+            missing = {rounded(value * FACTOR)}
+        if not missing or value <= usual:
             break
-        value = following
-    if value > usual:  # the windows bound it from below
-        value = rounded(value * FACTOR)
+        for neighbour in missing:
+            likelihoods(neighbour)
+    value = max(usual, _of_windows(found))
     best = found[usual].sum()
     tried = {a: round(float(one.sum() - best), 2) for a, one in found.items()}
     return AccelerationEstimate(value, usual, tried, sum(map(len, parts)))
 
 
 def _of_windows(found: dict[float, Array]) -> float:
-    """Return the least value that is as good as any in all windows but a few."""
+    """Return the least value that is enough for all but a few of the population that windows of the log show."""
     values = sorted(found)
     table = np.stack([found[value] for value in values])
     count = max(1, table.shape[1] // WINDOW)
     windows = np.stack([part.sum(axis=1) for part in np.array_split(table, count, axis=1)], axis=1)
-    least = (windows >= windows.max(axis=0) - WINDOW_GAIN).argmax(axis=0)
-    left_out = min(count - 1, max(1, int(LEFT_OUT * count)))
-    return values[int(np.sort(least)[::-1][left_out])]
+    likelihood = np.exp(windows - windows.max(axis=0))
+    shares = np.full(len(values), 1.0 / len(values))
+    for _ in range(STEPS):
+        joint = shares[:, None] * likelihood
+        shares = (joint / joint.sum(axis=0)).mean(axis=1)
+    left_out = min(0.5, max(LEFT_OUT, 1.5 / count))  # whatever a single window shows
+    return values[int((np.cumsum(shares) >= 1.0 - left_out).argmax())]
 
 
 def with_estimated_motion(loaded: LoadedConfig, log_path: Path | str) -> tuple[LoadedConfig, dict[str, Any] | None]:

@@ -13,6 +13,7 @@
   const MANY = 40;  // labels of more tracks than this hide what they name, and take seconds to draw
   const FAR = 2.5;  // what makes the scene larger than most of the objects by this factor does not set the view
   const MARKERS = 4000;  // of a plot; each is an element of the page
+  const VERTICES = 10000;  // of the lines of a scene: they take most of the time of a scene without a graphics card
   const ROWS = 20, PRINTED_ROWS = 200;  // of a table
 
   // Numbers come as base64 of 32-bit floats.
@@ -61,12 +62,13 @@
     return low - 1;
   };
   const paths = (p) => ({ t: numbers(p.t), x: numbers(p.x), y: numbers(p.y), z: numbers(p.z) });
-  // Rows of several paths as one line, with gaps between them, and a number for each row.
+  // Rows of several paths as one line, with gaps between them, and a number for each row; of many, some and the last.
   const joined = (p, keep) => {
-    const rows = paths(p), out = { x: [], y: [], z: [], k: [], text: [] };
+    const rows = paths(p), out = { x: [], y: [], z: [], k: [], text: [] }, spans = p.ids.map((_, k) => keep(rows, k));
+    const step = Math.ceil(spans.reduce((sum, [from, to]) => sum + to - from, 0) / VERTICES);
     for (let k = 0; k < p.ids.length; k++) {
-      const [from, to] = keep(rows, k);
-      for (let i = from; i < to; i++) {
+      const [from, to] = spans[k];
+      for (let i = from; i < to; i = i + step < to || i === to - 1 ? i + step : to - 1) {
         out.x.push(rows.x[i]); out.y.push(rows.y[i]); out.z.push(rows.z[i]); out.k.push(k % COLOURS.length);
         out.text.push(`track ${p.ids[k]}, ${clock(rows.t[i] + run().start)}`);
       }
@@ -98,7 +100,7 @@
   // The middle 98 % of each coordinate of what moves, with a margin, and whether all that is drawn is much larger: cameras
   // far away, a track that goes astray. Null where nothing moves.
   const extent = (r) => {
-    const all = ["x", "y", "z"].map((name) => [r.tracks, r.truth].flatMap((p) => (p && p.ids.length ? Array.from(numbers(p[name])) : [])).filter((q) => !Number.isNaN(q)).sort((a, b) => a - b));
+    const all = ["x", "y", "z"].map((name) => Float32Array.from([r.tracks, r.truth].flatMap((p) => (p && p.ids.length ? Array.from(numbers(p[name])) : [])).filter((q) => !Number.isNaN(q))).sort());
     if (all.some((values) => !values.length)) return null;
     const inner = all.map((q) => [q[Math.floor(0.01 * (q.length - 1))], q[Math.ceil(0.99 * (q.length - 1))]]);
     const outer = all.map((q, a) => { const eyes = r.cameras.map((c) => numbers(c.corners)[a]); return [Math.min(q[0], ...eyes), Math.max(q[q.length - 1], ...eyes)]; });
@@ -422,8 +424,7 @@
     sayTime();
     by("labels").checked = labelled(r.tracks ? r.tracks.ids.length : 0);
     by("fit").checked = !!fitted(r);
-    if (there.scene) { drawScenes(); keepImage(); }
-    drawFlat();
+    setTimeout(() => { if (there.scene) { drawScenes(); keepImage(); } drawFlat(); }, FRAME_MS);  // text and tables are there first
   };
   // A section is drawn when it comes near the window, and again when it is stale by then; on paper all are.
   const DRAW = { comparison: drawComparison, frames: drawFrame, tracks: drawLives, residuals: drawResiduals, scans: drawScores, calibration: drawCalibration };
