@@ -1,14 +1,25 @@
-"""Where messages go, and how they and reports write counts and shares."""
+"""Where messages go, and how they and reports write counts, numbers and shares."""
 
 import logging
 
 #: The logger of every message about a run that goes on; errors end one.
 LOGGER = logging.getLogger("stereophd")
 
+# Numbers from here on are written with powers of ten.
+LARGEST_PLAIN = 1e7
+
 
 def counted(count: int, noun: str) -> str:
     """Return a count with its noun, whose plural has an s: ``1 run``, ``2 runs``."""
     return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def number(value: float | None, digits: int = 3) -> str:
+    """Return a number with `digits` significant digits, without powers of ten for usual sizes."""
+    if value is None:
+        return "-"
+    text = f"{value:.{digits}g}"
+    return f"{value:.0f}" if "e+" in text and abs(value) < LARGEST_PLAIN else text
 
 
 def percent(share: float) -> str:

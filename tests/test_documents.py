@@ -112,8 +112,12 @@ def test_the_version_of_the_citation_and_the_recipe_is_that_of_the_package() -> 
 
 
 def command_lines() -> list[tuple[str, str]]:
-    """Return the lines with `stereophd` in the shell blocks of the documents, continued lines joined."""
+    """Return the lines with `stereophd` in the documents' shell blocks and configurations, continued lines joined."""
     found = []
+    for path in sorted((ROOT / "configs").rglob("*.yaml")):
+        comments = re.sub(r"\\\n#\s*", " ", path.read_text(encoding="utf-8"))
+        found += [(path.name, line) for line in re.findall(r"^# +(stereophd .*)$", comments, re.MULTILINE)]
+        assert re.findall(r"^#  +--.*$", comments, re.MULTILINE) == [], f"{path.name}: a line is not continued"
     for name in OF_THE_PRESENT:
         for language, block in re.findall(r"^```(\w*)\n(.*?)^```", text(name), re.MULTILINE | re.DOTALL):
             if language not in ("sh", "bash", "yaml", ""):
@@ -134,6 +138,11 @@ def test_command_lines_use_options_that_exist(name: str, line: str) -> None:
     options = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
     options |= {"--help", "-h", "--install-completion", "--show-completion"}
     assert {word.split("=")[0] for word in words if re.match(r"^--?[a-z]", word)} <= options
+
+
+def test_every_benchmark_is_listed() -> None:
+    scripts = {path.name for path in (ROOT / "benchmarks").glob("*.py")}
+    assert set(re.findall(r"^\| `(\w+\.py)`", text("benchmarks/README.md"), re.MULTILINE)) == scripts
 
 
 @pytest.mark.parametrize("name", OF_THE_PRESENT)

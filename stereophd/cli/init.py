@@ -47,7 +47,7 @@ def _detector(name: str, detector: dict[str, Any]) -> str:
     noise = " x ".join(f"{sigma:g}" for sigma in detector["sigma_px"])
     return (
         f"{name}: noise {noise} px, probability of detection {detector['p_detect']:g}, "
-        f"{detector['clutter_per_frame']:g} false detections a frame  {detector['source']}"
+        f"{detector['clutter_per_frame']:g} false detections per frame  {detector['source']}"
     )
 
 

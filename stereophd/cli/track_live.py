@@ -52,7 +52,7 @@ def run_live(
     typer.echo(
         f"{done['frames']['frames']} frames, {done['late_frames']} of them late ({done['revised_events']} events "
         f"revised), {done['frames']['too_late']} too late; from frame to row {latency['p50']:.1f} ms in the median, "
-        f"{latency['p99.9']:.1f} ms for 99.9 % (processor time {processor['p50']:.1f} and {processor['p99.9']:.1f} ms)",
+        f"{latency['p99.9']:.1f} ms for 99.9 % (CPU time {processor['p50']:.1f} and {processor['p99.9']:.1f} ms)",
         err=True,
     )
 

@@ -78,7 +78,7 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
 
     Arrivals come from a source as in `stereophd.io.streams.sources`, whose name serves messages; an interrupt ends them
     like the end of the stream. Returns counts of frames, late, revised and bad ones, percentiles: ``latency_ms``, of
-    the time from the arrival of a frame to its row, and ``processor_ms``, of the processor time of a frame. Raises
+    the time from the arrival of a frame to its row, and ``processor_ms``, of the CPU time of a frame. Raises
     InputError if the configuration is for whole logs only, if a frame is bad and ``input.on_bad_row`` is ``error``, or
     if an output cannot be written.
     """

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
-from stereophd.report.summaries import number
+from stereophd.wording import number
 
 
 def alignments_text(report: Mapping[str, Any]) -> str:

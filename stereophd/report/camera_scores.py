@@ -5,8 +5,9 @@ from typing import Any
 
 from stereophd.core.calibration.unknowns.quantities.base import RADIANS, SUFFIXES, Quantity
 from stereophd.core.calibration.unknowns.quantities.registry import quantities, quantity_of
-from stereophd.report.summaries import number, share
+from stereophd.report.summaries import share
 from stereophd.report.tables import SummaryTable, table_text
+from stereophd.wording import number
 
 # Errors up to this are rounding of the files of cameras, in any unit.
 ROUNDING = 1e-12

@@ -10,14 +10,14 @@ from stereophd.report.tables import SummaryTable, table_text
 
 
 def results_text(results: Results) -> str:
-    """Return a table for each quantity, a row for each case and method, and the processor times as text."""
+    """Return a table for each quantity, a row for each case and method, and the CPU times as text."""
     tables = [_table(results, quantity) for quantity in _quantities(results)]
     medians, ratios = results.timing["cpu_s_per_run"], results.timing["ratio_to_first_method"]
     first = next(iter(medians))
     lines = []
     for method, seconds in medians.items():
         ratio = "" if method == first or ratios[method] is None else f", {ratios[method]:.3g} times {first}"
-        lines.append(f"processor time a run, {method}: {1e3 * seconds:.3g} ms{ratio}")
+        lines.append(f"CPU time per run, {method}: {1e3 * seconds:.3g} ms{ratio}")
     return "\n\n".join([*(table_text(table) for table in tables if table.rows), "\n".join(lines)])
 
 

@@ -8,14 +8,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from stereophd.report.tables import CHECKS, SummaryTable, table_text
-from stereophd.wording import counted, percent
+from stereophd.wording import counted, number, percent
 
 # Tracks that the terminal lists.
 TRACKS_SHOWN = 20
 # Cameras that have their own column in the table of tracks.
 CAMERAS_SHOWN = 6
-# Numbers from here on are written with powers of ten.
-LARGEST_PLAIN = 1e7
 
 # What determined the scale of calibrated cameras, in words.
 SCALES = {
@@ -26,14 +24,6 @@ SCALES = {
     "speed": "the stated speed of the objects",
     "length": "the stated distance of two objects",
 }
-
-
-def number(value: float | None, digits: int = 3) -> str:
-    """Return a number with `digits` significant digits, without powers of ten for usual sizes."""
-    if value is None:
-        return "-"
-    text = f"{value:.{digits}g}"
-    return f"{value:.0f}" if "e+" in text and abs(value) < LARGEST_PLAIN else text
 
 
 def shown_unit(unit: str) -> tuple[float, str]:

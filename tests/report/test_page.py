@@ -24,7 +24,8 @@ from stereophd.errors import InputError
 from stereophd.pipeline.inspection.runs import Run, read_runs
 from stereophd.report.page.columns import Paths, chosen, paths_of, thinned
 from stereophd.report.page.document import page, script_hash
-from stereophd.report.summaries import number, run_tables, verdict
+from stereophd.report.summaries import run_tables, verdict
+from stereophd.wording import number
 from tests.commands.test_track import SCENE
 
 pytest.importorskip("plotly", reason="the page needs plotly (the extra report)")

@@ -73,11 +73,12 @@ class Cut(NamedTuple):
     odds: float
 
 
-def choose_anew(tracks: Sequence[Chain], run: WholeRun) -> list[Chain]:
+def choose_anew(tracks: Sequence[Chain], run: WholeRun) -> tuple[list[Chain], Booleans]:
     """Let smoothed tracks, over events from their first to their last, choose their detections anew.
 
-    No two have the same detection; the objects of the run move. Returns the same tracks: smoothed again from their
-    detections if any of these changed, and otherwise those given.
+    No two have the same detection; the objects of the run move. Returns the same tracks, smoothed again from their
+    detections if any of these changed, and otherwise those given; and the events (r,) about which they still changed
+    when the work that is allowed there was done.
     """
     book = _Book(tracks, _owners(tracks, run), run)
     interval = _frame_interval(run)
@@ -93,7 +94,9 @@ def choose_anew(tracks: Sequence[Chain], run: WholeRun) -> list[Chain]:
             if not sum(book.swap_ends(width * interval) for width in WINDOWS if width):
                 break
             touched.append(book.settle())
-    return book.tracks
+    else:
+        book.stopped |= touched[-1]
+    return book.tracks, book.stopped
 
 
 def proposed_changes(tracks: Sequence[Chain], run: WholeRun, width: float, where: Booleans) -> Iterator[Change]:
@@ -161,6 +164,8 @@ class _Book:
         for track in self.tracks:
             self._work[track.trajectory.events] += MOST_WORK
         self._ends = 2 * self._work
+        # (r,): the events about which tracks still changed, or proposals were left undecided, when the work ended
+        self.stopped = np.zeros(len(run.times), dtype=np.bool_)
 
     def proposed(self, width: float, where: Booleans) -> list[Change]:
         """Changes at events among those (r,) to look at, where work is left."""
@@ -193,6 +198,7 @@ class _Book:
             self.tracks[number] = self.tracks[number].smoothed()
         touched, self._touched = self._touched, np.zeros_like(self._touched)
         self._changed.clear()
+        self.stopped |= touched & (self._work <= 0)
         return touched
 
     def swap_ends(self, width: float) -> int:
@@ -203,7 +209,7 @@ class _Book:
         done: set[int] = set()
         for cut in sorted(best_cuts(self.tracks, width, LEAST_GAIN), key=lambda one: -one.odds):
             pair = (cut.first, cut.second)
-            if not done.isdisjoint(pair) or not _is_left(self._ends, cut.event, cut.event):
+            if not done.isdisjoint(pair) or not self._is_left(self._ends, cut.event, cut.event):
                 continue
             before = [self.tracks[k] for k in pair]
             tried = [self._cut_at(before, pair, cut.event, width)]
@@ -236,7 +242,9 @@ class _Book:
         numbers = sorted({change.track for change in group})
         key = (*group, *(self._versions[number] for number in numbers))
         events = [change.event for change in group]
-        if key in self._refused or not self._are_free(group) or not _is_left(self._work, min(events), max(events)):
+        if key in self._refused or not self._are_free(group):
+            return False
+        if not self._is_left(self._work, min(events), max(events)):
             return False
         gain, tried = 0.0, []
         for number in numbers:
@@ -266,6 +274,12 @@ class _Book:
         wanted = [change.after for change in group if change.after != NONE]
         return all(self._owners[one] == NONE or one in given for one in wanted)
 
+    def _is_left(self, work: Integers, first: int, last: int) -> bool:
+        """Whether any of the work (r,) is left about the events from first to last; if not, this is where it ended."""
+        is_left = bool(work[max(first - REACH, 0) : last + REACH + 1].sum() > 0)
+        self.stopped[first : last + 1] |= not is_left
+        return is_left
+
     def _replace(self, number: int, track: Chain, events: tuple[int, int]) -> None:
         """Enter a track that changed from an event to another."""
         for detections, owner in ((self.tracks[number].detections, NONE), (track.detections, number)):
@@ -277,11 +291,6 @@ class _Book:
         self._versions[number] += 1
         self._changed.add(number)
         self._touched[max(events[0] - REACH, 0) : events[1] + REACH] = True
-
-
-def _is_left(work: Integers, first: int, last: int) -> bool:
-    """Whether any of the work (r,) is left about the events from first to last."""
-    return bool(work[max(first - REACH, 0) : last + REACH + 1].sum() > 0)
 
 
 def _owners(tracks: Sequence[Chain], run: WholeRun, owners: Integers | None = None) -> Integers:

@@ -62,7 +62,7 @@ _METHOD_SECONDS: ContextVar[list[float]] = ContextVar("method_seconds")
 
 @contextmanager
 def method_clock() -> Iterator[None]:
-    """Count the processor time of this block as the method's; a run without such a block counts as a whole."""
+    """Count the CPU time of this block as the method's; a run without such a block counts as a whole."""
     start = time.thread_time()
     yield
     _METHOD_SECONDS.get([]).append(time.thread_time() - start)

@@ -100,7 +100,7 @@ def report_of(results: Results) -> dict[str, Any]:
 
 
 def _timing(cpu: Mapping[str, list[float]]) -> dict[str, Any]:
-    """Return the processor time of a run of each method: the median, which the first run does not move."""
+    """Return the CPU time of a run of each method: the median, which the first run does not move."""
     medians = {method: float(np.median(seconds)) for method, seconds in cpu.items()}
     first = next(iter(medians.values()))
     return {

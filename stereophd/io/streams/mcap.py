@@ -19,6 +19,8 @@ from stereophd.io.streams.messages import Message, parse_line
 
 MARK = b"\x89MCAP0\r\n"
 FRAME_SCHEMA, TRACKS, EVENTS = "stereophd.Frame", "/stereophd/tracks", "/stereophd/events"
+# Other schemas that a message names where no frame is there.
+MOST_NAMED = 3
 _encode = msgspec.json.Encoder().encode
 
 
@@ -27,17 +29,20 @@ def read_mcap(path: Path) -> Iterator[Message]:
 
     Raises InputError when MCAP is not installed, or the file is damaged or holds no frame.
     """
-    library, number = _library("reader"), 0
+    library, number, others = _library("reader"), 0, set[str]()
     with path.open("rb") as stream:
         try:
             for kind, channel, message in library.make_reader(stream).iter_messages():
                 if kind is not None and kind.name == FRAME_SCHEMA and channel.message_encoding == "json":
                     number += 1
                     yield parse_line(message.data, f"{path}: message {number} of {channel.topic}")
+                elif len(others) < MOST_NAMED:
+                    others.add(f"{kind.name if kind is not None else 'no schema'} ({channel.message_encoding})")
         except (_library("exceptions").McapError, struct.error) as error:
             raise InputError(f"{path}: expected an MCAP file, found it damaged ({error})") from error
     if not number:
-        raise InputError(f"{path}: expected messages of the schema {FRAME_SCHEMA} (JSON), found none")
+        found = ", ".join(sorted(others)) or "none"
+        raise InputError(f"{path}: expected messages of the schema {FRAME_SCHEMA} (json), found {found}")
 
 
 class McapRows:

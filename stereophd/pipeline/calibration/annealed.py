@@ -61,14 +61,15 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
             problem.parameters, nothing[0], nothing, np.empty((0, size)), np.empty(0), (), reason, details=details
         )
     result = calibrated(task, starts, replace(choices_of(section), control=problem.control))
+    believed = result.believed
     details |= _result_report(result, best)
     if section.posterior == "smc":
-        scale = result.task.scale
+        scale = believed.task.scale
         found = distinct(starts)
         fits = [mode.fit if scale is None else rescaled(task, mode.fit, scale) for mode in found if mode.fit]
         modes = modes_of(fits, [mode.score for mode in found])
         return smc_outcome(run, scale, modes, result, details)
-    parameters, adjustment = result.task.parameters, result.fit.adjustment
+    parameters, adjustment = believed.task.parameters, result.fit.adjustment
     draws = laplace_draws(
         parameters, problem.reference, adjustment.values, adjustment.covariance, LAPLACE_DRAWS,
         np.random.default_rng(POSTERIOR_DRAWS.seed(run.seed)),
@@ -156,16 +157,21 @@ def _start_report(task: Task, start: Start, best: Start | None) -> dict[str, Any
 
 def _result_report(result: Calibrated, best: Start) -> dict[str, Any]:
     """What the report holds of the way from the best start to the answer."""
+    believed = result.believed
     report: dict[str, Any] = {
-        "motion_noise_factor": result.answer.noise_factor,
+        "motion_noise_factor": believed.answer.noise_factor,
         "noise_factors": dict(
-            zip((camera.name for camera in result.task.parameters.cameras), result.noise.tolist(), strict=True)
+            zip(
+                (camera.name for camera in believed.task.parameters.cameras),
+                believed.noise.tolist(),
+                strict=True,
+            )
         ),
-        "freed": list(result.freed),
+        "freed": list(believed.freed),
         "stated": _statements(result),
         "fit": _fit_report(best, result.fit),
     }
-    if (comparison := result.answer.comparison) is not None:
+    if (comparison := believed.answer.comparison) is not None:
         report["selection"] = {
             "chosen": list(comparison.sets[comparison.chosen].names),
             "sets": [
@@ -196,7 +202,7 @@ def _statements(result: Calibrated) -> list[dict[str, Any]]:
             "moves_stds": suspicion.moves,
             "expected_move_stds": suspicion.expected_move,
         }
-        for enlarged, suspicion in result.suspicions
+        for enlarged, suspicion in result.believed.suspicions
     ]
 
 

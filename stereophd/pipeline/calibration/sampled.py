@@ -7,7 +7,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.annealing.fits import fit_from
 from stereophd.core.calibration.annealing.method import Calibrated, HistoryRow
-from stereophd.core.calibration.annealing.starts import RIVAL_DISTANCE, disagreement, explained
+from stereophd.core.calibration.annealing.starts import NOISE_AS_STATED, RIVAL_DISTANCE, disagreement, explained
 from stereophd.core.calibration.sampling import bridging, sequential
 from stereophd.core.calibration.sampling.blocks import BlockPath, block_sampler
 from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeResult, BridgeState
@@ -107,7 +107,7 @@ def _doubt(run: CalibrationRun, values: Array, covariance: Array, details: dict[
     details["explained"] = 0.0 if fit is None else explained(task, fit)
     if fit is None:
         return "no tracks are shared by two cameras"
-    if (why := disagreement(task, fit)) is not None:
+    if (why := disagreement(task, fit, NOISE_AS_STATED)) is not None:
         return why
     difference = fit.adjustment.values - values
     joint = np.linalg.inv(covariance + fit.adjustment.covariance)

@@ -18,6 +18,7 @@ from stereophd.pipeline.checks.geometry.measure import Geometry
 from stereophd.pipeline.checks.geometry.rays import TOLERANCES, distances
 from stereophd.pipeline.checks.log.sample import LEAST_LENGTH, MOST_BY_CHANCE, CameraSample
 from stereophd.validated import METRES
+from stereophd.wording import number
 
 # Score of a pair whose depths count.
 LEAST_SCORE = 6.0
@@ -196,12 +197,12 @@ def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
         float(((depths >= 0.8 * low) & (depths <= 1.25 * high)).sum()) / max(len(depths), 1)
         for depths in (scene.depth_samples, scene.first_depths)
     )
-    where = f"between {scene.depths[0]:.3g} and {scene.depths[2]:.3g} {unit}"
+    where = f"between {number(scene.depths[0])} and {number(scene.depths[2])} {unit}"
     if covered < LEAST_BORN:
         yield Finding(
             "settings.depth_range", "warning",
-            f"rays meet at depths {where}, but filter.birth covers {low:.3g} to {high:.3g} {unit}: it seems to be in "
-            "another unit, or the centres of the cameras are",
+            f"rays meet at depths {where}, but filter.birth covers {number(low)} to {number(high)} {unit}: it seems "
+            "to be in another unit, or the centres of the cameras are",
             f"{low:.4g} to {high:.4g}", f"{scene.depths[0]:.4g} to {scene.depths[2]:.4g}", None,
             "set filter.birth.depth_range to these depths and some more", "depth_range",
             f"filter.birth.depth_range=[{0.7 * scene.depths[0]:.3g}, {1.5 * scene.depths[2]:.3g}]",
@@ -210,7 +211,7 @@ def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
         centers = np.array([sample.camera.pose.center for sample in samples])
         apart = np.linalg.norm(centers[:, None] - centers, axis=2)[np.triu_indices(len(centers), 1)]
         # the name of the unit leaves no trace in the data: only the user can tell
-        size = f"the cameras are {apart.min():.3g} to {apart.max():.3g} {unit} apart: is units.length right?"
+        size = f"the cameras are {number(apart.min())} to {number(apart.max())} {unit} apart: is units.length right?"
         yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}, {size}", round(covered, 3), 1.0)
 
 
@@ -228,8 +229,8 @@ def _region(config: Config, scene: MeasuredScene, unit: str) -> Iterator[Finding
     if inside < LEAST_COVERED:
         yield Finding(
             "settings.region", "warning",
-            f"rays meet at depths between {scene.depths[0]:.3g} and {scene.depths[2]:.3g} {unit}, outside region.depth "
-            f"({region.depth[0]:g} to {region.depth[1]:g} {unit})",
+            f"rays meet at depths between {number(scene.depths[0])} and {number(scene.depths[2])} {unit}, outside "
+            f"region.depth ({region.depth[0]:g} to {region.depth[1]:g} {unit})",
             round(inside, 3), 1.0, None, "set region to where objects can be, in the unit of the configuration",
             "region",
         )  # fmt: skip
@@ -247,16 +248,16 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
     if spread > SLOWER * stated or (complete and spread < stated / FASTER):
         yield Finding(
             "settings.velocity_std", "warning",
-            f"the objects move at about {spread:.3g} {unit}/s per axis, but filter.birth.velocity_std is {stated:g}: "
-            "it seems to be in another unit, or the times are",
+            f"the objects move at about {number(spread)} {unit}/s per axis, but filter.birth.velocity_std is {stated:g}"
+            ": it seems to be in another unit, or the times are",
             stated, round(spread, 6), None, f"set filter.birth.velocity_std near {1.5 * spread:.2g}", "velocity_std",
             f"filter.birth.velocity_std={1.5 * spread:.2g}",
         )  # fmt: skip
     if fastest * METRES.get(unit, 0.0) > FASTEST:
         yield Finding(
             "settings.length_unit", "warning",
-            f"objects move at {fastest:.3g} {unit}/s across the line of sight, faster than sound: the centres of the "
-            f"cameras seem to be in a smaller unit than {unit}, or the times are wrong",
+            f"objects move at {number(fastest)} {unit}/s across the line of sight, faster than sound: the centres of "
+            f"the cameras seem to be in a smaller unit than {unit}, or the times are wrong",
             round(fastest, 6), FASTEST / METRES[unit], None,
             "state the unit (units.length in the cameras, or import with `length_unit`), then run `init` again",
             "length_unit",
@@ -265,7 +266,8 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
     if limit is not None and limit < 0.8 * fastest:
         yield Finding(
             "settings.max_speed", "warning",
-            f"objects move at up to {fastest:.3g} {unit}/s across the line of sight, but motion.max_speed is {limit:g}",
+            f"objects move at up to {number(fastest)} {unit}/s across the line of sight, "
+            f"but motion.max_speed is {limit:g}",
             limit, round(fastest, 6), None, f"set motion.max_speed to at least {2.0 * fastest:.2g}", "max_speed",
             f"motion.max_speed={2.0 * fastest:.2g}",
         )  # fmt: skip

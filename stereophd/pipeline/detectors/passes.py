@@ -263,7 +263,7 @@ def _text(name: str, estimate: DetectorEstimate) -> str:
     detector = estimate.detector
     return (
         f"{name} noise {', '.join(f'{value:.3g}' for value in estimate.noise.tolist())}, "
-        f"p_detect {detector.p_detect:.3f}, clutter {detector.clutter_per_frame:.3g} a frame"
+        f"p_detect {detector.p_detect:.3f}, clutter {detector.clutter_per_frame:.3g} per frame"
     )
 
 

@@ -24,7 +24,7 @@ from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smoot
 from stereophd.core.trajectories.swaps import choose_anew
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.run_claims import RunClaims, claims_of_run
-from stereophd.wording import LOGGER
+from stereophd.wording import LOGGER, percent
 
 # A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
 # more probable than not.
@@ -76,7 +76,8 @@ def smoothed_records(
             make_chain(one.trajectory, claims.join(more).detections_of(one.trajectory, run), run)
             for one, more in zip(extended, reached, strict=True)
         ]
-        after = choose_anew(before, run)
+        after, stopped = choose_anew(before, run)
+        _warn_of_bound(run.times[stopped], len(run.times))
         # a track that gave all of its detections away is none
         trajectories = [
             new.trajectory for old, new in zip(before, after, strict=True) if new.n_detections or not old.n_detections
@@ -168,6 +169,17 @@ def _of_written(claims: RunClaims, given: RunClaims, name: Callable[[int], int],
         claims = claims.take(~others)
     claims = claims.renamed(name)
     return claims.take(np.isin(claims.track_ids, ids))
+
+
+def _warn_of_bound(times: Array, n_events: int) -> None:
+    """Say where `reassociate` reached the bound of its work, at these times (k,), s."""
+    if len(times):
+        LOGGER.warning(
+            "report.smooth: reassociate stopped at the bound of its work about %s of the events (from %.1f to %.1f s): "
+            "tracks may still hold each other's detections there. Do the detector settings describe these detections "
+            "(`stereophd check`)? Boxes of people are better tracked as such (object.shape: ellipsoid).",
+            percent(len(times) / n_events), times.min(), times.max(),
+        )  # fmt: skip
 
 
 def _reach_back(trajectories: Sequence[Trajectory], run: WholeRun, max_gap_s: float) -> list[Extended]:

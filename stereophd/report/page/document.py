@@ -14,8 +14,9 @@ from stereophd.errors import InputError
 from stereophd.io.outputs.json_text import plain
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.data import run_data
-from stereophd.report.summaries import fit_totals, number, run_tables, share, tracking_part, verdict
+from stereophd.report.summaries import fit_totals, run_tables, share, tracking_part, verdict
 from stereophd.report.tables import SummaryTable
+from stereophd.wording import number
 
 # Tracks that the page lists, a page of the table at a time.
 TRACKS_LISTED = 5000

@@ -13,6 +13,7 @@ from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.trajectories import swaps
 from stereophd.core.trajectories.chain import NONE, Chain, WholeRun, make_chain, make_run
 from stereophd.core.trajectories.smoothing import Trajectory, smooth
 from stereophd.core.trajectories.swaps import choose_anew
@@ -117,7 +118,7 @@ def test_neighbours_that_were_swapped_change_back(wrong: str, seed: int) -> None
     events, own = _scene(seed)
     given = _swapped(own, 0, 1, WRONG[wrong])
     run = _run(events)
-    found = choose_anew(_tracks(run, given), run)
+    found, _ = choose_anew(_tracks(run, given), run)
     after = _found(found)
     for event in WRONG[wrong]:
         for k in range(4):
@@ -136,7 +137,7 @@ def test_tracks_that_swapped_their_objects_for_good_change_back(mixed: tuple[int
     events, own = _scene(seed)
     given = _swapped(own, 0, 1, sorted({*range(24, 48)} ^ {*mixed}))
     run = _run(events)
-    after = _found(choose_anew(_tracks(run, given), run))
+    after = _found(choose_anew(_tracks(run, given), run)[0])
     right = sum(after[k].get(event) == own[k].get(event) for k in range(4) for event in range(len(events)))
     # one in a thousand lies beyond the gate
     assert right >= 4 * len(events) - 2
@@ -148,7 +149,8 @@ def test_tracks_that_are_right_stay_as_they_are(readout_s: float) -> None:
     events, own = _scene(5, cameras)
     run = _run(events, cameras)
     tracks = _tracks(run, own)
-    found = choose_anew(tracks, run)
+    found, stopped = choose_anew(tracks, run)
+    assert not stopped.any()
     changes = sum(int((new.detections != old.detections).sum()) for new, old in zip(found, tracks, strict=True))
     # 4.1 of 10^3 detections of a correct track lie beyond the noise that it may give away: at most a few
     assert changes <= 2
@@ -161,10 +163,18 @@ def test_no_detection_has_two_tracks() -> None:
     events, own = _scene(7)
     given = _swapped(_swapped(own, 0, 1, range(0, 9)), 2, 3, range(4, 12))
     run = _run(events)
-    after = _found(choose_anew(_tracks(run, given), run))
+    after = _found(choose_anew(_tracks(run, given), run)[0])
     for event in range(len(events)):
         held = [detections[event] for detections in after if event in detections]
         assert len(held) == len(set(held))
+
+
+def test_it_says_where_the_bound_of_its_work_ended_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    events, own = _scene(7)
+    run = _run(events)
+    monkeypatch.setattr(swaps, "MOST_WORK", 1)
+    _, stopped = choose_anew(_tracks(run, _swapped(own, 0, 1, range(0, 9))), run)
+    assert stopped[:9].all()
 
 
 def test_a_track_takes_a_detection_that_nobody_has() -> None:
@@ -173,7 +183,7 @@ def test_a_track_takes_a_detection_that_nobody_has() -> None:
     for event in (0, 1, 24):
         del given[2][event]
     run = _run(events)
-    after = _found(choose_anew(_tracks(run, given), run))
+    after = _found(choose_anew(_tracks(run, given), run)[0])
     assert [after[2].get(event) for event in (0, 1, 24)] == [own[2][event] for event in (0, 1, 24)]
 
 
@@ -184,7 +194,7 @@ def test_predictions_of_a_grid_have_no_detections() -> None:
         detections.pop(10, None)
     given = _swapped(own, 0, 1, [12])
     run = _run(events)
-    after = _found(choose_anew(_tracks(run, given), run))
+    after = _found(choose_anew(_tracks(run, given), run)[0])
     assert all(10 not in detections for detections in after)
     assert after[0].get(12) == own[0].get(12)
 

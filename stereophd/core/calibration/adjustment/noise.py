@@ -40,19 +40,14 @@ class NoiseFactors:
     @property
     def differs(self) -> Booleans:
         """Which cameras' noise differs from what is stated."""
-        change = np.abs(np.log(self.factors))
+        change, stds = np.abs(np.log(self.factors)), 1.0 / np.sqrt(2.0 * (self.redundancy + PRIOR_REDUNDANCY))
         tells = (self.factors > 1.0) | ~self.hides
-        return np.asarray(tells & (change > np.maximum(np.log1p(LEAST_CHANGE), LEAST_SIGMAS * self._stds)))
+        return np.asarray(tells & (change > np.maximum(np.log1p(LEAST_CHANGE), LEAST_SIGMAS * stds)))
 
     @property
     def hides(self) -> Booleans:
         """Which cameras' trajectories follow the detections too closely for residuals to tell the noise."""
         return np.asarray(self.redundancy < LEAST_REDUNDANT * self.coordinates)
-
-    @property
-    def _stds(self) -> Array:
-        """Standard deviations (c,) of the logarithms of the factors."""
-        return np.asarray(1.0 / np.sqrt(2.0 * (self.redundancy + PRIOR_REDUNDANCY)))
 
 
 def noise_factors(problem: Problem, adjustment: Adjustment, rng: np.random.Generator) -> NoiseFactors:

@@ -9,9 +9,11 @@ logarithm of the marginal evidence by (Laplace's method)
 
 and G moves to its part of -H_FG^-1 g_FG. A group that the data do not see changes it by nothing. This is the score test
 (C. R. Rao, 1948) with the volume of the prior. The free values move with G by D = -H_F^-1 H_FG. With the probability p
-that the statement is wrong (prior odds and evidence), G is uncertain by p (S_G + h h^T), h the value that fits and S_G
-its covariance. What this moves is measured on the tracks (a principal point and a rotation make up for each other):
-where tracks move by more than the stated covariance H_F^-1 of the free values moves them, the statement matters.
+that the statement is wrong (prior odds and evidence, one statement at most), G is uncertain by p (S_G + h h^T), h the
+value that fits and S_G its covariance. The answer is uncertain by the same through D (J. A. Hoeting et al., "Bayesian
+model averaging", 1999): evidence that is too weak to contradict a statement still widens what rests on it. What this
+moves is also measured on the tracks (a principal point and a rotation make up for each other): where tracks move by
+more than the stated covariance H_F^-1 of the free values moves them, the statement matters.
 """
 
 from dataclasses import dataclass, replace
@@ -29,9 +31,8 @@ from stereophd.core.numerics.covariance_factors import covariance_factor
 
 # Odds, after the data, from which a statement is contradicted.
 CONTRADICTED_ODDS = 100.0
-# Least move of tracks that is compared with, in parts of their distance; largest exponent of the odds.
+# Least move of tracks that is compared with, in parts of their distance.
 LEAST_STATED = 1e-4
-LARGEST_LOG_ODDS = 700.0
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,7 @@ class Suspicion:
     # they move for one of the answer as stated.
     moves: float
     expected_move: float
+    spread: Array  # (m, k): Root of the covariance that it adds to that of all values of the answer.
 
     @property
     def is_contradicted(self) -> bool:
@@ -95,22 +97,27 @@ def suspect(quadratic: QuadraticPosterior, enlarged: EnlargedSet, free: Integers
     gain, volume, _ = _optimum(quadratic, free)
     precision = quadratic.precision
     stated = quadratic.tracks.relative_std(_spread(precision, free, np.empty(0, np.int64), np.empty((0, 0))))
+    tested = [_optimum(quadratic, np.append(free, group.places)) for group in enlarged.groups]
+    evidences = [gain_of_both - gain - (both - volume) for gain_of_both, both, _ in tested]
+    log_odds = np.array([e + np.log(group.odds) for e, group in zip(evidences, enlarged.groups, strict=True)])
+    probabilities = np.exp(log_odds - np.logaddexp.reduce(np.append(log_odds, 0.0)))
     suspicions = []
-    for group in enlarged.groups:
+    for group, log_evidence, (*_, step), probability in zip(
+        enlarged.groups, evidences, tested, probabilities.tolist(), strict=True
+    ):
         both = np.append(free, group.places)
-        gain_of_both, volume_of_both, step = _optimum(quadratic, both)
-        log_evidence = gain_of_both - gain - (volume_of_both - volume)
         inverse = np.asarray(np.linalg.inv(precision[np.ix_(both, both)]), dtype=np.float64)
-        covariance = inverse[len(free) :, len(free) :]
-        values = step[len(free) :]
-        log_odds = min(log_evidence + float(np.log(group.odds)), LARGEST_LOG_ODDS)
-        probability = 1.0 / (1.0 + float(np.exp(-log_odds)))
-        spreads: list[Array] = [covariance, probability * (covariance + np.outer(values, values))]
-        moves = [quadratic.tracks.relative_std(_spread(precision, free, group.places, spread)) for spread in spreads]
+        covariance, values = inverse[len(free) :, len(free) :], step[len(free) :]
+        spreads = [
+            _spread(precision, free, group.places, spread)
+            for spread in (covariance, probability * (covariance + np.outer(values, values)))
+        ]
+        moves = [quadratic.tracks.relative_std(spread) / max(stated, LEAST_STATED) for spread in spreads]
+        added = spreads[1][:size] * std[:, None]
         suspicions.append(
             Suspicion(
                 group, values * std[group.places], np.sqrt(np.diag(covariance)) * std[group.places], log_evidence,
-                moves[0] / max(stated, LEAST_STATED), moves[1] / max(stated, LEAST_STATED),
+                moves[0], moves[1], added,
             )
         )  # fmt: skip
     return sorted(suspicions, key=lambda suspicion: -suspicion.log_evidence)

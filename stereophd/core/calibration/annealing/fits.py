@@ -126,7 +126,9 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, last: bool = True, sti
     """
     cameras = task.parameters.build(fit.adjustment.values)
     scans = task.tracked_scans(cameras) if tracked else task.all_scans(cameras)
-    noise = _noise(task, fit)
+    seen = fit.observations
+    points = positions(fit.adjustment.states, *interpolation(fit.knots, seen.trajectories, seen.times))
+    noise = _length_of_noise(task, seen, points, fit.adjustment.values)
     # over this time the noise of the motion moves an object by its detection's noise; a frame or two are looked at
     periods = task.recording.periods(len(cameras))
     padding = max(task.filter.motion.straying_time(noise), PADDED_FRAMES * float(periods.max()))
@@ -367,9 +369,3 @@ def _length_of_noise(task: Task, observations: Observations, points: Array, valu
         focal[here] = camera.fx
     lengths = depth / (focal * np.sqrt(observations.precisions[:, 0, 0]))
     return min(float(np.median(lengths[observations.cameras == c])) for c in np.unique(observations.cameras))
-
-
-def _noise(task: Task, fit: Fit) -> float:
-    interpolated = interpolation(fit.knots, fit.observations.trajectories, fit.observations.times)
-    points = positions(fit.adjustment.states, *interpolated)
-    return _length_of_noise(task, fit.observations, points, fit.adjustment.values)

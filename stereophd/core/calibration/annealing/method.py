@@ -33,7 +33,13 @@ from stereophd.core.calibration.annealing.fits import (
 )
 from stereophd.core.calibration.annealing.known_lengths import with_lengths
 from stereophd.core.calibration.annealing.known_scale import measured_scale, rescaled
-from stereophd.core.calibration.annealing.starts import agreeing_with_best, best_of, rival_of
+from stereophd.core.calibration.annealing.starts import (
+    NOISE_AS_STATED,
+    agreeing_with_best,
+    best_of,
+    rival_of,
+    squared_residuals,
+)
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
 from stereophd.core.calibration.unknowns.held import EnlargedSet, enlarge, free_of
 from stereophd.core.calibration.unknowns.scale import scale_is_free
@@ -108,21 +114,30 @@ class Answer:
 
 
 @dataclass(frozen=True)
+class Believed:
+    """An answer whose model was doubted."""
+
+    task: Task  # With the scale, the noise and the unknowns of the answer.
+    answer: Answer
+    noise: Array  # Noise (c,) of each camera's detections over what is stated.
+    suspicions: tuple[tuple[EnlargedSet, Suspicion], ...]  # Statements that were given up, and those that are held.
+    freed: tuple[str, ...]  # Names of unknowns that were stated as known, and contradicted.
+    doubtful: Array  # (m, k): Root of the covariance that the held statements add to that of the answer.
+    remarks: tuple[Remark, ...]
+
+
+@dataclass(frozen=True)
 class Calibrated:
     """The result of method annealed."""
 
-    task: Task  # With the scale, the noise and the unknowns of the result.
-    fit: Fit
+    believed: Believed
+    fit: Fit  # That of the answer, widened, with known lengths and control.
     history: tuple[HistoryRow, ...]
-    answer: Answer
-    noise: Array  # Noise (c,) of each camera's detections over what is stated.
-    suspicions: tuple[tuple[EnlargedSet, Suspicion], ...]  # Statements that the answer holds, and those it gave up.
-    freed: tuple[str, ...]  # Names of unknowns that were stated as known, and contradicted.
     pairs_of_known_length: int | None
     moves: TrackMoves
     doubt: str  # Why the answer is not to be trusted; empty if it may be.
     remarks: tuple[Remark, ...]
-    world: World | None = None  # That of the control
+    world: World | None  # That of the control
 
 
 def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
@@ -137,12 +152,11 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     task, answer = believed.task, believed.answer
     remarks += (*motion_remarks(answer), *believed.remarks)
     if not choices.is_sampled:
-        answer, remark = widened(task, answer)
+        answer, remark = widened(task, answer, believed.doubtful)
         remarks += remark
     fit, pairs = answer.fit, None
-    if has_known_length(task, choices):
-        assert choices.known is not None
-        fit, pairs = with_lengths(task, fit, choices.known.value, choices.known.std)
+    if (known := choices.known) is not None and known.kind == "length" and task.scale is not None:
+        fit, pairs = with_lengths(task, fit, known.value, known.std)
     world = None
     if choices.control is not None:
         try:
@@ -153,24 +167,11 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
     doubt = doubt or early
     if (against := task.parameters.prior_disagreement(values)) is not None:
-        by = choices.known.kind if choices.known is not None else "baseline" if task.scale is not None else ""
+        by = known.kind if known is not None else "baseline" if task.scale is not None else ""
         doubt = f"with the known {by} {against}" if by else against
     history, moves = history_of(task, answer.fit, fit), track_moves(problem_of(task, fit), fit.adjustment)
     remarks += prior_remarks(task, values)
-    return Calibrated(
-        task,
-        fit,
-        history,
-        answer,
-        believed.noise,
-        believed.suspicions,
-        believed.freed,
-        pairs,
-        moves,
-        doubt,
-        remarks,
-        world,
-    )
+    return Calibrated(believed, fit, history, pairs, moves, doubt, remarks, world)
 
 
 def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bool) -> tuple[str, tuple[Remark, ...]]:
@@ -190,6 +191,13 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
             remarks = (
                 Remark("starts", f"{why}; narrower priors or more starts (calibration.annealed.starts) show it"),
             )
+    assert best.fit is not None
+    if (squares := float(squared_residuals(best.fit).mean())) > NOISE_AS_STATED:
+        text = (
+            f"residuals were {np.sqrt(squares):.1f} times the stated noise before it was estimated: detector.sigma_px "
+            "is too small, or lenses, clocks or motion do not fit"
+        )
+        remarks += (Remark("noise", text, is_reservation=True),)
     if not is_sampled and (rival := rival_of(starts)) is not None:
         doubt = f"starts {best.number} and {rival.number} agree with the data alike, and differ; see posterior: smc"
     return doubt, remarks
@@ -218,11 +226,6 @@ def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Ta
     return replace(task, scale=measured), rescaled(task, fit, measured), ()
 
 
-def has_known_length(task: Task, choices: Choices) -> bool:
-    """Whether objects that keep a known distance hold what moving together would make too sure."""
-    return choices.known is not None and choices.known.kind == "length" and task.scale is not None
-
-
 def state(task: Task, fit: Fit, choices: Choices) -> Answer:
     """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
     joint, comparison = selected(task, fit, choices)
@@ -242,28 +245,16 @@ def selected(task: Task, fit: Fit, choices: Choices) -> tuple[Fit, Comparison | 
     return (fit if free.all() else restricted_fit(task, fit, free)), comparison
 
 
-@dataclass(frozen=True)
-class Believed:
-    """An answer whose model was doubted."""
-
-    task: Task
-    answer: Answer
-    noise: Array
-    suspicions: tuple[tuple[EnlargedSet, Suspicion], ...]
-    freed: tuple[str, ...]
-    remarks: tuple[Remark, ...]
-
-
 def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict."""
     count = len(task.parameters.cameras)
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
-    loosened = np.zeros(count, dtype=np.int64)
+    loosened, suspicions, held = np.zeros(count, dtype=np.int64), list[Suspicion](), tuple[Remark, ...]()
     for number in range(MOST_ROUNDS):
         if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and doubted: these cameras are the best so far"
-            remarks = (Remark("time", text, is_reservation=True), *noise_remarks(task, noise), *freed_remarks(given_up))
-            return Believed(task, Answer(fit, 1.0, None), noise, tuple(given_up), freed, remarks)
+            answer, suspicions, held = Answer(fit, 1.0, None), [], (Remark("time", text, is_reservation=True),)
+            break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         answer = state(task, fit, choices)
         basis = with_stated_motion(task, answer.fit)
@@ -276,15 +267,18 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             fit = adjusted_anew(task, basis)
             continue
         enlarged, suspicions = suspected(task, answer)
+        held = held_remarks(enlarged, suspicions)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
         if wrong is None or last:
             break
         given_up.append((enlarged, wrong))
         freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
         task, fit = with_freed(task, basis, enlarged, wrong)
-    held = [(enlarged, suspicion) for suspicion in suspicions]
-    remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held_remarks(enlarged, suspicions))
-    return Believed(task, answer, noise, (*given_up, *held), freed, remarks)
+    size = task.parameters.size
+    doubtful = np.hstack([np.zeros((size, 0)), *(suspicion.spread[:size] for suspicion in suspicions)])
+    tested = (*given_up, *((enlarged, suspicion) for suspicion in suspicions))
+    remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held)
+    return Believed(task, answer, noise, tested, freed, doubtful, remarks)
 
 
 def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
@@ -301,8 +295,11 @@ def problem_of_answer(task: Task, answer: Answer) -> Problem:
     return replace(problem_of(task, with_stated_motion(task, answer.fit)), held=answer.fit.held)
 
 
-def widened(task: Task, answer: Answer) -> tuple[Answer, tuple[Remark, ...]]:
-    """Give an answer its exact covariance, and widen it by the disagreement of stretches of the log; say if large."""
+def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[Remark, ...]]:
+    """Give an answer its exact covariance, and widen it by the disagreement of stretches of the log; say if large.
+
+    `doubtful` (m, k) is the root of the covariance that what is stated adds.
+    """
     problem, fit = problem_of_answer(task, answer), answer.fit
     if fit.adjustment.converged:
         try:
@@ -311,7 +308,8 @@ def widened(task: Task, answer: Answer) -> tuple[Answer, tuple[Remark, ...]]:
         except LinAlgError:
             fit = replace(fit, adjustment=replace(fit.adjustment, converged=False))
     more, factor = disagreement_of_stretches(problem, fit.adjustment, answer.noise_factor)
-    fit = replace(fit, adjustment=replace(fit.adjustment, covariance=fit.adjustment.covariance + more))
+    covariance = fit.adjustment.covariance + more + doubtful @ doubtful.T
+    fit = replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
     text = (
         f"stretches of the log disagree on the cameras by up to {factor:.1f} times what their noise allows: the stated "
         "deviations were widened; something of what is stated is wrong"

@@ -36,10 +36,10 @@ from stereophd.wording import percent
 PAIRED_INFLATION = 3.5
 # Pairings of a start that are followed, and share of the best one's gain from which another is followed too.
 MOST_PAIRINGS, AMBIGUOUS = 3, 0.9
-# The detections that a start explains must be this near to their noise: mean squared residual of accepted detections,
-# in squared sigmas per coordinate. One that the last adjustment left out counts no more than this squared distance,
-# wherever it lies: one in twelve is allowed.
-MOST_RESIDUAL = 2.0
+# The detections that a start explains are as near as their noise allows up to this mean square of the residuals, in
+# squared sigmas per coordinate; up to the second one the noise may be stated too small, and the answer says so. A
+# detection that the last adjustment left out counts no more than `LEFT_OUT`, wherever it lies.
+NOISE_AS_STATED, MOST_RESIDUAL = 2.0, 9.0
 # Two starts agree when their difference is within this many standard deviations, root mean square over parameters.
 AGREEMENT = 1.0
 # Another start is a rival of the best if it is this near in evidence plus log-prior, and this far in the same measure.
@@ -118,9 +118,14 @@ def evidence(task: Task, fit: Fit) -> float:
     """Log-likelihood of the log under the cameras of a fit, at the true noise.
 
     All fits are compared at one scale: that at which the median object has the depth that the filter's birth prior
-    expects. At their own, which the prior of the cameras chooses, that prior would decide between them.
+    expects. At their own, which the prior of the cameras chooses, that prior would decide between them. Where the noise
+    is stated too small, it is that of the residuals, camera by camera: broken tracks would lose to wrong cameras.
     """
     cameras = task.parameters.build(fit.adjustment.values)
+    squares, seen = squared_residuals(fit), fit.observations.cameras
+    if squares.mean() > NOISE_AS_STATED:
+        of_camera = np.bincount(seen, squares, len(cameras)) / np.bincount(seen, minlength=len(cameras)).clip(1)
+        task = task.with_noise(np.sqrt(np.maximum(of_camera, 1.0)))
     scaled = enlarged(cameras, task.reference, depth_ratio(task, fit))
     return track_detections(with_cameras(task.filter, scaled), task.tracked_scans(cameras), 1.0).log_likelihood
 
@@ -145,13 +150,18 @@ def real_detections(parameters: ParameterSet, scans: Scans, followed: float) -> 
     return float(max(min(total - clutter, followed * total), 2.0 * np.sqrt(max(total, 1))))
 
 
-def disagreement(task: Task, fit: Fit) -> str | None:
+def squared_residuals(fit: Fit) -> Array:
+    """Squared residuals (n,) of the detections of a fit, in squared sigmas per coordinate."""
+    return np.asarray(np.minimum(fit.adjustment.distances, LEFT_OUT) / 2.0)
+
+
+def disagreement(task: Task, fit: Fit, most_residual: float = MOST_RESIDUAL) -> str | None:
     """Why a fit does not agree with the data or the prior; None if it does."""
     part = explained(task, fit)
     if part < task.settings.min_tracked:
         return f"shared tracks explain only {percent(part)} of the detections that are not expected to be false"
-    residual = float(np.minimum(fit.adjustment.distances, LEFT_OUT).mean()) / 2.0
-    if residual > MOST_RESIDUAL:
+    residual = float(squared_residuals(fit).mean())
+    if residual > most_residual:
         return f"residuals are {np.sqrt(residual):.1f} times the detector's noise"
     values = fit.adjustment.values
     return task.parameters.prior_disagreement(values) or collapse(task.parameters, task.reference, values)

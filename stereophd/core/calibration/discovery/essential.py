@@ -34,15 +34,6 @@ def nearest_essential(matrices: Array) -> Array:
     return np.asarray(left[..., :, :2] @ right[..., :2, :])
 
 
-def squared_sampson(essential: Array, rows: Array) -> Array:
-    """Squared Sampson distances (h, n), in slopes, of constraint rows (h, n, 9) or (n, 9) from E (h, 3, 3)."""
-    a, b = rows[..., 6:9], rows[..., 2::3]  # b's third component is one, and so is a's
-    line_b = a @ np.swapaxes(essential, -1, -2)
-    line_a = b @ essential
-    numerator = (b * line_b).sum(axis=-1)
-    return np.asarray(numerator**2 / np.maximum((line_a[..., :2] ** 2 + line_b[..., :2] ** 2).sum(axis=-1), 1e-300))
-
-
 def eight_point(rows: Array, valid: Array, tolerances: tuple[float, float]) -> Array:
     """Essential matrices (h, 3, 3) of sets of constraint rows (h, n, 9); a few wrong rows are borne.
 

@@ -18,8 +18,9 @@ from stereophd.core.geometry.lens import Lens
 # Standard deviations of what is stated as known: of k1, of the logarithm of the focal length, of the principal point
 # in widths of the image, of the readout and the clock's offset in periods of the frames, of the clock's rate.
 K1_STD, FOCAL_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.3, 0.05, 0.03, 1.0, 1e-3
-# Odds, before the data, that a statement is wrong: of a lens that is stated as none, and of a value that was stated.
-LENS_ODDS, STATED_ODDS = 0.1, 1e-3
+# Odds, before the data, that a statement is wrong: of a lens that is stated as none and of clocks that are said to
+# agree, which nobody may have measured, and of any other value.
+UNMEASURED_ODDS, STATED_ODDS = 0.1, 1e-3
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class HeldGroup:
     @property
     def odds(self) -> float:
         """Odds, before the data, that the values are not as stated."""
-        return LENS_ODDS if self.is_absent_lens else STATED_ODDS
+        return UNMEASURED_ODDS if self.is_absent_lens or self.quantity == "clock_offset" else STATED_ODDS
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ SIZE = 6
 FAILED = "residuals are 3.0 times the detector's noise"
 
 
-def start(number: int, place: float | None, evidence: float = -100.0) -> Start:
-    """A start that ended at a place, in standard deviations, or failed."""
+def start(number: int, place: float | None, evidence: float = -100.0, squared: float = 2.0) -> Start:
+    """A start that ended at a place, in standard deviations, or failed; its squared residuals are 2 by their noise."""
     values = np.full(SIZE, place or 0.0)
-    adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(SIZE), 0.0, np.empty(0), 1, True)
+    adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(SIZE), 0.0, np.full(4, squared), 1, True)
     fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
     outcome = FAILED if place is None else SUCCEEDED
     return Start(number, outcome, values, np.empty((0, SIZE)), fit, evidence, 0.0, 1.0, "pairing 0")
@@ -49,6 +49,12 @@ def test_more_starts_are_made_where_they_are_cheap() -> None:
 
 def test_starts_that_agree_are_trusted() -> None:
     assert doubt([start(0, 0.0), start(1, 0.5)]) == ("", ())
+
+
+def test_residuals_beyond_the_stated_noise_leave_a_reservation() -> None:
+    why, (remark,) = doubt([start(0, 0.0, squared=8.0), start(1, 0.5, squared=8.0)])
+    assert (why, remark.topic, remark.is_reservation) == ("", "noise", True)
+    assert remark.text.startswith("residuals were 2.0 times the stated noise")
 
 
 def test_a_best_start_that_stands_alone_is_doubted() -> None:

@@ -16,7 +16,14 @@ from stereophd.core.calibration.annealing.fits import (
     tracked_fit,
 )
 from stereophd.core.calibration.annealing.method import Choices, calibrated
-from stereophd.core.calibration.annealing.starts import disagreement, explained, run_start
+from stereophd.core.calibration.annealing.starts import (
+    NOISE_AS_STATED,
+    disagreement,
+    evidence,
+    explained,
+    run_start,
+    squared_residuals,
+)
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.motion.constant_velocity import ConstantVelocity
@@ -108,8 +115,8 @@ def test_what_disagrees_is_named(made: MadeUp, task: Task) -> None:
     few = disagreement(task, replace(fit, detections=fit.detections[:10]))
     assert few is not None
     assert few.startswith("shared tracks explain only")
-    large = replace(fit, adjustment=replace(adjustment, distances=np.full_like(adjustment.distances, 8.0)))
-    assert disagreement(task, large) == "residuals are 2.0 times the detector's noise"
+    large = replace(fit, adjustment=replace(adjustment, distances=np.full_like(adjustment.distances, 32.0)))
+    assert disagreement(task, large) == "residuals are 4.0 times the detector's noise"
     far = replace(fit, adjustment=replace(adjustment, values=9.0 * task.parameters.prior_std))
     assert str(disagreement(task, far)).endswith("standard deviations from the prior")
 
@@ -119,9 +126,19 @@ def test_core_alone_calibrates(made: MadeUp, task: Task) -> None:
     result = calibrated(replace(task, settings=AnnealedSettings(starts=1)), starts, Choices())
     check_near_truth(made, result.fit)
     assert result.doubt == ""
-    assert (result.noise == 1.0).all()
-    assert result.freed == ()
+    assert (result.believed.noise == 1.0).all()
+    assert result.believed.freed == ()
     assert not any(remark.is_reservation for remark in result.remarks)
+
+
+def test_a_noise_that_is_stated_too_small_lets_a_start_succeed(made: MadeUp, task: Task) -> None:
+    small = task.with_noise(np.array([0.5, 0.5]))
+    fit = fit_from(small, made.truth)
+    assert fit is not None
+    assert squared_residuals(fit).mean() > NOISE_AS_STATED
+    assert disagreement(small, fit) is None
+    # the evidence is that at the noise of the residuals
+    assert evidence(small, fit) == pytest.approx(evidence(task, fit), abs=30.0)
 
 
 def test_noise_that_is_stated_wrong_is_replaced(made: MadeUp, task: Task) -> None:
@@ -129,7 +146,7 @@ def test_noise_that_is_stated_wrong_is_replaced(made: MadeUp, task: Task) -> Non
     starts = [run_start(stated, 0, task.parameters.prior_mean, np.random.SeedSequence(1))]
     right = calibrated(task, [run_start(task, 0, task.parameters.prior_mean, np.random.SeedSequence(1))], Choices())
     result = calibrated(stated, starts, Choices())
-    np.testing.assert_allclose(result.noise, 1.0 / 3.0, rtol=0.2)
+    np.testing.assert_allclose(result.believed.noise, 1.0 / 3.0, rtol=0.2)
     assert [remark.topic for remark in result.remarks].count("noise") == 2
     check_near_truth(made, result.fit)
     stds, expected = (np.sqrt(np.diag(r.fit.adjustment.covariance)) for r in (result, right))
