@@ -2,7 +2,8 @@
 
     python benchmarks/faults.py [--times 20] [--seed 1] [--only WORD]
 
-Each case is tried some times at random moments of a small run, and is held if: no file lies in its final place unless
+Each case is tried some times at random moments of a small run, in a fork of a process that has loaded everything (of
+the start `tests/cli/test_interrupt.py` has the signals), and is held if: no file lies in its final place unless
 all do; the next run removes what is left over and gives the bytes of an undisturbed run; the exit code is the one that
 is documented; no traceback is printed; no process is left alive. Exit code 1 if a case was not held. Needs psutil and a
 Unix system.
@@ -19,32 +20,72 @@ import random
 import resource
 import shutil
 import signal
-import subprocess
 import sys
 import tempfile
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import psutil
 from small_runs import SmallRun, small_runs
 
+from stereophd.cli.app import main as main_of_command_line
+from stereophd.cli.app import run as load
+
 PREFIX = ".stereophd-partial-"
 GIVE_UP_S = 300
 
 
-def start(words: list[str], limit: Callable[[], None] | None = None) -> subprocess.Popen[str]:
-    """Start the command line with these words."""
-    command = [sys.executable, "-m", "stereophd", *words]
-    return subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, preexec_fn=limit, start_new_session=True
-    )
+class Forked:
+    """A run of the command line in a fork, in a session of its own."""
+
+    def __init__(self, words: list[str], limit: Callable[[], None] | None = None) -> None:
+        self._said = tempfile.TemporaryFile("w+")  # noqa: SIM115 (closed by ended)
+        self.pid, self.returncode = os.fork(), 0
+        if self.pid == 0:
+            code: object = 3
+            try:
+                os.setsid()
+                os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
+                os.dup2(self._said.fileno(), 2)
+                if limit is not None:
+                    limit()
+                sys.argv[1:] = words
+                main_of_command_line()
+            except SystemExit as end:
+                code = end.code
+            except BaseException:
+                traceback.print_exc()
+            finally:
+                sys.stderr.flush()
+                os._exit(code if isinstance(code, int) else 0)
+
+    def is_running(self) -> bool:
+        """Whether the run has not ended; it is a zombie then until `ended`."""
+        return psutil.Process(self.pid).status() != psutil.STATUS_ZOMBIE
+
+    def send_signal(self, number: int) -> None:
+        """Send a signal to the run; nothing happens if it has ended."""
+        os.kill(self.pid, number)
+
+    def ended(self) -> str:
+        """Wait for the end, set `returncode`, and return the messages."""
+        give_up = time.monotonic() + GIVE_UP_S
+        while self.is_running():
+            if time.monotonic() > give_up:
+                raise TimeoutError(f"no end within {GIVE_UP_S} s")
+            time.sleep(0.002)
+        self.returncode = os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+        with self._said as said:
+            said.seek(0)
+            return said.read()
 
 
 def finished(words: list[str]) -> tuple[int, str]:
     """Run the command line to its end; return exit code and messages."""
-    process = start(words)
-    _, said = process.communicate(timeout=GIVE_UP_S)
+    process = Forked(words)
+    said = process.ended()
     return process.returncode, said
 
 
@@ -78,14 +119,14 @@ def final(found: dict[str, bytes]) -> dict[str, bytes]:
 
 def disturb(case: SmallRun, whole: dict[str, bytes], length: float, place: Path, numbers: Sequence[int]) -> str:
     """Send signals at a random moment of a run, then run again; return what was wrong, or nothing."""
-    process = start(case.command(fresh(place)))
+    process = Forked(case.command(fresh(place)))
     time.sleep(random.uniform(0.0, length))
-    group = [psutil.Process(process.pid)] if process.poll() is None else []
+    group = [psutil.Process(process.pid)] if process.is_running() else []
     group += group[0].children(recursive=True) if group else []
     for number in numbers:
         process.send_signal(number)
         time.sleep(random.choice([0.0, 0.003, 0.05]))
-    _, said = process.communicate(timeout=GIVE_UP_S)
+    said = process.ended()
     wrong = []
     code = process.returncode if process.returncode >= 0 else 128 - process.returncode
     if code not in (0, *(128 + number for number in numbers)):
@@ -109,8 +150,8 @@ def no_room(case: SmallRun, whole: dict[str, bytes], place: Path) -> str:
     """Let writing fail beyond a random size of a file, over an earlier run; return what was wrong."""
     finished(case.command(fresh(place)))
     most = random.randrange(1, 2 * max(map(len, whole.values())))
-    process = start(case.command(place, "--force"), lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)))
-    _, said = process.communicate(timeout=GIVE_UP_S)
+    process = Forked(case.command(place, "--force"), lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (most, most)))
+    said = process.ended()
     if process.returncode not in (0, 2):
         return f"exit code {process.returncode}: {said[-200:]}"
     if final(files(place)) != final(whole):
@@ -124,10 +165,10 @@ def no_room(case: SmallRun, whole: dict[str, bytes], place: Path) -> str:
 def twice(case: SmallRun, whole: dict[str, bytes], place: Path) -> str:
     """Start two runs of one output; return what was wrong."""
     fresh(place)
-    both = [start(case.command(place)) for _ in range(2)]
+    both = [Forked(case.command(place)) for _ in range(2)]
     codes = []
     for process in both:
-        process.communicate(timeout=GIVE_UP_S)
+        process.ended()
         codes.append(process.returncode)
     wrong = [] if sorted(codes) == [0, 2] else [f"exit codes {codes}"]
     if files(place) != whole:
@@ -162,7 +203,7 @@ def main() -> int:
             if options.only.split(":")[0] not in title:
                 continue
             place = folder / "place"
-            finished(case.command(fresh(place)))
+            load(case.command(fresh(place)))
             start_s = time.monotonic()
             code, said = finished(case.command(fresh(place)))
             length = time.monotonic() - start_s
