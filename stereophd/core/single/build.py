@@ -20,24 +20,17 @@ from stereophd.core.single.settings import CartesianSettings, DisparitySettings,
 
 
 def build_estimator(
-    settings: EstimatorSettings,
-    rig: Rig,
-    motion: Motion,
-    prior: InitialPrior,
-    rng: np.random.Generator,
-    sets: SampleSets | None = None,
+    settings: EstimatorSettings, rig: Rig, motion: Motion, prior: InitialPrior, rng: np.random.Generator
 ) -> AnyEstimator:
     """Return the estimator that the settings describe.
 
     All its randomness comes from `rng`: pseudo-random samples and particles, not low-discrepancy points (they are a
-    rule, not draws). `sets` replaces the samples of moves between disparity spaces that the settings name. Raises
-    ValueError if the estimator cannot work with these cameras (Algorithm 1 with cameras that are not rectified).
+    rule, not draws). Raises ValueError if the estimator cannot work with these cameras (Algorithm 1 with cameras that
+    are not rectified).
     """
     if isinstance(settings, DisparitySettings):
-        if sets is None:
-            sets = sample_sets(settings.moments, motion, rng)
         kind = RectifiedEstimator if settings.rectified else DisparityEstimator
-        return kind(rig, motion, prior, sets)
+        return kind(rig, motion, prior, sample_sets(settings.moments, motion, rng))
     if isinstance(settings, ParticleSettings):
         return ParticleEstimator(rig, motion, prior, settings, int(rng.integers(2**63)))
     if isinstance(settings, CartesianSettings):
