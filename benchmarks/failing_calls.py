@@ -32,7 +32,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from faults import PREFIX
-from small_runs import SmallRun, small_runs
+from small_runs import SmallRun, is_as_before, small_runs
 
 LIBRARY = r"""
 #define _GNU_SOURCE
@@ -125,20 +125,6 @@ def in_final_places(found: Mapping[str, bytes], what: str) -> dict[str, bytes]:
     """Leave out what an unfinished run keeps for the next one, and a lock that could not be taken (it stays, free)."""
     kept = ("partial-", PREFIX) if what.startswith("flock") else ("partial-",)
     return {name: text for name, text in found.items() if not any(p.startswith(kept) for p in Path(name).parts)}
-
-
-def is_as_before(
-    found: Mapping[str, bytes], earlier: Mapping[str, bytes], whole: Mapping[str, bytes], parts: bool
-) -> bool:
-    """Whether what a failed run left is the earlier output; in `parts`, each folder may be the earlier or the new one.
-
-    The summary of several logs, which states what failed, is not compared.
-    """
-    if not parts:
-        return found == earlier
-    folders = {Path(name).parent for name in found.keys() | whole.keys() if "summary" not in name}
-    below = [[{n: t for n, t in of.items() if Path(n).parent == f} for of in (found, earlier, whole)] for f in folders]
-    return all(now in (before, after) for now, before, after in below)
 
 
 def forked(library: ctypes.CDLL, words: list[str], place: Path, failing: int) -> tuple[int, str, int, str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -37,6 +38,20 @@ class SmallRun:
         """
         kept = self.resumes and any(next((place / self.out).glob(f"{above}partial-*"), None) for above in ("", "*/"))
         return self.command(place, *(["--resume"] if kept else []), *(["--force"] if over or not kept else []))
+
+
+def is_as_before(
+    found: Mapping[str, bytes], earlier: Mapping[str, bytes], whole: Mapping[str, bytes], parts: bool
+) -> bool:
+    """Whether what a failed run left is the earlier output; in `parts`, each folder may be the earlier or the new one.
+
+    The summary of several logs, which states what failed, is not compared.
+    """
+    if not parts:
+        return found == earlier
+    folders = {Path(name).parent for name in found.keys() | whole.keys() if "summary" not in name}
+    below = [[{n: t for n, t in of.items() if Path(n).parent == f} for of in (found, earlier, whole)] for f in folders]
+    return all(now in (before, after) for now, before, after in below)
 
 
 def small_runs(folder: Path) -> dict[str, SmallRun]:

@@ -244,14 +244,15 @@ def _is_users(error: OSError) -> bool:
 
 def main() -> None:
     """Console script."""
-    interrupts.install()
     try:
+        interrupts.install()
         _prepare_streams()
         _quieten_warnings()
         code = run()
+        interrupts.late()
     except KeyboardInterrupt:
         code = _interrupted()
-    interrupts.late()
+        interrupts.late()
     sys.exit(code)
 
 

@@ -47,7 +47,7 @@ from stereophd.pipeline.checks.run_figures.losses import check_losses
 from stereophd.pipeline.checks.run_figures.tracking import check_noise, check_tracking
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size
-from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, finished_report
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import ASSOCIATIONS_FILE, SCANS_FILE, TRACKS_FILE, TrackingRun
 from stereophd.report.installed import whether_to_draw
@@ -97,7 +97,8 @@ def calibrate(
     control = control_path(loaded)
     inputs = {"detections": log_path, **({} if control is None else {"control": control})}
     record = provenance("calibrate", loaded.record, inputs=inputs)
-    if options.resume and (done := finished_report(out_dir, record, options.force)) is not None:
+    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
+    if options.resume and (done := unfinished.finished_report(record, options.force)) is not None:
         return _accepted(done, options.require, log_path)
     recording = problem.recording
     size = size_of_calibration(section, len(recording.cameras), len(recording.pixels))
@@ -111,7 +112,6 @@ def calibrate(
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
         LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     findings = report_findings(check_log_alone(loaded, log_path))
-    unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
     with contextlib.ExitStack() as held:
         held.enter_context(output_lock(out_dir))
         held.enter_context(unfinished.held(options.resume, options.force))

@@ -30,7 +30,7 @@ from stereophd.pipeline.checks.run_figures.losses import check_losses
 from stereophd.pipeline.checks.run_figures.tracking import check_detections, check_knocks, check_noise, check_tracking
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.runs.progress import Progress
-from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun, finished_report
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces
@@ -82,7 +82,7 @@ def track(
         options = replace(options, overlap_s=overlap_of(options.pieces_s, options.overlap_s))
         record["pieces"] = {"length_s": options.pieces_s, "overlap_s": options.overlap_s}
     unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
-    if options.resume and (report := finished_report(out_dir, record, options.force)) is not None:
+    if options.resume and (report := unfinished.finished_report(record, options.force)) is not None:
         LOGGER.info("%s: finished already", out_dir)
         return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)

@@ -19,6 +19,7 @@ from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import tidy
 from stereophd.io.outputs.commit import files_below, is_folder
 from stereophd.io.outputs.disk import TEMPORARY_PREFIX, UNFINISHED_PREFIX
+from stereophd.io.outputs.locks import output_lock
 from stereophd.io.outputs.saved import GrowingFile, decoder, is_saved, read_frames, read_saved, write_saved
 
 # Characters of the identity in the name of a folder.
@@ -33,6 +34,8 @@ UNFINISHED_FILES = (f"{UNFINISHED_PREFIX}*/*{WHOLE}", f"{UNFINISHED_PREFIX}*/*{G
 # Seconds between two states that are kept; more where keeping one takes more than a hundredth of it.
 KEEP_EVERY_S = 60.0
 MOST_SHARE = 0.01
+
+REPORT_FILE = "report.json"
 
 
 def can_resume(out: Path | str) -> bool:
@@ -105,6 +108,36 @@ class UnfinishedRun:
         """Yield the names of the whole files."""
         return (path.name.removesuffix(WHOLE) for path in sorted(self.folder.glob(f"*{WHOLE}")))
 
+    def finished_report(self, record: Mapping[str, Any], force: bool) -> dict[str, Any] | None:
+        """Return the report if the run is finished in its output folder; None if it is not, or is to be replaced.
+
+        What a later run of the same began, and did not end, goes then. `record` is the provenance of the wanted run
+        (`stereophd.io.outputs.provenance.provenance`). Raises InputError if the folder holds the results of another
+        configuration or of other inputs, which only `force` lets a run replace.
+        """
+        path = self.out / REPORT_FILE
+        tidy(self.out)
+        try:
+            report = json.loads(path.read_text(encoding="utf-8"))
+        except FileNotFoundError:
+            return None
+        except (OSError, ValueError) as error:
+            if force:
+                return None
+            raise InputError(f"{path}: cannot be read ({error}); use `force=True` to start anew") from error
+        if isinstance(report, dict) and report.get("provenance") == record:
+            if is_folder(self.folder):
+                with output_lock(self.out):
+                    self.prepare(resume=True, force=force)
+                    shutil.rmtree(self.folder, ignore_errors=True)
+            return report
+        if force:
+            return None
+        raise InputError(
+            f"output folder {self.out} holds the results of another configuration, log or version; use `force=True` to "
+            "replace them"
+        )
+
     def write(self, name: str, value: Any) -> None:
         """Write a whole file."""
         self.folder.mkdir(parents=True, exist_ok=True)
@@ -161,32 +194,3 @@ def _is_ours(folder: Path, relative: Path) -> bool:
     if relative.suffix == GROWING and not path.is_symlink() and not path.stat().st_size:
         return True  # killed as it was made
     return relative.name.startswith(TEMPORARY_PREFIX) or is_saved(path)
-
-
-REPORT_FILE = "report.json"
-
-
-def finished_report(folder: Path | str, record: Mapping[str, Any], force: bool) -> dict[str, Any] | None:
-    """Return the report of a run that is finished in an output folder; None if there is none, or it is to be replaced.
-
-    `record` is the provenance of the wanted run (`stereophd.io.outputs.provenance.provenance`). Raises InputError if
-    the folder holds the results of another configuration or of other inputs, which only `force` lets a run replace.
-    """
-    path = Path(folder) / REPORT_FILE
-    tidy(path.parent)
-    try:
-        report = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        return None
-    except (OSError, ValueError) as error:
-        if force:
-            return None
-        raise InputError(f"{path}: cannot be read ({error}); use `force=True` to start anew") from error
-    if isinstance(report, dict) and report.get("provenance") == record:
-        return report
-    if force:
-        return None
-    raise InputError(
-        f"output folder {folder} holds the results of another configuration, log or version; use `force=True` to "
-        "replace them"
-    )

@@ -98,6 +98,12 @@ def test_finished_pieces_survive_a_kill(
     track(*scene, out, pieces_s=LENGTH, overlap_s=OVERLAP, resume=True)
     assert made == [2]
     assert files(out) == files(tmp_path / "whole")
+    # A forced repetition that was killed left pieces beside the finished tracks: nothing else would ever remove them.
+    with pytest.raises(Killed):
+        track(*scene, out, pieces_s=LENGTH, overlap_s=OVERLAP, progress=tick, force=True)
+    assert list(out.glob("partial-*/*.saved"))
+    track(*scene, out, pieces_s=LENGTH, overlap_s=OVERLAP, resume=True)
+    assert files(out) == files(tmp_path / "whole")
 
 
 def test_pieces_of_one_object(scene: tuple[LoadedConfig, Path], tmp_path: Path) -> None:
