@@ -8,7 +8,7 @@ from functools import cache
 
 import numpy as np
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Sizes of the turns (rad), how many sides each is to, and the standard deviation that a turn lends to each point, as a
@@ -48,11 +48,103 @@ def all_turns() -> Turns:
 
 
 def prepare_turns() -> None:
-    """Load the kernel of `turn_ratios`, with no points."""
+    """Load the kernels, with no points."""
     turns, none = all_turns(), np.empty((0, 2))
-    turn_ratios(
+    ratios = turn_ratios(
         none, np.empty((0, 2, 2)), none, (1.0, 1.0, 0.0, 0.0), (turns.shifts, turns.linear, turns.spread), 1.0, 1.0
     )
+    frame_ratios(ratios, 0.0)
+    tracks = np.empty((0, 6)), np.empty((0, 6, 6)), np.empty(0, dtype=np.bool_), 0.0
+    pose, detections = (np.eye(3), np.zeros(3)), (none, np.empty((0, 2, 2)))
+    nearest_detections(tracks, pose, (1.0, 1.0, 0.0, 0.0), detections, (0, 0), 1.0)
+
+
+@compiled
+def nearest_detections(
+    tracks: tuple[Array, Array, Booleans, float], pose: tuple[Array, Array], camera: tuple[float, float, float, float],
+    detections: tuple[Array, Array], most: tuple[int, int], limit: float,
+) -> tuple[Array, Array, Array, Booleans, Array]:  # fmt: skip
+    """Return tracks predicted into an image, the most certain first, and what detections are about them.
+
+    Parameters
+    ----------
+    tracks : tuple
+        States (n, 6), covariances (n, 6, 6), which of them are wanted (n,), and the time since then, s.
+    pose : tuple of arrays
+        Rotation (3, 3) and centre (3,).
+    camera : tuple
+        fx, fy, cx, cy, px.
+    detections : tuple of arrays
+        Undistorted pixels (m, 2) and their covariances (m, 2, 2), px^2.
+    most : tuple
+        How many tracks count, and how many of those are wanted at most.
+    limit : float
+        Squared residual, in variances, within which a detection is a track's.
+
+    Returns
+    -------
+    pixels, covariances : array (c, 2), (c, 2, 2)
+        Of the wanted tracks, and of a detection about them.
+    squares : array (c,)
+        Squared residuals of their nearest detections, in variances.
+    free : array (m,)
+        Which detections belong to no other track.
+    mean : array (2,)
+        Sum of those residuals that are within the limit, in its standard deviations; NaN without any.
+    """
+    states, covariances, wanted, since_s = tracks
+    rotation, center = pose
+    fx, fy, cx, cy = camera
+    points, noises = detections
+    noise = np.zeros((2, 2))
+    for j in range(len(points)):
+        noise += noises[j] / len(points)
+    pixels, spreads, traces = np.empty((len(states), 2)), np.empty((len(states), 2, 2)), np.empty(len(states))
+    x, seen = np.empty(3), np.empty((2, 3))
+    for k in range(len(states)):
+        for a in range(3):
+            x[a] = 0.0
+            for b in range(3):
+                x[a] += rotation[a, b] * (states[k, b] + since_s * states[k, b + 3] - center[b])
+        pixels[k] = fx * x[0] / x[2] + cx, fy * x[1] / x[2] + cy
+        for b in range(3):
+            seen[0, b] = fx / x[2] * (rotation[0, b] - x[0] / x[2] * rotation[2, b])
+            seen[1, b] = fy / x[2] * (rotation[1, b] - x[1] / x[2] * rotation[2, b])
+        spreads[k] = 0.0
+        for a in range(3):
+            for b in range(3):
+                moved = covariances[k, a, b] + since_s * (
+                    covariances[k, a, b + 3] + covariances[k, a + 3, b] + since_s * covariances[k, a + 3, b + 3]
+                )
+                for r in range(2):
+                    for s in range(2):
+                        spreads[k, r, s] += seen[r, a] * moved * seen[s, b]
+        traces[k] = spreads[k, 0, 0] + spreads[k, 1, 1]
+    order = np.argsort(traces, kind="mergesort")[: most[0]]
+    chosen, free = order[wanted[order]][: most[1]], np.ones(len(points), dtype=np.bool_)
+    residuals, squares = np.empty((len(chosen), 2)), np.full(len(chosen), np.inf)
+    total, variance, count = np.zeros(2), np.zeros((2, 2)), 0
+    for k in order:
+        spreads[k] += noise
+        a, b, c = spreads[k, 0, 0], spreads[k, 0, 1], spreads[k, 1, 1]
+        place = np.flatnonzero(chosen == k)
+        for j in range(len(points)):
+            u, v = points[j, 0] - pixels[k, 0], points[j, 1] - pixels[k, 1]
+            square = (c * u * u - 2.0 * b * u * v + a * v * v) / (a * c - b * b)
+            if not len(place):
+                free[j] &= square >= limit
+            elif square < squares[place[0]]:
+                squares[place[0]], residuals[place[0]] = square, (u, v)
+        if len(place) and squares[place[0]] < limit:
+            total += residuals[place[0]]
+            variance += spreads[k]
+            count += 1
+    mean = np.full(2, np.nan)
+    if count:
+        mean[0] = total[0] / math.sqrt(variance[0, 0])
+        rest = variance[1, 1] - variance[0, 1] ** 2 / variance[0, 0]
+        mean[1] = (total[1] - variance[0, 1] / variance[0, 0] * total[0]) / math.sqrt(rest)
+    return pixels[chosen], spreads[chosen], squares, free, mean
 
 
 @compiled
@@ -92,6 +184,8 @@ def turn_ratios(
             for j in range(len(detections)):
                 u = detections[j, 0] - points[i, 0] - move_u
                 v = detections[j, 1] - points[i, 1] - move_v
+                if u * u > 50.0 * a or v * v > 50.0 * c:  # each alone is at most the square
+                    continue
                 square = (c * u * u - 2.0 * b * u * v + a * v * v) / determinant
                 if square < 50.0:
                     total += math.exp(-0.5 * square)
@@ -100,4 +194,24 @@ def turn_ratios(
                 still = likelihood
             else:
                 out[i, h] = math.log(likelihood / still)
+    return out
+
+
+@compiled
+def frame_ratios(ratios: Array, fewest: float) -> Array:
+    """Return the log-likelihood ratio (h,) of a frame for each turn, from those of its tracks (n, h).
+
+    No track speaks more than twice as loud as all others together. Where fewer tracks than `fewest` speak for a turn,
+    only what speaks against it counts: neighbours hide together, and a turn may bring others into their places.
+    """
+    out = np.empty(ratios.shape[1])
+    for h in range(len(out)):
+        total, against, loudest, agreeing = 0.0, 0.0, -np.inf, 0
+        for i in range(len(ratios)):
+            ratio = ratios[i, h]
+            total += ratio
+            against += min(ratio, 0.0)
+            loudest = max(loudest, ratio)
+            agreeing += ratio > 0.0
+        out[h] = min(total, 3.0 * (total - loudest)) if agreeing >= fewest else against
     return out

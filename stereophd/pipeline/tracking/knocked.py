@@ -18,14 +18,15 @@ spreads more than that of independent ones.
 import math
 from dataclasses import dataclass, field, replace
 from functools import cache
+from statistics import median
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.core.two_views.turns import all_turns, turn_ratios
+from stereophd.core.two_views.turns import all_turns, frame_ratios, nearest_detections, turn_ratios
 
 # Mean time between two false alarms, s, if the model holds: ten days.
 FALSE_ALARM_S = 864_000.0
@@ -114,46 +115,40 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     if event.time_s < known.looked_s + len(cameras) / MOST_LOOKS or not len(event.points):
         return test, None
     camera = cameras[event.camera].at(event.time_s)
-    predicted = _predict(camera, before, event.time_s - since_s)
-    if predicted is None:
+    elapsed_s = event.time_s - since_s
+    seen = np.flatnonzero(camera.in_view(before.states[:, :3] + elapsed_s * before.states[:, 3:]))
+    if not len(seen):
         return test, None
-    most_known = max(MOST_TRACKS, MOST_PAIRS // len(event.points))
-    ids, points, covariances = predicted[0][:most_known], predicted[1][:most_known], predicted[2][:most_known]
-    noise = covariances + event.covariances.mean(axis=0)
-    residuals = event.points[None] - points[:, None]
-    squares = (residuals @ np.linalg.inv(noise) * residuals).sum(axis=2)
     born_s = {track: test.born_s.get(track, event.time_s) for track in before.track_ids.tolist()}
     test = replace(test, born_s=born_s)
-    is_old = np.array([born_s[track] <= event.time_s - LEAST_AGE_S for track in ids.tolist()])
-    chosen, others = np.flatnonzero(is_old)[:MOST_TRACKS], np.ones(len(ids), dtype=bool)
-    if not len(chosen):
-        return replace(test, cameras={**test.cameras, name: replace(known, looked_s=event.time_s)}), None
-    others[chosen] = False
+    is_old = np.array([born_s[track] <= event.time_s - LEAST_AGE_S for track in before.track_ids[seen].tolist()])
+    pixels = camera.fx, camera.fy, camera.cx, camera.cy
     # what belongs to a track that is not looked at speaks for no turn of the others
-    detections = event.points[~(squares[others] < TAKEN * known.spread).any(axis=0)]
-    nearest = squares[chosen].argmin(axis=1)
-    points, noise, residuals, squares = (
-        points[chosen], noise[chosen], residuals[chosen, nearest], squares[chosen, nearest]
+    points, noise, nearest, is_free, alone = nearest_detections(
+        (before.states[seen], before.covariances[seen], is_old, elapsed_s), (camera.pose.rotation, camera.pose.center),
+        pixels, (event.points, event.covariances),
+        (max(MOST_TRACKS, MOST_PAIRS // len(event.points)), MOST_TRACKS), TAKEN * known.spread,
     )  # fmt: skip
+    squares: list[float] = nearest.tolist()
+    if not squares:
+        return replace(test, cameras={**test.cameras, name: replace(known, looked_s=event.time_s)}), None
     sums, rising_s = (None, None) if event.time_s > known.looked_s + FORGET_S else (known.sums, known.since_s)
-    if known.looks >= FIRST_LOOKS and (sums is not None or np.median(squares) > CALM * known.spread):
+    if known.looks >= FIRST_LOOKS and (sums is not None or median(squares) > CALM * known.spread):
         turns, p_detect = all_turns(), camera.detector.p_detect
         ratios = turn_ratios(
-            points, noise * known.spread, detections, (camera.fx, camera.fy, camera.cx, camera.cy),
+            points, noise * known.spread, event.points[is_free], pixels,
             (turns.shifts, turns.linear, turns.spread), max(1.0 - p_detect, MISSED),
             p_detect * camera.width * camera.height / len(event.points),
         )  # fmt: skip
         sums, rising_s = _added(sums, rising_s, ratios, known.coherence, event.time_s)
-    good = squares < TAKEN * known.spread
-    typical = squares if known.looks < FIRST_LOOKS else squares[squares < STRANGE * known.spread]
-    spread = _followed(known.spread, typical / known.spread, TAIL, known.looks)
-    lasting, together = known.lasting, np.empty(0)
-    if good.any():
-        variance = noise[good].sum(axis=0) * known.spread
-        alone = np.linalg.solve(np.linalg.cholesky(variance), residuals[good].sum(axis=0))
+    strange = STRANGE * known.spread if known.looks >= FIRST_LOOKS else math.inf
+    spread = _followed(known.spread, [each for each in squares if each < strange], TAIL, known.looks)
+    lasting, together = known.lasting, []
+    if not math.isnan(alone[0]):
+        alone = alone / math.sqrt(known.spread)
         lasting = alone if lasting is None else LASTING * lasting + math.sqrt(1.0 - LASTING**2) * alone
-        together = np.array([lasting @ lasting])
-    coherence = _followed(known.coherence, together / known.coherence, MEDIAN, known.looks)
+        together = [float(lasting @ lasting)]
+    coherence = _followed(known.coherence, together, MEDIAN, known.looks)
     ratio, suspicion = _suspicion(sums, rising_s, _threshold(), event.time_s, known.suspicion)
     looks = CameraLooks(event.time_s, known.looks + 1, spread, lasting, coherence, sums, rising_s, suspicion)
     test = replace(test, cameras={**test.cameras, name: looks})
@@ -174,10 +169,12 @@ def _knock(test: KnockTest, cameras: tuple[Camera, ...], time_s: float) -> Knock
     return Knock(camera.name, time_s, first.since_s, math.degrees(size), (u, v), names)
 
 
-def _followed(factor: float, squares: Array, quantile: tuple[float, float, float], looks: int) -> float:
-    """Return a factor of variances, at least 1, after more squared residuals in such variances."""
+def _followed(factor: float, squares: list[float], quantile: tuple[float, float, float], looks: int) -> float:
+    """Return a factor of variances, at least 1, after more squared residuals in the variances stated."""
     level, beyond, rate = quantile
-    step = float((squares > level).sum() - beyond * len(squares)) * max(rate, FIRST_RATE / (looks + 1))
+    step = (sum(each > level * factor for each in squares) - beyond * len(squares)) * max(
+        rate, FIRST_RATE / (looks + 1)
+    )
     return max(factor * math.exp(min(max(step, -FIRST_RATE), FIRST_RATE)), 1.0)
 
 
@@ -185,11 +182,7 @@ def _added(
     sums: Array | None, since_s: Array | None, ratios: Array, coherence: float, time_s: float
 ) -> tuple[Array | None, Array | None]:
     """Return CUSUMs, and since when they are above 0, with the ratios (n, h) of the tracks of a look."""
-    # no track speaks more than twice as loud as all others together
-    total = np.minimum(ratios.sum(axis=0), 3.0 * (ratios.sum(axis=0) - ratios.max(axis=0)))
-    agreeing = (ratios > 0.0).sum(axis=0) >= max(FEWEST_TRACKS, AGREEING * len(ratios))
-    # neighbours hide together, and a turn may bring others into their places: those speak against it
-    total = np.where(agreeing, total, np.minimum(ratios, 0.0).sum(axis=0)) / coherence
+    total = frame_ratios(ratios, max(FEWEST_TRACKS, AGREEING * len(ratios))) / coherence
     before = np.zeros(len(total)) if sums is None else sums
     after = np.maximum(before + total, 0.0)
     if not after.any():
@@ -214,26 +207,3 @@ def _suspicion(
 def _threshold() -> float:
     """CUSUM that is exceeded once in `FALSE_ALARM_S` by chance."""
     return math.log(len(all_turns().spread) * FALSE_ALARM_S * MOST_LOOKS)
-
-
-def _predict(camera: Camera, before: Estimates, elapsed_s: float) -> tuple[Integers, Array, Array] | None:
-    """Return tracks in view, the most certain first: their numbers, undistorted pixels (n, 2), covariances (n, 2, 2).
-
-    None if there are none.
-    """
-    states, covariances = before.states, before.covariances
-    x = states[:, :3] + elapsed_s * states[:, 3:]
-    seen = np.flatnonzero(camera.in_view(x))
-    if not len(seen):
-        return None
-    step = np.hstack([np.eye(3), elapsed_s * np.eye(3)])
-    local = camera.pose.to_camera(x[seen])
-    scale = np.array([camera.fx, camera.fy]) / local[:, 2:]
-    jacobians = np.zeros((len(seen), 2, 3))
-    jacobians[:, 0, 0], jacobians[:, 1, 1] = scale.T
-    jacobians[:, :, 2] = -scale * local[:, :2] / local[:, 2:]
-    jacobians = jacobians @ camera.pose.rotation @ step
-    spread = jacobians @ covariances[seen] @ np.swapaxes(jacobians, 1, 2)
-    order = np.argsort(np.trace(spread, axis1=1, axis2=2), kind="stable")
-    points = scale * local[:, :2] + (camera.cx, camera.cy)
-    return before.track_ids[seen[order]], np.asarray(points[order]), np.asarray(spread[order])
