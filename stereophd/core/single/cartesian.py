@@ -6,7 +6,7 @@ by sigma points (unscented, without a centre point: all weights equal and positi
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.layout import FX, FY
 from stereophd.core.numerics.linear_algebra import condition
 from stereophd.core.numerics.samples import cubature_points
-from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
+from stereophd.core.single.base import Changes, SingleEstimate, SingleEstimator, first_density
 from stereophd.core.single.gaussian import (
     UNSEEN,
     GaussianState,
@@ -44,14 +44,12 @@ class CartesianEstimator(SingleEstimator[GaussianState]):
         """Return the state before the first detection."""
         return unseen_state()
 
-    def _detected(
-        self, state: GaussianState, event: Event, camera: Array, time_s: float
-    ) -> tuple[GaussianState, float]:
+    def _detected(self, state: GaussianState, event: Event, camera: Array, time_s: float) -> tuple[Changes, float]:
         """Predict, and update by the rule of the settings."""
-        now = replace(state, camera=event.camera, home_s=time_s)
+        now = Changes(camera=event.camera, home_s=time_s)
         if state.camera == UNSEEN:
             mean, covariance = self._first(event, camera)
-            return replace(now, mean=mean, covariance=covariance), first_density(self.rig, event)
+            return now | {"mean": mean, "covariance": covariance}, first_density(self.rig, event)
         mean, covariance = self._predicted(state, time_s)
         point, noise = event.points[0], event.covariances[0]
         if self.settings.rule == "extended":
@@ -62,9 +60,9 @@ class CartesianEstimator(SingleEstimator[GaussianState]):
             pixel, matrix, spread = _regression(lambda states: _pixels(camera, states), mean, covariance)
             noise = noise + spread
         if not np.isfinite(matrix).all():
-            return state, 0.0
+            return Changes(), 0.0
         mean, covariance, log_density = linear_update(mean, covariance, matrix, pixel, point, noise)
-        return replace(now, mean=mean, covariance=covariance), log_density + float(np.log(event.areas[0]))
+        return now | {"mean": mean, "covariance": covariance}, log_density + float(np.log(event.areas[0]))
 
     def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:
         """Gaussian in the world of a first detection and the prior."""

@@ -12,14 +12,14 @@ b' = h_2 / h_3, rho' = rho / h_3.
 Rays by slopes and not by angles (as in [7]): the prior is then the Gaussian of disparity space, rescaled.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.layout import FX, FY
-from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
+from stereophd.core.single.base import Changes, SingleEstimate, SingleEstimator, first_density
 from stereophd.core.single.gaussian import (
     UNSEEN,
     GaussianState,
@@ -50,13 +50,11 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         state = unseen_state()
         return InverseDepthState(0.0, 0.0, 0, state.mean, state.covariance, UNSEEN, np.empty(0))
 
-    def _detected(
-        self, state: InverseDepthState, event: Event, camera: Array, time_s: float
-    ) -> tuple[InverseDepthState, float]:
+    def _detected(self, state: InverseDepthState, event: Event, camera: Array, time_s: float) -> tuple[Changes, float]:
         """Predict and update to first order."""
         if state.camera == UNSEEN:
             mean, covariance = self._first(event, camera)
-            first = replace(state, mean=mean, covariance=covariance, camera=event.camera, home_s=time_s, anchor=camera)
+            first = Changes(mean=mean, covariance=covariance, camera=event.camera, home_s=time_s, anchor=camera)
             return first, first_density(self.rig, event)
         mean, covariance = self._predicted(state, time_s)
         # d (rho times the point in the camera's axes) / d (a, b, rho)
@@ -66,12 +64,11 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         matrix = np.zeros((2, len(mean)))
         matrix[:, :3] = jacobian @ rotation(camera) @ in_world
         if not np.isfinite(pixel).all():
-            return state, 0.0
+            return Changes(), 0.0
         mean, covariance, log_density = linear_update(
             mean, covariance, matrix, pixel, event.points[0], event.covariances[0]
         )
-        updated = replace(state, mean=mean, covariance=covariance, home_s=time_s)
-        return updated, log_density + float(np.log(event.areas[0]))
+        return Changes(mean=mean, covariance=covariance, home_s=time_s), log_density + float(np.log(event.areas[0]))
 
     def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:
         size = self.state_size
