@@ -15,6 +15,7 @@ Unix system.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import os
 import random
 import resource
@@ -64,7 +65,8 @@ class Forked:
             except BaseException:
                 traceback.print_exc()
             finally:
-                sys.stderr.flush()
+                with contextlib.suppress(OSError, AttributeError):  # no room for the message
+                    sys.stderr.flush()
                 os._exit(code if isinstance(code, int) else 0)
         signal.pthread_sigmask(signal.SIG_UNBLOCK, HANDLED)
 

@@ -191,7 +191,10 @@ def _report_error(text: str, kind: str, code: int, session: Session | None, mess
     `text` is the line for stderr, `message` the sentence of the document (default `text`). The kind is `usage`,
     `input`, `gate`, `interrupted` or `internal`.
     """
-    print(text, file=sys.stderr)
+    try:
+        print(text, file=sys.stderr)
+    except OSError:  # a full disk: the exit code says it
+        sys.stderr = None
     if session is not None and session.json and not session.printed:
         from stereophd.cli.error_document import error_document
         from stereophd.cli.terminal import print_report

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import io
 import os
 import subprocess
 import tempfile
@@ -17,6 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import stereophd.commands.track  # noqa: F401 (imported before the tests that run without permissions)
+from stereophd.cli.app import run
 from stereophd.io.tables.writing import TableWriter
 
 from .conftest import CONFIG, Outcome, write_config, write_log
@@ -273,3 +275,12 @@ def test_a_misspelt_target(call: Call, tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.setenv("STEREOPHD_TARGET", "portabel")
     words = (write_config(tmp_path / "config.yaml"), write_log(tmp_path / "log.parquet"), "--out", tmp_path / "out")
     check(call("track", *words), "STEREOPHD_TARGET: expected portable or nothing, found 'portabel'", tmp_path / "out")
+
+
+def test_without_room_for_the_message_the_exit_code_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    class Full(io.StringIO):
+        def write(self, text: str) -> int:
+            raise OSError(errno.ENOSPC, "no space left on device")
+
+    monkeypatch.setattr("sys.stderr", Full())
+    assert run(["track", "missing.yaml", "missing.parquet"]) == 2
