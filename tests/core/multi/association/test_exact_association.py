@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.multi.association import belief
@@ -151,8 +151,7 @@ def test_what_counts_as_too_dense_has_no_plan(seed: int, n_tracks: int, n_detect
     near = np.abs(np.arange(n_detections) - place[:, None]) <= reach[:, None]
     tracks, detections = np.nonzero(near)
     table, _ = make_table(tracks, detections, np.ones(len(tracks)), n_tracks, n_detections)
-    assume(np.isfinite(make_plan(table, width).cost))  # a health check fails where hardly any has a plan
-    assert len(tracks) <= width * (n_tracks + n_detections)
+    assert len(tracks) <= width * (n_tracks + n_detections) or not np.isfinite(make_plan(table, width).cost)
 
 
 def test_a_crowd_is_propagated() -> None:
