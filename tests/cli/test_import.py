@@ -49,6 +49,14 @@ def test_a_table_and_a_calibration_become_a_log_and_cameras(call: Call, tmp_path
     assert isinstance(json.loads(forced.out)["checks"], list)
 
 
+def test_one_offset_is_that_of_all_cameras(call: Call, tmp_path: Path) -> None:
+    table = write_table(tmp_path / "points.csv")
+    words = ("--column", "frame=n", "--fps", "25", "--offset", "0.5", "--offset", "right=2", "--json")
+    done = call("import", "csv", table, "--out", tmp_path / "in", *words)
+    assert done.code == 0, done.err
+    assert {name: row["first_s"] for name, row in json.loads(done.out)["cameras"].items()} == {"left": 0.5, "right": 2}
+
+
 def test_wrong_words_are_named(call: Call, tmp_path: Path) -> None:
     table = write_table(tmp_path / "points.csv")
     for words, part in (

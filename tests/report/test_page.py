@@ -23,7 +23,7 @@ from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 from stereophd.pipeline.inspection.runs import Run, read_runs
 from stereophd.report.page.columns import Paths, chosen, paths_of, thinned
-from stereophd.report.page.document import page, script_hash
+from stereophd.report.page.document import _html, page, script_hash
 from stereophd.report.summaries import run_tables, verdict
 from stereophd.wording import number
 from tests.commands.test_track import SCENE
@@ -217,6 +217,19 @@ def test_tables_are_rounded_and_have_units(folders: Path) -> None:
     assert "tracks in 19.5 s from 2 cameras" in verdict(found)
     warned = {**found, "checks": [{"name": "clock.offset", "status": "warning"}], "tracks": []}
     assert verdict(warned).endswith("1 check warns: clock.offset.")
+
+
+def test_the_printed_line_and_the_page_say_what_the_scale_is_known_from() -> None:
+    stds = {"rotation_std_deg": 0.1, "direction_std_deg": 0.1, "center_std": 0.1}
+    found = {"status": "determined", "cameras": {"left": stds}, "scale": {"determined_by": "prior"}}
+    words = "scale from the first guess alone"
+    assert words in verdict(found)
+    (poses,) = [
+        t
+        for t in run_tables({**found, "parameters": [], "provenance": {"config": {}}})
+        if t.title == "Calibrated cameras"
+    ]
+    assert words in _html(poses)
 
 
 @pytest.mark.skipif(BROWSER is None, reason="no chromium or chrome is installed")

@@ -297,6 +297,15 @@ def test_pairs_and_clocks_that_are_left_out_are_stated(count: int, few_frames: i
         assert ("clocks" in one.message) == (usable > 12)
 
 
+def test_a_small_promise_is_not_called_a_small_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("stereophd.pipeline.checks.geometry.findings.best_explanation", lambda *_, **__: None)
+    little = replace(_many(2), given=(Meeting(0.3, 0.28, 0.02, 1.0, 3.0, 100),), expected=(0.05,))
+    (found,) = check_geometry(little, thorough=False)
+    assert (found.status, found.remedy) == ("not checked", None)
+    assert "promise too little" in found.message
+    assert "overlap" not in found.message
+
+
 def test_a_log_of_many_cameras_says_what_is_left_out() -> None:
     geometry = replace(_many(27), pairs=(), given=(), expected=())
     assert [one.name for one in check_geometry(geometry, False)] == ["geometry.left_out"]

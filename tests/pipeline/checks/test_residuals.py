@@ -35,8 +35,9 @@ CAMERAS = (
 
 
 def _findings(
-    cameras: tuple[Camera, ...] = CAMERAS, late_s: float = 0.0, seen: tuple[Camera, ...] = CAMERAS, seed: int = 5
-) -> list[Finding]:
+    cameras: tuple[Camera, ...] = CAMERAS, late_s: float = 0.0, seen: tuple[Camera, ...] = CAMERAS, seed: int = 5,
+    boxes: bool = False,
+) -> list[Finding]:  # fmt: skip
     """Check `cameras` on a log of what the cameras `seen` see of slow objects; times of the second may be late."""
     rng = np.random.default_rng(seed)
     start, turn = rng.uniform([-1.5, -1, 6], [1.5, 1, 9], (OBJECTS, 3)), rng.uniform(0.3, 0.6, OBJECTS)
@@ -56,7 +57,7 @@ def _findings(
             found = pixels + rng.normal(0, 1, pixels.shape)
             frames.append(Frame(time + late_s * (c == 1), c, k, found[camera.contains(found)]))
     frames.sort(key=lambda frame: (frame.time_s, frame.camera))
-    return list(check_residuals(sample_log(frames, cameras)))
+    return list(check_residuals([replace(sample, boxes=boxes) for sample in sample_log(frames, cameras)]))
 
 
 def test_a_correct_set_up_leaves_white_noise() -> None:
@@ -97,6 +98,8 @@ def test_a_turned_camera_is_named() -> None:
     turned = replace(CAMERAS[1], pose=Pose(rotation_from_vector([0.005, 0.0, 0.003]) @ pose.rotation, pose.center))
     (found,) = _findings((CAMERAS[0], turned, CAMERAS[2]))
     assert (found.cause, found.camera) == ("pose_inaccurate", "right")
+    # the bias of a box detector looks the same: of boxes no pose is called off
+    assert {one.status for one in _findings((CAMERAS[0], turned, CAMERAS[2]), boxes=True)} == {"ok"}
 
 
 def test_rolling_shutters_are_taken_into_account() -> None:
