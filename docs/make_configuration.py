@@ -93,7 +93,7 @@ class Reference:
         self._table(node)
         for key, value in node.get("properties", {}).items():
             for place, section, kind in self._below(f"{path}.{key}", self._resolved(value)):
-                self._section(place, section, kind)
+                self._section(place, section, kind or word)
 
     def _table(self, node: Node) -> None:
         """Write one row per key of a mapping."""

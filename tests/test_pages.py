@@ -36,7 +36,10 @@ ELSEWHERE: dict[str, dict[str, str]] = {
     },
     "docs/start/install.md": {"demo out": "tests/cli/test_demo.py"},
     "docs/start/gallery.md": {"calibrate|experiment": MINUTES, "demo": "tests/cli/test_demo.py"},
-    "docs/start/recording.md": {"calibrate|evaluate-cameras|track": MINUTES},
+    "docs/start/recording.md": {
+        "calibrate|evaluate-cameras|track": MINUTES,
+        "init study": "tests/commands/test_init.py, without knowing the cameras",
+    },
     "docs/howto/calibrate.md": {"calibrate|track|evaluate-cameras": MINUTES},
     "docs/howto/batch.md": {"calibrate": MINUTES},
     "docs/howto/gates.md": {"calibrate": MINUTES, "compile": "tests/commands/test_compile.py", "demo": "test_demo.py"},

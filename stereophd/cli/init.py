@@ -37,9 +37,11 @@ def _lines(report: dict[str, Any], log: Path | None) -> list[str]:
     lines += [_detector(name, detector) for name, detector in report["detectors"].items()]
     config = Path(report["config"])
     # beside the configuration and quoted, so that the line can be copied as it is
-    following = shlex.join(
-        ["stereophd", "track", str(config), str(log or "LOG"), "--out", str(config.parent / "tracks")]
-    )
+    command, options, out = "track", ["--smooth", "--associations"], "tracks"
+    if report["must_be_calibrated"]:
+        command, options, out = "calibrate", [], "calibrated"
+    words = ["stereophd", command, str(config), str(log or "LOG"), *options, "--out", str(config.parent / out)]
+    following = shlex.join(words)
     return [*lines, f"Written: {config}; next:", f"  {following}"]
 
 

@@ -15,11 +15,12 @@ from stereophd.io.outputs.atomic import atomic_write
 from stereophd.io.outputs.disk import write_error
 from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
-from stereophd.pipeline.checks.run import check_log, report_findings
+from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.initial.draft import draft_from_log
 from stereophd.pipeline.initial.template import SCALES, Draft, Kind, template
 from stereophd.pipeline.initial.text import MARK, config_text
 from stereophd.pipeline.inspection.log import summarise_log
+from stereophd.site import page
 from stereophd.validated import METRES
 from stereophd.wording import LOGGER
 
@@ -32,12 +33,12 @@ def init(
     out_dir: Path | str, log_path: Path | str | None = None, cameras_path: Path | str | None = None,
     overrides: Sequence[str] = (), *, options: InitOptions,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write ``config.yaml`` for a log, so that `track` runs with it as it is.
+    """Write ``config.yaml`` for a log, so that `track` runs with it as it is; `calibrate` where poses are unknown.
 
     Cameras are native or of another program, and by default ``cameras.yaml`` beside the log, if it is there. Values
-    that `overrides` give stay as they are. Returns ``config`` (the path), ``length_unit``, ``values`` (key, value,
-    source, measured), ``detectors`` (by camera, with their sources), ``cameras`` and ``checks``. Raises InputError if
-    the log or the cameras are not usable, or the folder holds another ``config.yaml``.
+    that `overrides` give stay as they are. Returns ``config`` (the path), ``length_unit``, ``must_be_calibrated``,
+    ``values`` (key, value, source, measured), ``detectors`` (by camera, with their sources), ``cameras`` and
+    ``checks``. Raises InputError if the log or the cameras are not usable, or the folder holds another ``config.yaml``.
     """
     if log_path is not None:
         [log_path] = expand([log_path])
@@ -56,13 +57,19 @@ def init(
     if draft.cameras:
         loaded = load_config(target)
         if log_path is not None:
-            findings = report_findings((*draft.findings, *check_log(loaded, log_path, thorough=False)))
+            alone = draft.must_be_calibrated
+            checked = check_log_alone(loaded, log_path) if alone else check_log(loaded, log_path, thorough=False)
+            findings = report_findings((*draft.findings, *checked))
     else:
-        LOGGER.warning("%s: no cameras are known: put them into %s beside it", target, CAMERAS_FILE)
+        LOGGER.warning(
+            "%s: no cameras are known: put them into %s beside it, with `pose: unknown` where you know no pose (%s)",
+            target, CAMERAS_FILE, page("howto/calibrate"),
+        )  # fmt: skip
     return {
         "report_version": REPORT_VERSION,
         "config": str(target),
         "length_unit": draft.unit,
+        "must_be_calibrated": draft.must_be_calibrated,
         "cameras": list(draft.cameras),
         "values": [
             {"key": key, "value": one.value, "source": one.reason, "measured": one.measured}

@@ -46,7 +46,7 @@ def test_what_is_complete_passes(command: str | None, name: str) -> None:
         ("track", STATIC_SINGLE, "filter.prior: expected velocity_std"),
         ("simulate", "simulate=null", "simulate: expected a section `simulate`"),
         ("simulate", "simulate.objects.box={x: [900, 901], y: [0, 1], z: [1, 2]}", "expected"),
-        ("calibrate", "seed=1", "calibration: expected a section with reference and priors"),
+        ("calibrate", "seed=1", "calibration: expected a section with a reference camera"),
         ("experiment", "seed=1", "experiment: expected a section `experiment`"),
     ],
 )

@@ -74,6 +74,30 @@ def test_the_printed_command_works_as_it_is(
     assert (tmp_path / "my study" / "tracks" / "tracks.parquet").exists()
 
 
+@pytest.mark.parametrize("with_log", [True, False])
+def test_cameras_of_which_nothing_is_known_are_calibrated_first(
+    with_log: bool, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The next command is `calibrate`, and it takes the configuration as it is: it ends without input errors."""
+    values = yaml.safe_load((scene / "cameras.yaml").read_text())
+    for camera in values["cameras"].values():
+        camera["pose"] = "unknown"
+        camera.pop("frame_rate_hz", None)
+    guess = tmp_path / "guess.yaml"
+    guess.write_text(yaml.safe_dump(values))
+    log = ["--log", str(scene / "detections.parquet")] if with_log else []
+    assert run(["init", str(tmp_path / "study"), "--cameras", str(guess), *log]) == 0
+    name, command, config, *_ = shlex.split(capsys.readouterr().out.splitlines()[-1])
+    assert (name, command) == ("stereophd", "calibrate")
+    loaded = load_config(config)
+    assert loaded.config.calibration is not None
+    assert loaded.config.calibration.reference == next(iter(loaded.cameras))
+    assert all(camera.pose.unknown for camera in loaded.cameras.values())
+    assert all((camera.frame_rate_hz is not None) == with_log for camera in loaded.cameras.values())
+    words = ["calibrate", config, str(scene / "detections.parquet"), "--out", str(tmp_path / "out"), "--time", "1"]
+    assert run(words) == 0
+
+
 def test_every_value_has_its_source(written: tuple[Path, dict[str, Any]]) -> None:
     folder, report = written
     lines = (folder / "config.yaml").read_text().splitlines()

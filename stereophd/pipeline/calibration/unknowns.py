@@ -23,7 +23,10 @@ def calibration_section(loaded: LoadedConfig) -> CalibrationConfig:
     """Return the ``calibration`` section; raises InputError when there is none."""
     section = loaded.config.calibration
     if section is None:
-        raise InputError(f"{loaded.path}: calibration: expected a section with reference and priors, found none")
+        raise InputError(
+            f"{loaded.path}: calibration: expected a section with a reference camera, and with priors of the cameras "
+            "whose poses are known roughly, found none"
+        )
     return section
 
 

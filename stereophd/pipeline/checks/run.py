@@ -47,7 +47,7 @@ def check_log(
 
 def check_log_alone(loaded: LoadedConfig, log_path: Path | str) -> tuple[Finding, ...]:
     """Check a log alone: frames, times, pixels and detectors, but neither poses nor settings (see `check_log`)."""
-    cameras = loaded.build_cameras()
+    cameras = tuple(camera.build(name) for name, camera in loaded.cameras.items())
     reader = LogReader(log_path, cameras, "drop", float("inf"), leave_out=loaded.config.input.leave_out)
     samples = sample_log(reader, cameras, QUICK_FRAMES)
     return _of_files(loaded, samples, sum(len(sample.times) for sample in samples) < QUICK_FRAMES * len(cameras))

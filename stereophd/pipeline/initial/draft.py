@@ -56,11 +56,13 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     is not usable, or is one of other cameras.
     """
     bare = loaded_draft(draft, str(log_path))
-    cameras = bare.build_cameras()
+    cameras = tuple(camera.build(name) for name, camera in draft.cameras.items())
     reader = open_log(bare.config.input, cameras, log_path)
     samples = sample_log(reader, cameras, SAMPLE_FRAMES)
     draft, unknown = _with_known_detectors(draft, samples)
     draft = _with_frame_rates(draft, samples)
+    if draft.must_be_calibrated:  # everything else follows from rays, which need poses
+        return draft
     bodies = _with_bodies(draft, cameras, unknown, log_path) if all(sample.boxes for sample in samples) else None
     if bodies is not None:
         return replace(bodies, calibration=tuple(_calibration(bodies)))

@@ -37,6 +37,11 @@ class Draft:
     calibration: tuple[str, ...] = ()  # Lines at the end of the file: a section ``calibration`` to uncomment
     given: frozenset[str] = frozenset()  # Keys of choices that the user states: nothing changes them
 
+    @property
+    def must_be_calibrated(self) -> bool:
+        """Whether a pose or a clock is unknown, so that `calibrate` must come before `track`."""
+        return any(camera.must_be_found for camera in self.cameras.values())
+
     def with_choices(self, changes: Mapping[str, Choice]) -> Draft:
         """Return the draft with other values, save those that are given."""
         new = {key: choice for key, choice in changes.items() if key not in self.given}
@@ -118,4 +123,17 @@ def template(unit: str, cameras: dict[str, CameraConfig], kind: Kind) -> Draft:
             f"largest position error at which an object still counts as found, {unit}",
         ),
     }
-    return Draft(unit, cameras, choices)
+    draft = Draft(unit, cameras, choices)
+    return replace(draft, calibration=_nothing_known(draft)) if draft.must_be_calibrated else draft
+
+
+def _nothing_known(draft: Draft) -> tuple[str, ...]:
+    """Return a section ``calibration`` for cameras of which nothing is known."""
+    first, second, *_ = *draft.cameras, "another camera"
+    return (
+        "calibration:",
+        "  # Unknown poses and clocks are found from the tracks. This camera is the origin, with the true clock.",
+        f"  reference: {first}",
+        f"  # A distance that you have measured ({draft.unit}). Without one the distance of two cameras becomes 1.",
+        f"  # scale: {{kind: baseline, cameras: [{first}, {second}], distance: 1.0, std: 0.01}}",
+    )
