@@ -112,7 +112,7 @@ class ScoreOptions:
     region: Mapping[str, tuple[float, float]] | Literal["tracks"] | None = option(
         "Score only objects between two values of an axis, such as x=0:5 (repeatable), or in the box and the polygon "
         "that the configuration of the tracks states (tracks). Objects outside are left out with the estimates "
-        "assigned to them, and so are estimates outside that are near no other object.",
+        "assigned to them, and so are estimates outside that are assigned to no object.",
         default=None,
         metavar="AXIS=FROM:TO",
         parse=limits_by_axis,

@@ -28,8 +28,8 @@ def test_heights_do_not_count_on_the_ground() -> None:
 
 def test_what_is_outside_a_region_is_left_out() -> None:
     truth = point_sets([{0: 1.0, 1: 8.0}, {1: 8.0}])
-    # beside the first object, although outside; of the second object; of none; inside
-    estimates = point_sets([{5: -0.2, 6: 8.1, 7: 20.0, 8: 4.0}, {6: 8.1}])
+    # of the first object, although outside; near it, but not its estimate; of the second object; of none; inside
+    estimates = point_sets([{5: -0.2, 9: -0.5, 6: 8.1, 7: 20.0, 8: 4.0}, {6: 8.1}])
     estimates, truth, emptied = leave_out_outside(estimates, truth, box_half_spaces({"x": (0.0, 5.0)}), 2.0, 2.0)
     assert truth.label.tolist() == [0]
     assert estimates.label.tolist() == [5, 8]

@@ -6,7 +6,6 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.region import are_inside
-from stereophd.core.metrics.matching.near_pairs import near_pairs
 from stereophd.core.metrics.scans import PointSets, score_scans
 from stereophd.core.numerics.times import SAME_TIME_S
 
@@ -86,18 +85,17 @@ def on_plane(points: PointSets, normal: Array) -> PointSets:
 def leave_out_outside(
     estimates: PointSets, truth: PointSets, region: Array, order: float, cutoff: float
 ) -> tuple[PointSets, PointSets, Booleans]:
-    """Leave out what is outside a region: objects with the estimates assigned to them, and estimates near no other.
+    """Leave out what is outside a region: objects with the estimates assigned to them, and estimates of no object.
 
-    An estimate outside that is nearer than the cutoff to an object inside stays: it may be the estimate of that object.
-    The region is half-spaces (h, 4) (`stereophd.core.geometry.region`); order and cutoff are those of `score_scans`.
-    Returns the remaining estimates and true points of each scan, and the scans (k,) that lost points and have none
-    left.
+    An estimate outside stays where the optimal assignment pairs it with an object inside. The region is half-spaces
+    (h, 4) (`stereophd.core.geometry.region`); order and cutoff are those of `score_scans`. Returns the remaining
+    estimates and true points of each scan, and the scans (k,) that lost points and have none left.
     """
     had = estimates.counts + truth.counts > 0
     estimates, truth, _ = leave_out_unseen(
         estimates, truth, are_inside(truth.position, region), order, cutoff, mahalanobis=False
     )
     kept = are_inside(estimates.position, region)
-    kept[near_pairs(estimates, truth, cutoff).estimate] = True
+    kept[score_scans(estimates, truth, order, cutoff).pair_estimate] = True
     estimates = estimates.keep_points(kept)
     return estimates, truth, had & (estimates.counts + truth.counts == 0)
