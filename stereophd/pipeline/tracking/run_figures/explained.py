@@ -59,9 +59,11 @@ class CameraSums:
     residuals: int = 0
     total: Array = field(default_factory=lambda: np.zeros(2))
     squares: float = 0.0
-    # Squares of the residuals without outliers, and those that are expected.
+    # Squares of the residuals without outliers, and those that are expected. They are compared for points alone: the
+    # middle of a box is not the image of the middle of a body, and its noise is a part of its size.
     usual: float = 0.0
     expected: float = 0.0
+    of_points: bool = True
     times: list[float] = field(default_factory=list)
     states: list[Array] = field(default_factory=list)
     covariances: list[Array] = field(default_factory=list)
@@ -72,6 +74,7 @@ class CameraSums:
         self.explained += float(sightings.probabilities.sum())
         if sightings.time_s != record.time_s or not record.is_event or sightings.camera != record.camera:
             return
+        self.of_points = record.estimates.extents is None
         place = {track: row for row, track in enumerate(record.estimates.track_ids.tolist())}
         ids = sightings.track_ids.tolist()
         for row in np.flatnonzero(sightings.probabilities > PROBABLE).tolist():
@@ -104,7 +107,7 @@ class CameraSums:
     def report(self, camera: Camera) -> dict[str, Any]:
         """Return the figures for ``report.json``."""
         self._compute(camera)
-        count = self.residuals
+        count, compared = self.residuals, self.of_points and self.expected > 0.0
         return {
             "frames": self.frames,
             "detections": self.detections,
@@ -115,6 +118,6 @@ class CameraSums:
             # Root mean square of one axis.
             "residual_rms_px": float(np.sqrt(self.squares / (2 * count))) if count else None,
             # Over what the stated noise leads to expect of an estimate that has taken in the detection.
-            "residual_ratio": float(np.sqrt(self.usual / self.expected)) if self.expected > 0.0 else None,
+            "residual_ratio": float(np.sqrt(self.usual / self.expected)) if compared else None,
             "residual_mean_px": (self.total / count).tolist() if count else None,
         }
