@@ -182,8 +182,10 @@
       return { up: { x: heading[0], y: heading[1], z: heading[2] }, eye: { x: 2.0 * up[0], y: 2.0 * up[1], z: 2.0 * up[2] }, projection: { type: "orthographic" } };
     }
     const turned = kind === "side" ? [-along[1], along[0]] : [-0.8 * along[0] - 0.55 * along[1], -0.8 * along[1] + 0.55 * along[0]];
-    eye[a] = 1.8 * turned[0]; eye[b] = 1.8 * turned[1];
-    for (let k = 0; k < 3; k++) eye[k] += (kind === "side" ? 0 : 0.85) * up[k];
+    // farther away where the picture is narrow
+    const back = 1.15 * Math.max(1, 1.5 * by("scene0").clientHeight / (by("scene0").clientWidth || 1));
+    eye[a] = 1.8 * back * turned[0]; eye[b] = 1.8 * back * turned[1];
+    for (let k = 0; k < 3; k++) eye[k] += (kind === "side" ? 0 : 0.85 * back) * up[k];
     // what is near looks larger: the middle of the picture is nearer than the middle of the scene
     const center = [0, 0, 0];
     if (kind === "free") { center[a] = -0.12 * along[0]; center[b] = -0.12 * along[1]; for (let k = 0; k < 3; k++) center[k] -= 0.22 * up[k]; }
