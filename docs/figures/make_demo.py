@@ -50,7 +50,7 @@ def main(folder: Path, target: Path) -> None:
         axes.set_ylabel(camera.name, fontsize=8)
         axes.set_aspect("equal")
         images.append(axes.scatter([], [], s=9, c="white"))
-    scene = figure.add_axes((0.28, -0.02, 0.7, 1.0), projection="3d")
+    scene = figure.add_axes((0.28, 0.02, 0.7, 0.94), projection="3d")
     figure.text(0.02, 0.94, "you have: unlabelled detections, some false", fontsize=10, weight="bold")
     figure.text(0.72, 0.94, "you get: tracks in 3-D", fontsize=10, weight="bold")
 
@@ -63,7 +63,7 @@ def main(folder: Path, target: Path) -> None:
         scene.set(xlim=limits["x"], ylim=limits["z"], zlim=limits["y"], xlabel="x, m", ylabel="depth, m")
         scene.set_zlabel("height, m")
         scene.view_init(30, -50)
-        scene.set_box_aspect((5, 8, 3), zoom=1.08)
+        scene.set_box_aspect((5, 8, 3), zoom=1.02)
         for camera in cameras:
             x, y, z = camera.pose.center
             scene.scatter([x], [z], [-y], marker="s", c="black", s=18)
