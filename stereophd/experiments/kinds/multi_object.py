@@ -15,7 +15,8 @@ from stereophd.core.arrays import Array
 from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.distances.ospa import score_scans
+from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.state.estimates import Estimates

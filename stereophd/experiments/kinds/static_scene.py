@@ -20,7 +20,8 @@ from stereophd.core.bounds.known_association import AssociatedDetections, sight
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
-from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.distances.ospa import score_scans
+from stereophd.core.metrics.scans import PointSets
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames
 from stereophd.errors import InputError
@@ -70,8 +71,8 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     scenario = scenario_of(loaded.config, StaticSceneScenario)
     scores = score_scans(points, truth, 2.0, scenario.cutoff)
     unit, over = loaded.config.units.length, np.arange(len(times), dtype=np.float64)
-    last = scores.pair_scan == len(times) - 1
-    pairs = np.column_stack([scores.pair_estimate[last], scores.pair_truth[last] % max(count, 1)])
+    last = scores.pairs.scan == len(times) - 1
+    pairs = np.column_stack([scores.pairs.estimate[last], scores.pairs.truth[last] % max(count, 1)])
     bias = (points.counts - count).astype(np.float64)
     return [
         Series("ospa", unit, scores.ospa.distance, over),
