@@ -22,7 +22,6 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.multi.births.undetected import (
     Undetected,
-    birth_moments,
     burst_of,
     expected_births,
     newborn_prior,
@@ -31,7 +30,7 @@ from stereophd.core.multi.births.undetected import (
 from stereophd.core.multi.extract import Counters, select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.state.estimates import Estimates, Info
-from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers
+from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers, with_newborns
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.swaps.history import History
 from stereophd.core.numerics.samples import SampleSets
@@ -245,9 +244,7 @@ class DisparityFilter(ABC):
 
     def event_arrays(self, event: Event) -> EventArrays:
         """Return an event's detections, and the objects that they may have given birth to, for compiled code."""
-        space = self.rig.space(event.camera, event.time_s)
-        means, covariances = birth_moments(event, space, self.settings.birth, self.state_size, self.rig.region)
-        return EventArrays(event.points, event.covariances, event.areas, event.readings(space), means, covariances)
+        return with_newborns(*self.detections(event), self.state_size)
 
     def detections(self, event: Event) -> tuple[Detections, FirstSight]:
         """Return an event's detections, and the prior of the objects that they may have given birth to."""
