@@ -25,6 +25,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.bounds.known_association import AssociatedDetections
+from stereophd.core.disparity.events import undistorted_detections
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import pinhole, projective
@@ -45,12 +46,8 @@ def detection_noise(camera: Camera, points: Array) -> Array:
 
     The detector's noise, stated for the distorted pixel, carried through the lens.
     """
-    sigma = np.diag(camera.detector.sigma)
-    if camera.lens.model == "none":
-        return np.tile(sigma**2, (len(points), 1, 1))
-    _, jacobian = camera.undistort_pixels(camera.project(points))
-    scaled = jacobian @ sigma
-    return np.asarray(scaled @ np.swapaxes(scaled, 1, 2))
+    sigma = np.tile(camera.detector.sigma, (len(points), 1))
+    return undistorted_detections(camera, camera.project(points), sigma)[1]
 
 
 def detection_information(camera: Camera, points: Array) -> Array:

@@ -129,14 +129,14 @@ def _correspondence(points: PointSets, views: _Views, pairs: np.ndarray) -> list
 def _assigned(camera: Camera, frame: Frame, positions: Array, covariances: Array) -> tuple[np.ndarray, np.ndarray]:
     """Assign detections of a frame to landmarks one to one: rows of landmarks, and of detections."""
     rows = np.arange(len(frame.pixels))
-    _, _, projections, points, whitening = sight(camera, frame.time_s, frame.pixels, rows)
-    if not len(points) or not len(positions):
+    seen = sight(camera, frame.time_s, frame.pixels, rows)
+    if not len(seen.points) or not len(positions):
         return rows[:0], rows[:0]
     visible = camera.at(frame.time_s).in_view(positions)
-    pixels, slopes = projective(projections[0], positions)
-    noise = np.linalg.inv(np.swapaxes(whitening, 1, 2) @ whitening)
+    pixels, slopes = projective(seen.projection[0], positions)
+    noise = np.linalg.inv(np.swapaxes(seen.whitening, 1, 2) @ seen.whitening)
     spread = (slopes @ covariances @ np.swapaxes(slopes, 1, 2))[:, None] + noise[None]
-    errors = points[None] - pixels[:, None]
+    errors = seen.points[None] - pixels[:, None]
     distance = np.einsum("nmi,nmij,nmj->nm", errors, np.linalg.inv(spread), errors)
     cost = np.where(visible[:, None], np.minimum(distance, GATE), GATE)
     chosen, columns = linear_sum_assignment(cost)
@@ -159,11 +159,11 @@ def _views(loaded: LoadedConfig, number: int) -> _Views:
         true = frame.object_id != CLUTTER_ID
         camera = cameras[frame.camera]
         parts.append(sight(camera, frame.time_s, frame.pixels[true], np.searchsorted(labels, frame.object_id[true])))
-        for row in parts[-1][0].tolist():
+        for row in parts[-1].row.tolist():
             if first[row] is None:
                 frozen = camera.at(frame.time_s)
                 first[row] = DisparitySpace(frozen, config.disparity.baseline, config.disparity.rectification)
-    detections = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    detections = parts[0].join(*parts[1:])
     prior = build_filter(config, cameras, loaded.path).settings.birth
     information = static_point_information(detections, positions, first, prior)
     return _Views(cameras, frames, labels, positions, detections, information)
