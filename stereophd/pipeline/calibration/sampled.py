@@ -9,12 +9,11 @@ from stereophd.core.calibration.annealing.fits import fit_from
 from stereophd.core.calibration.annealing.method import Calibrated, HistoryRow
 from stereophd.core.calibration.annealing.starts import NOISE_AS_STATED, RIVAL_DISTANCE, disagreement, explained
 from stereophd.core.calibration.sampling import bridging, sequential
-from stereophd.core.calibration.sampling.blocks import BlockPath, block_sampler
-from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeResult, BridgeState
-from stereophd.core.calibration.sampling.likelihood import Evidence, LogEvidence
+from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeResult, BridgeSampler, BridgeState
+from stereophd.core.calibration.sampling.likelihood import Evidence
+from stereophd.core.calibration.sampling.paths import BlockPath, LogEvidence, TemperedPath
 from stereophd.core.calibration.sampling.recording_evidence import RecordingEvidence
 from stereophd.core.calibration.sampling.sequential import SequentialInfo, SequentialState
-from stereophd.core.calibration.sampling.tempered import TemperedPath, tempered_sampler
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, can_be_enlarged, scale_is_free
 from stereophd.core.multi.base import DisparityFilter
@@ -33,7 +32,8 @@ def sequential_outcome(run: CalibrationRun) -> Outcome:
     if settings.moves == "none":
         return _plain_outcome(run)
     path = BlockPath(_evidence(run, settings.likelihood, problem.scale, samples=settings.samples), settings)
-    sampler = block_sampler(path, SEQUENTIAL_PARTICLES.seed(run.seed))
+    seed = SEQUENTIAL_PARTICLES.seed(run.seed)
+    sampler = BridgeSampler(path, settings.resample_below, settings.moves_per_step, seed)
 
     def after(state: BridgeState, steps: Any) -> None:
         run.unfinished.keep("sequential", (state, list(steps)))
@@ -124,7 +124,7 @@ def smc_outcome(
     """Full posterior by tempered particles about the modes found."""
     settings, parameters = run.section.smc, run.problem.parameters
     path = TemperedPath(parameters, _evidence(run, settings.evidence, scale, settings.max_events), modes, settings)
-    sampler = tempered_sampler(path, TEMPERED_PARTICLES.seed(run.seed))
+    sampler = BridgeSampler(path, settings.resample_below, settings.moves, TEMPERED_PARTICLES.seed(run.seed))
 
     def after(state: BridgeState, steps: Any) -> None:
         run.unfinished.keep("smc", (state, list(steps)))
