@@ -27,7 +27,7 @@ from stereophd.core.multi.births.undetected import (
     newborn_prior,
     undetected_shares,
 )
-from stereophd.core.multi.extract import Counters, select_objects
+from stereophd.core.multi.extract import select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers, with_newborns
@@ -200,30 +200,21 @@ class DisparityFilter(ABC):
         chosen = select_objects(
             mixture,
             self.settings.extraction,
-            Counters(state.next_label, state.next_track),
+            (state.next_label, state.next_track),
             self.rig.spaces(mixture.cameras, mixture.times),
             self.motion.arrays((0.0 if state.time_s is None else state.time_s) - mixture.times),
             self.sets.turn(state.n_events),
             self.labels_may_split,
         )
         # `replace` takes longer
-        state = FilterState(
-            chosen.mixture,
-            state.time_s,
-            state.n_events,
-            chosen.next_label,
-            chosen.next_track,
-            state.undetected,
-            state.history,
-        )
         mixture, index = chosen.mixture, chosen.index
+        state = FilterState(
+            mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track, state.undetected, state.history
+        )
         estimates = Estimates(
             mixture.tracks[index], chosen.means, chosen.covariances, chosen.existence, mixture.labels[index]
         )
-        confirmed = chosen.confirmed
-        if confirmed == len(index):
-            return state, estimates
-        return state, estimates.divided(confirmed)
+        return state, estimates if chosen.confirmed == len(index) else estimates.divided(chosen.confirmed)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""

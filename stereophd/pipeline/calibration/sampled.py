@@ -71,7 +71,7 @@ def _plain_outcome(run: CalibrationRun) -> Outcome:
         run.unfinished.keep("sequential", (state, list(history)))
         run.report_progress(number, len(events))
 
-    result = sequential.run(
+    state, infos = sequential.run(
         parameters,
         events,
         FilterBatch(_template(run, settings.likelihood, settings.samples), run.jobs),
@@ -81,20 +81,16 @@ def _plain_outcome(run: CalibrationRun) -> Outcome:
         after,
         walk if walk.any() else None,
     )
-    mean, covariance = weighted_mean_covariance(result.state.values, result.state.log_weights)
-    sizes = [info.effective_sample_size for info in result.history]
+    mean, covariance = weighted_mean_covariance(state.values, state.log_weights)
     details = {
-        "log_evidence": result.state.log_evidence,
-        "effective_sample_size": effective_sample_size(result.state.log_weights),
-        "least_effective_sample_size": min(sizes),
-        "resampled": sum(info.resampled for info in result.history),
+        "log_evidence": state.log_evidence,
+        "effective_sample_size": effective_sample_size(state.log_weights),
+        "least_effective_sample_size": min(info.effective_sample_size for info in infos),
+        "resampled": sum(info.resampled for info in infos),
     }
-    history = tuple(HistoryRow(info.time_s, info.mean, info.covariance) for info in result.history)
+    history = tuple(HistoryRow(info.time_s, info.mean, info.covariance) for info in infos)
     doubt = _doubt(run, mean, covariance, details)
-    return Outcome(
-        parameters, mean, covariance, result.state.values, result.state.log_weights, history, "", doubt,
-        details=details,
-    )  # fmt: skip
+    return Outcome(parameters, mean, covariance, state.values, state.log_weights, history, "", doubt, details=details)
 
 
 def _doubt(run: CalibrationRun, values: Array, covariance: Array, details: dict[str, Any]) -> str:

@@ -1,6 +1,7 @@
 """Pose of a camera that stands still or moves steadily."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ CENTER = ("center_x", "center_y", "center_z")
 ROTATION = ("rotation_x", "rotation_y", "rotation_z")
 
 
-def _with(camera: Camera, **moved: Array) -> Camera:
+def _with(camera: Camera, **moved: Any) -> Camera:
     return replace(camera, pose=replace(camera.pose, **moved))
 
 
