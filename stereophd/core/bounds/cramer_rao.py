@@ -28,26 +28,11 @@ from stereophd.core.bounds.known_association import AssociatedDetections
 from stereophd.core.disparity.events import undistorted_detections
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.projection import pinhole, projective
+from stereophd.core.geometry.projection import projective
 from stereophd.core.multi.filter_settings.common import BirthPrior
 
 # An information matrix of worse condition leaves a direction undetermined: the bound is infinite.
 WORST_CONDITION = 1e15
-
-
-def pixel_jacobian(camera: Camera, points: Array) -> Array:
-    """Jacobian (n, 2, 3) of the undistorted pixel by the position (n, 3) in the world, px per length."""
-    _, by_point = pinhole(camera.pose.to_camera(points), np.array([camera.fx, camera.fy]))
-    return np.asarray(by_point @ camera.pose.rotation)
-
-
-def detection_noise(camera: Camera, points: Array) -> Array:
-    """Covariance (n, 2, 2) of the undistorted pixels of points (n, 3) in the world, px^2.
-
-    The detector's noise, stated for the distorted pixel, carried through the lens.
-    """
-    sigma = np.tile(camera.detector.sigma, (len(points), 1))
-    return undistorted_detections(camera, camera.project(points), sigma)[1]
 
 
 def detection_information(camera: Camera, points: Array) -> Array:
@@ -55,8 +40,11 @@ def detection_information(camera: Camera, points: Array) -> Array:
 
     The camera does not move here; for one that moves, pass the camera at its time (`Camera.at`).
     """
-    jacobian = pixel_jacobian(camera, points)
-    weighted = np.linalg.solve(detection_noise(camera, points), jacobian)
+    _, jacobian = projective(camera.projection_matrix, points)
+    # the detector's noise, stated for the distorted pixel, carried through the lens
+    sigma = np.tile(camera.detector.sigma, (len(points), 1))
+    _, noise, _ = undistorted_detections(camera, camera.project(points), sigma)
+    weighted = np.linalg.solve(noise, jacobian)
     return np.asarray(np.swapaxes(jacobian, 1, 2) @ weighted)
 
 
