@@ -48,9 +48,9 @@ def detection_information(camera: Camera, points: Array) -> Array:
     return np.asarray(np.swapaxes(jacobian, 1, 2) @ weighted)
 
 
-def world_jacobian(space: DisparitySpace, point: Array) -> Array:
-    """Jacobian A (3, 3) of the position in the world by (u, v, d), at a point (3,) of the world."""
-    return np.asarray(np.linalg.inv(projective(space.projective_matrix, point[None])[1][0]))
+def disparity_jacobian(space: DisparitySpace, point: Array) -> Array:
+    """Jacobian (3, 3) of (u, v, d) by the position in the world, at a point (3,) of the world."""
+    return projective(space.projective_matrix, point[None])[1][0]
 
 
 def state_jacobian(space: DisparitySpace, state: Array) -> Array:
@@ -59,7 +59,7 @@ def state_jacobian(space: DisparitySpace, state: Array) -> Array:
     With y = h / s and the rows P, p of P_d, ``D = dy/dx = (P - y p) / s`` and the velocity is D v, of which the
     derivative by x is ``-(D (p v) + (D v) p) / s``.
     """
-    position = np.linalg.inv(world_jacobian(space, state[:3]))
+    position = disparity_jacobian(space, state[:3])
     divisor = space.projective_matrix[3]
     scale = divisor[:3] @ state[:3] + divisor[3]
     velocity = position @ state[3:]
@@ -70,8 +70,8 @@ def state_jacobian(space: DisparitySpace, state: Array) -> Array:
 
 def prior_information(space: DisparitySpace, point: Array, disparity_std: float) -> Array:
     """Information (3, 3) on a position in the world in a Gaussian prior on its disparity."""
-    to_disparity = np.linalg.inv(world_jacobian(space, point))
-    return np.outer(to_disparity[2], to_disparity[2]) / disparity_std**2
+    slope = disparity_jacobian(space, point)[2]
+    return np.outer(slope, slope) / disparity_std**2
 
 
 def localisation_bounds(information: Iterable[Array], prior: Array | None = None) -> Array:
@@ -101,12 +101,6 @@ def inverse_information(information: Array) -> Array:
     covariance = np.linalg.inv(scaled[usable]) / scale[usable]
     out[usable] = (covariance + np.swapaxes(covariance, -1, -2)) / 2.0
     return out
-
-
-def to_disparity(covariance: Array, space: DisparitySpace, point: Array) -> Array:
-    """Carry a bound (3, 3) on the position at a point of the world over to disparity space, px^2."""
-    jacobian = np.linalg.inv(world_jacobian(space, point))
-    return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def posterior_bounds(first: Array, transitions: Array, noises: Array, information: Array) -> Array:
@@ -179,9 +173,7 @@ def static_point_information(
     slopes = detections.whitening @ projective(detections.projection, positions[detections.row])[1]
     np.add.at(information, detections.row, np.swapaxes(slopes, 1, 2) @ slopes)
     for row, space in enumerate(first):
-        if space is None:
-            continue
-        _, std = prior.disparity_moments(space.packed())
-        slope = projective(space.projective_matrix, positions[row : row + 1])[1][0, 2]
-        information[row] += np.outer(slope, slope) / std**2
+        if space is not None:
+            _, std = prior.disparity_moments(space.packed())
+            information[row] += prior_information(space, positions[row], std)
     return information
