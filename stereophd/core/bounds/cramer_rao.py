@@ -50,7 +50,7 @@ def detection_information(camera: Camera, points: Array) -> Array:
 
 def disparity_jacobian(space: DisparitySpace, point: Array) -> Array:
     """Jacobian (3, 3) of (u, v, d) by the position in the world, at a point (3,) of the world."""
-    return projective(space.projective_matrix, point[None])[1][0]
+    return np.asarray(projective(space.projective_matrix, point[None])[1][0])
 
 
 def state_jacobian(space: DisparitySpace, state: Array) -> Array:
