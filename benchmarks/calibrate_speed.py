@@ -139,7 +139,7 @@ def measure(options: argparse.Namespace) -> dict[str, object]:
     settings = sequential.SequentialSettings(particles=options.particles, roughening=options.roughening)
     with ThreadPoolExecutor(options.threads) as pool:
         small = sequential.SequentialSettings(particles=8)
-        state = sequential.run(parameters, events[:10], batch, small, seed).state  # compiles
+        state, _ = sequential.run(parameters, events[:10], batch, small, seed)  # compiles
         floor(phd, state.filters, events[0], hypothesis_spaces(parameters, state.values, phd.rig), pool)
         state = sequential.init(parameters, batch, settings, seed)
         filter_time, floor_time = Spent(), Spent()

@@ -37,11 +37,11 @@ from stereophd.core.bodies.filter import BodyFilter
 from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, STATE_SIZE, TOP, outline_boxes
 from stereophd.core.bodies.prediction import predict_bodies
 from stereophd.core.disparity.events import Event, make_event, make_rig
+from stereophd.core.metrics.distances.ospa import score_scans
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
 from stereophd.core.metrics.identities import clear_mot_figures, identity_switches
 from stereophd.core.metrics.matching.clear_mot import match_within
-from stereophd.core.metrics.matching.near_pairs import near_pairs
-from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.scans import PointSets
 from stereophd.core.simulation.detections import Scene, simulate_frames, truth_rows
 from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.simulation import build_scene
@@ -167,11 +167,10 @@ def scores(estimates: dict[int, Estimates], scene: Scene) -> dict[str, float]:
     true = [(np.array([k for k, _ in truth[key]]), np.array([row[:6] for _, row in truth[key]]), *none) for key in when]
     found = point_sets([estimates[key] for key in when])
     known = point_sets([(a, b, np.zeros((len(a), 6, 6)), np.zeros((len(a), 2))) for a, b, *_ in true])
-    near = near_pairs(found, known, CUTOFF)
-    pairs, _ = match_within(found, known, score_scans(found, known, ORDER, CUTOFF), ORDER, CUTOFF, CUTOFF)
-    x, y = pairs.pair_estimate, pairs.pair_truth
+    pairs, near = match_within(found, known, score_scans(found, known, ORDER, CUTOFF), ORDER, CUTOFF, CUTOFF)
+    x, y = pairs.pairs.estimate, pairs.pairs.truth
     off = found.position[x] - known.position[y]
-    switched = identity_switches(pairs.pair_scan, known.label[y], found.label[x])
+    switched = identity_switches(pairs.pairs.scan, known.label[y], found.label[x])
     clear = clear_mot_figures(found, known, pairs, switched, np.linalg.norm(off, axis=1))
     assert found.covariance is not None
     level = np.linalg.solve(found.covariance[x][:, :2, :2], off[:, :2, None])[:, :, 0]

@@ -25,8 +25,9 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.core.arrays import Array
+from stereophd.core.metrics.distances.ospa import score_scans
 from stereophd.core.metrics.matching.clear_mot import match_within
-from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.summary import figures as figures_of_run
 from stereophd.core.metrics.summary import pair_errors, track_ospa
 from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS, align_truth, last_event_of_each_time
@@ -166,9 +167,9 @@ def score(run: Run, settings: Sequence[str]) -> list[float]:
     found = points_of_estimates(estimates)
     scores = score_scans(found, run.truth, ORDER, CUTOFF)
     scores, near = match_within(found, run.truth, scores, ORDER, CUTOFF, MATCH_DISTANCE)
-    ospa2 = track_ospa(found, run.truth, WINDOW, ORDER, CUTOFF, mahalanobis=False)
+    ospa2 = track_ospa(found, run.truth, scores.near, WINDOW, ORDER, CUTOFF)
     errors = pair_errors(found, run.truth, scores)
-    report = figures_of_run(found, run.truth, scores, near, near, ospa2, errors, {})
+    report = figures_of_run(found, run.truth, scores, near, ospa2, errors, {})
     both = points_of_estimates([one.with_tentative() for one in estimates])
     late = run.time_s >= 0.5 * (run.time_s[0] + run.time_s[-1])
     last_half = float(scores.ospa.distance[late].mean())

@@ -29,7 +29,8 @@ from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
-from stereophd.core.metrics.distances.ospa import ospa
+from stereophd.core.metrics.distances.ospa import score_scans
+from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import align_truth
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.pipeline.build import build_filter
@@ -146,10 +147,17 @@ def run_pmb(multi_filter: DisparityFilter, events: Sequence[Event]) -> list[Arra
 
 def accuracy(found: Sequence[Array], truth: Sequence[Array]) -> dict[str, float]:
     """Mean OSPA over the last half of the scans and over all, and the share of scans with a wrong number."""
-    distances = np.array([float(ospa(x, y, ORDER, CUTOFF).distance) for x, y in zip(found, truth, strict=True)])
+    distances = score_scans(_point_sets(found), _point_sets(truth), ORDER, CUTOFF).ospa.distance
     wrong = np.array([len(x) != len(y) for x, y in zip(found, truth, strict=True)])
     half = len(distances) // 2
     return {"ospa_last_half": distances[half:].mean(), "ospa": distances.mean(), "wrong_number": wrong.mean()}
+
+
+def _point_sets(scans: Sequence[Array]) -> PointSets:
+    """Return positions (m, 3) of each scan as sets of points."""
+    start = np.concatenate([[0], np.cumsum([len(scan) for scan in scans])]).astype(np.int64)
+    position = np.concatenate([np.empty((0, 3)), *scans])
+    return PointSets(start, position, np.zeros_like(position), np.full(len(position), -1))
 
 
 def _measure(ways: dict[str, Callable[[], list[Array]]], repetitions: int) -> dict[str, tuple[list[Array], float]]:

@@ -15,6 +15,7 @@ from stereophd.core.alignment.start import turns_between
 from stereophd.core.alignment.to_track import MOST_ROTATION, MOST_SCALE, Alignment
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.projection import nearest_points
 from stereophd.core.metrics.truth.registration import Registration, derivatives, stepped
 
 # Steps at most, the squared length of the last one in standard deviations, and the step of a numerical derivative in
@@ -127,18 +128,11 @@ def _projected(cameras: Sequence[Camera], points: ControlPoints, places: Array) 
 
 def _triangulated(cameras: Sequence[Camera], points: ControlPoints) -> Array:
     """Points (p, 3) nearest to their rays; NaN where fewer than two cameras see one."""
-    matrix, vector = np.zeros((len(points.places), 3, 3)), np.zeros((len(points.places), 3))
+    rays, centers = np.empty((len(points.camera), 3)), np.empty((len(points.camera), 3))
     for number, camera in enumerate(cameras):
         rows = points.camera == number
-        rays = camera.rays(points.pixels[rows]) @ camera.pose.rotation
-        across = np.eye(3) - np.einsum("ni,nj->nij", rays, rays) / (rays**2).sum(axis=1)[:, None, None]
-        np.add.at(matrix, points.point[rows], across)
-        np.add.at(vector, points.point[rows], across @ camera.pose.center)
-    places = np.full_like(vector, np.nan)
-    crossing: Booleans = np.asarray(np.isfinite(matrix).all(axis=(1, 2)), dtype=np.bool_)
-    crossing[crossing] = np.linalg.eigvalsh(matrix[crossing])[:, 0] > 1e-9
-    places[crossing] = np.linalg.solve(matrix[crossing], vector[crossing, :, None])[:, :, 0]
-    return places
+        rays[rows], centers[rows] = camera.rays(points.pixels[rows]) @ camera.pose.rotation, camera.pose.center
+    return nearest_points(rays, centers, points.point, len(points.places))
 
 
 def _similarity(places: Array, points: ControlPoints, any_scale: bool) -> Registration:

@@ -13,17 +13,17 @@ import numpy as np
 from scipy.special import ndtr
 
 from stereophd.core.arrays import Array
-from stereophd.core.bodies.boxes import EXTENT_RANGE, Boxes, box_variances
-from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE, TOP, VELOCITY, WIDTH, U, outline_boxes
+from stereophd.core.bodies.boxes import EXTENT_RANGE, Boxes, box_middles, box_variances
+from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, STATE_SIZE, TOP, VELOCITY, WIDTH, outline_boxes
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.region import half_spaces
+from stereophd.core.multi.births.undetected import pixel_grid, shares_left
 
 STEPS = 3
 # Columns of a state that a box tells of.
 MEASURED = [0, 1, 2, 6, 7]
-# Places of the image (across, down), and depths in heights of an object, that measure how far views overlap.
-OVERLAP_GRID = (12, 9)
+# Depths, in heights of an object, at which it is measured how far views overlap.
 OVERLAP_DEPTHS = (2.0, 5.0, 10.0, 20.0)
 
 
@@ -106,12 +106,8 @@ def _first_guess(boxes: Boxes, camera: Camera, log_mean: Array) -> Array:
     depths = camera.fy * 2.0 * math.exp(log_mean[0]) / height
     no_height = boxes.hidden[:, TOP] | boxes.hidden[:, BOTTOM]
     depths = np.where(no_height, camera.fx * 2.0 * math.exp(log_mean[1]) / width, depths)
-    middle = (values[:, TOP] + values[:, BOTTOM]) / 2.0
-    rays = np.stack(
-        [(values[:, U] - camera.cx) / camera.fx, (middle - camera.cy) / camera.fy, np.ones(len(values))], axis=1
-    )
     states = np.zeros((len(values), STATE_SIZE))
-    states[:, POSITION] = camera.pose.to_world(rays * depths[:, None])
+    states[:, POSITION] = camera.pose.to_world(camera.pinhole_rays(box_middles(values)) * depths[:, None])
     states[:, LOG_AXES] = log_mean
     return states
 
@@ -143,30 +139,17 @@ def depths_inside(states: Array, region: Array, up: Array) -> Array:
     return np.asarray(spaces[:, 3] + reach - states[:, POSITION] @ spaces[:, :3].T)
 
 
-def shares_left(cameras: Sequence[Camera], shape: EllipsoidSettings) -> Array:
-    """Return the share (c, c) of the objects in view of each camera (row) that a frame of each one (column) leaves.
+def body_shares_left(cameras: Sequence[Camera], shape: EllipsoidSettings) -> Array:
+    """Return `shares_left` of bodies that are uniform over the image, on the ground or at some depths."""
 
-    Objects are uniform over the image, on the ground or at some depths, at time 0.
-    """
-    frozen = [camera.at(0.0) for camera in cameras]
-    overlap = np.eye(len(frozen))
-    for k, camera in enumerate(frozen):
-        across, down = OVERLAP_GRID
-        u = (np.arange(across) + 0.5) / across * camera.width - 0.5
-        v = (np.arange(down) + 0.5) / down * camera.height - 0.5
-        pixels = np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
-        rays = camera.pose.to_world(camera.rays(pixels)) - camera.pose.center
+    def places(camera: Camera) -> Array:
+        rays = camera.pose.to_world(camera.rays(pixel_grid(camera))) - camera.pose.center
         if shape.ground is None:
-            depths = np.repeat(np.array(OVERLAP_DEPTHS) * shape.height.mean, len(pixels))
-            rays = np.tile(rays, (len(OVERLAP_DEPTHS), 1))
-        else:
-            middle = np.array(shape.ground.point) + shape.direction * shape.height.mean / 2.0
-            with np.errstate(divide="ignore", invalid="ignore"):
-                depths = (middle - camera.pose.center) @ shape.direction / (rays @ shape.direction)
-            depths = np.where(depths > 0.0, depths, np.nan)
-        places = camera.pose.center + rays * depths[:, None]
-        places = places[np.isfinite(places).all(axis=1)]
-        for c, other in enumerate(frozen):
-            if c != k and len(places):
-                overlap[k, c] = float(np.mean(other.in_view(places)))
-    return np.asarray(1.0 - overlap * np.array([camera.detector.p_detect for camera in cameras]))
+            depths = np.repeat(np.array(OVERLAP_DEPTHS) * shape.height.mean, len(rays))
+            return np.asarray(camera.pose.center + np.tile(rays, (len(OVERLAP_DEPTHS), 1)) * depths[:, None])
+        middle = np.array(shape.ground.point) + shape.direction * shape.height.mean / 2.0
+        with np.errstate(divide="ignore", invalid="ignore"):
+            depths = (middle - camera.pose.center) @ shape.direction / (rays @ shape.direction)
+        return np.asarray(camera.pose.center + rays * np.where(depths > 0.0, depths, np.nan)[:, None])
+
+    return shares_left(cameras, places)

@@ -13,10 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.bodies.outline import BOTTOM, TOP, WIDTH, U
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.numerics.rows import ArrayRows
 from stereophd.errors import InputError
 
 # A side within this of the border of the image, px, may lie beyond it.
@@ -30,7 +31,7 @@ EXTENT_RANGE = 100.0
 
 
 @dataclass(frozen=True)
-class Boxes:
+class Boxes(ArrayRows):
     """The boxes of an event."""
 
     values: Array  # (m, 4): u, top, bottom, width, undistorted px
@@ -42,10 +43,6 @@ class Boxes:
 
     def __len__(self) -> int:
         return len(self.values)
-
-    def take(self, kept: Integers) -> Boxes:
-        """Return some of the boxes."""
-        return Boxes(*(values[kept] for values in vars(self).values()))
 
 
 def boxes_of(event: Event, camera: Camera) -> Boxes:
@@ -96,6 +93,11 @@ def _undistorted(camera: Camera, sides: tuple[Array, Array], sizes: Array) -> tu
     values = np.stack([(u[:, 0] + u[:, 1]) / 2.0, v[:, 2], v[:, 3], u[:, 1] - u[:, 0]], axis=1)
     across, down = values[:, WIDTH] / sizes[:, 0], (values[:, BOTTOM] - values[:, TOP]) / sizes[:, 1]
     return values, np.stack([across, down, down, across], axis=1)
+
+
+def box_middles(boxes: Array) -> Array:
+    """Middles (n, 2) of boxes (n, 4), undistorted px."""
+    return np.column_stack([boxes[:, U], (boxes[:, TOP] + boxes[:, BOTTOM]) / 2.0])
 
 
 def box_variances(heights: Array, scales: Array, parts: Array) -> Array:

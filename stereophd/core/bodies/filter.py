@@ -27,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.bodies.births import Newborns, depths_inside, newborn_bodies, shares_left
+from stereophd.core.bodies.births import Newborns, body_shares_left, depths_inside, newborn_bodies
 from stereophd.core.bodies.boxes import WHOLE_SHARE, Boxes, box_variances, boxes_of, share_in_image
 from stereophd.core.bodies.hypotheses import Hypotheses, box_factors, merged, reassociate, reduce_hypotheses
 from stereophd.core.bodies.occlusion import CUT_SHARE, detection_probabilities, hidden_shares
@@ -232,7 +232,7 @@ class BodyFilter:
     @cached_property
     def _left(self) -> list[Array]:
         """Return the share (c, c) of the objects in view of each camera that a frame of each camera leaves."""
-        return list(np.ascontiguousarray(shares_left(self.rig.cameras, self.shape).T))
+        return list(np.ascontiguousarray(body_shares_left(self.rig.cameras, self.shape).T))
 
     def _hidden(self, hypotheses: Hypotheses, projected: Array, camera: Camera) -> Array:
         """Shares (n,) of the boxes of the hypotheses that nearer bodies are expected to hide."""

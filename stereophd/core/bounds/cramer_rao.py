@@ -25,32 +25,14 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.bounds.known_association import AssociatedDetections
+from stereophd.core.disparity.events import undistorted_detections
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.projection import pinhole, projective
+from stereophd.core.geometry.projection import projective
 from stereophd.core.multi.filter_settings.common import BirthPrior
 
 # An information matrix of worse condition leaves a direction undetermined: the bound is infinite.
 WORST_CONDITION = 1e15
-
-
-def pixel_jacobian(camera: Camera, points: Array) -> Array:
-    """Jacobian (n, 2, 3) of the undistorted pixel by the position (n, 3) in the world, px per length."""
-    _, by_point = pinhole(camera.pose.to_camera(points), np.array([camera.fx, camera.fy]))
-    return np.asarray(by_point @ camera.pose.rotation)
-
-
-def detection_noise(camera: Camera, points: Array) -> Array:
-    """Covariance (n, 2, 2) of the undistorted pixels of points (n, 3) in the world, px^2.
-
-    The detector's noise, stated for the distorted pixel, carried through the lens.
-    """
-    sigma = np.diag(camera.detector.sigma)
-    if camera.lens.model == "none":
-        return np.tile(sigma**2, (len(points), 1, 1))
-    _, jacobian = camera.undistort_pixels(camera.project(points))
-    scaled = jacobian @ sigma
-    return np.asarray(scaled @ np.swapaxes(scaled, 1, 2))
 
 
 def detection_information(camera: Camera, points: Array) -> Array:
@@ -58,14 +40,17 @@ def detection_information(camera: Camera, points: Array) -> Array:
 
     The camera does not move here; for one that moves, pass the camera at its time (`Camera.at`).
     """
-    jacobian = pixel_jacobian(camera, points)
-    weighted = np.linalg.solve(detection_noise(camera, points), jacobian)
+    _, jacobian = projective(camera.projection_matrix, points)
+    # the detector's noise, stated for the distorted pixel, carried through the lens
+    sigma = np.tile(camera.detector.sigma, (len(points), 1))
+    _, noise, _ = undistorted_detections(camera, camera.project(points), sigma)
+    weighted = np.linalg.solve(noise, jacobian)
     return np.asarray(np.swapaxes(jacobian, 1, 2) @ weighted)
 
 
-def world_jacobian(space: DisparitySpace, point: Array) -> Array:
-    """Jacobian A (3, 3) of the position in the world by (u, v, d), at a point (3,) of the world."""
-    return np.asarray(np.linalg.inv(projective(space.projective_matrix, point[None])[1][0]))
+def disparity_jacobian(space: DisparitySpace, point: Array) -> Array:
+    """Jacobian (3, 3) of (u, v, d) by the position in the world, at a point (3,) of the world."""
+    return np.asarray(projective(space.projective_matrix, point[None])[1][0])
 
 
 def state_jacobian(space: DisparitySpace, state: Array) -> Array:
@@ -74,7 +59,7 @@ def state_jacobian(space: DisparitySpace, state: Array) -> Array:
     With y = h / s and the rows P, p of P_d, ``D = dy/dx = (P - y p) / s`` and the velocity is D v, of which the
     derivative by x is ``-(D (p v) + (D v) p) / s``.
     """
-    position = np.linalg.inv(world_jacobian(space, state[:3]))
+    position = disparity_jacobian(space, state[:3])
     divisor = space.projective_matrix[3]
     scale = divisor[:3] @ state[:3] + divisor[3]
     velocity = position @ state[3:]
@@ -85,8 +70,8 @@ def state_jacobian(space: DisparitySpace, state: Array) -> Array:
 
 def prior_information(space: DisparitySpace, point: Array, disparity_std: float) -> Array:
     """Information (3, 3) on a position in the world in a Gaussian prior on its disparity."""
-    to_disparity = np.linalg.inv(world_jacobian(space, point))
-    return np.outer(to_disparity[2], to_disparity[2]) / disparity_std**2
+    slope = disparity_jacobian(space, point)[2]
+    return np.outer(slope, slope) / disparity_std**2
 
 
 def localisation_bounds(information: Iterable[Array], prior: Array | None = None) -> Array:
@@ -116,12 +101,6 @@ def inverse_information(information: Array) -> Array:
     covariance = np.linalg.inv(scaled[usable]) / scale[usable]
     out[usable] = (covariance + np.swapaxes(covariance, -1, -2)) / 2.0
     return out
-
-
-def to_disparity(covariance: Array, space: DisparitySpace, point: Array) -> Array:
-    """Carry a bound (3, 3) on the position at a point of the world over to disparity space, px^2."""
-    jacobian = np.linalg.inv(world_jacobian(space, point))
-    return np.asarray(jacobian @ covariance @ jacobian.T)
 
 
 def posterior_bounds(first: Array, transitions: Array, noises: Array, information: Array) -> Array:
@@ -194,9 +173,7 @@ def static_point_information(
     slopes = detections.whitening @ projective(detections.projection, positions[detections.row])[1]
     np.add.at(information, detections.row, np.swapaxes(slopes, 1, 2) @ slopes)
     for row, space in enumerate(first):
-        if space is None:
-            continue
-        _, std = prior.disparity_moments(space.packed())
-        slope = projective(space.projective_matrix, positions[row : row + 1])[1][0, 2]
-        information[row] += np.outer(slope, slope) / std**2
+        if space is not None:
+            _, std = prior.disparity_moments(space.packed())
+            information[row] += prior_information(space, positions[row], std)
     return information

@@ -19,11 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
+from stereophd.core.disparity.events import undistorted_detections
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.filter_settings.common import BirthPrior
+from stereophd.core.numerics.rows import ArrayRows
 
 # Steps until none would lower the cost of its object by this much, relative to one plus itself.
 TOLERANCE = 1e-9
@@ -32,7 +34,7 @@ FIRST_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-4, 1e-12, 1e12
 
 
 @dataclass(frozen=True)
-class AssociatedDetections:
+class AssociatedDetections(ArrayRows):
     """Detections of objects, in order of time."""
 
     row: NDArray[np.int64]  # (m,) of int: The object, as a row of the results
@@ -44,9 +46,7 @@ class AssociatedDetections:
     def until(self, time_s: float) -> AssociatedDetections:
         """Return the detections up to a time."""
         end = int(np.searchsorted(self.time_s, time_s, side="right"))
-        return AssociatedDetections(
-            self.row[:end], self.time_s[:end], self.projection[:end], self.points[:end], self.whitening[:end]
-        )
+        return self.take(slice(end))
 
 
 @dataclass(frozen=True)
@@ -61,20 +61,13 @@ class _Paths:
     motion: Motion
 
 
-def sight(
-    camera: Camera, time_s: float, pixels: Array, rows: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], Array, Array, Array, Array]:
-    """Return the fields of `AssociatedDetections` for the detections (m, 2) of one frame, distorted pixels."""
-    frozen = camera.at(time_s)
+def sight(camera: Camera, time_s: float, pixels: Array, rows: NDArray[np.int64]) -> AssociatedDetections:
+    """Return the detections (m, 2) of one frame, distorted pixels."""
     count = len(pixels)
-    covariances = np.broadcast_to(np.diag(np.asarray(camera.detector.sigma) ** 2), (count, 2, 2))
-    points = pixels
-    if camera.lens.code != 0:
-        points, jacobian = camera.undistort_pixels(pixels)
-        covariances = jacobian @ covariances @ np.swapaxes(jacobian, 1, 2)
+    points, covariances, _ = undistorted_detections(camera, pixels, np.tile(camera.detector.sigma, (count, 1)))
     whitening = np.linalg.inv(np.linalg.cholesky(covariances)) if count else np.zeros((0, 2, 2))
-    projection = np.broadcast_to(frozen.projection_matrix, (count, 3, 4))
-    return rows, np.full(count, time_s), projection, points, whitening
+    projection = np.broadcast_to(camera.at(time_s).projection_matrix, (count, 3, 4))
+    return AssociatedDetections(rows, np.full(count, time_s), projection, points, whitening)
 
 
 def noiseless_paths(

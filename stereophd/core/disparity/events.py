@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields, replace
-from typing import Any, Literal
+from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,7 @@ from stereophd.core.disparity.rolling import readings, travels, turned_to_frame
 from stereophd.core.disparity.space import PACKED_SIZE, DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.region import rays_meet
+from stereophd.core.numerics.rows import ArrayRows
 
 # Packed spaces of moving cameras that are kept.
 MOST_KEPT = 4096
@@ -25,7 +26,7 @@ NEIGHBOURS = np.array([(0.0, 0.0), *((np.cos(a), np.sin(a)) for a in 0.25 * np.p
 
 
 @dataclass(frozen=True)
-class Event:
+class Event(ArrayRows):
     """The detections of one camera at one time, undistorted."""
 
     time_s: float  # Time, s
@@ -65,15 +66,11 @@ class Event:
         for step in NEIGHBOURS:
             rest = np.flatnonzero(~kept)
             moved = self.points[rest] + reach[rest, None] * step
-            rays = np.column_stack([(moved[:, 0] - camera.cx) / camera.fx, (moved[:, 1] - camera.cy) / camera.fy])
-            rays = np.column_stack([rays, np.ones(len(rest))]) @ camera.pose.rotation
+            rays = camera.pinhole_rays(moved) @ camera.pose.rotation
             kept[rest] = rays_meet(camera.pose.center, rays, rig.region)
             if kept.all():
                 return self
-        columns: dict[str, Any] = {
-            each.name: value[kept] for each in fields(self) if isinstance(value := getattr(self, each.name), np.ndarray)
-        }
-        return replace(self, **columns, outside=int(len(kept) - kept.sum()))
+        return replace(self.take(kept), outside=int(len(kept) - kept.sum()))
 
     def readings(self, space: Array) -> Array | None:
         """Return when and from where the detections were read (m, 3): `stereophd.core.disparity.rolling.readings`.
@@ -174,12 +171,11 @@ def make_event(
     good = np.isfinite(points).all(axis=1) & (areas > 0.0)
     if not good.all():
         order = order[good[order]]
+    rows = np.arange(len(pixels)) if rows is None else rows
     return Event(
-        time_s, index, points[order], covariances[order], areas[order], None if delays is None else delays[order],
-        frame, len(pixels) - len(order), sigma is not None, pixels[order], None if moved is None else moved[order],
-        None if sizes is None else sizes[order],
-        order if rows is None else rows[order]
-    )  # fmt: skip
+        time_s, index, points, covariances, areas, delays, frame, len(pixels) - len(order), sigma is not None, pixels,
+        moved, sizes, rows
+    ).take(order)  # fmt: skip
 
 
 def framed_detections(

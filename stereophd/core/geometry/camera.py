@@ -214,6 +214,11 @@ class Camera:
         xy, _ = self.lens.undistort(self._to_normalised(pixels))
         return np.column_stack([xy, np.ones(len(xy))])
 
+    def pinhole_rays(self, points: ArrayLike) -> Array:
+        """Return the rays (n, 3) of undistorted pixels (n, 2) in the camera's frame, with depth 1."""
+        xy = self._to_normalised(points)
+        return np.column_stack([xy, np.ones(len(xy))])
+
     def in_view(self, x_world: ArrayLike) -> Booleans:
         """Return which world positions (n, 3) the camera sees, as bool (n,).
 

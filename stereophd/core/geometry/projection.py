@@ -1,13 +1,12 @@
-"""Projections with their derivatives: of points in a camera's axes, and by projective matrices.
+"""Projections with their derivatives: of points in a camera's axes, and by projective matrices; and where rays meet.
 
-These are the parts. `stereophd.core.bounds.cramer_rao.pixel_jacobian` is the Jacobian of the undistorted pixel by a
-position in the world, and `calibration.unknowns.quantities.pixel_derivatives.look` the whole derivative of the
-distorted pixel: through the lens, and by the pose, the motion of object and camera, and time.
+These are the parts. `calibration.unknowns.quantities.pixel_derivatives.look` is the whole derivative of the distorted
+pixel: through the lens, and by the pose, the motion of object and camera, and time.
 """
 
 import numpy as np
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans, Integers
 
 
 def pinhole(points: Array, focal: Array) -> tuple[Array, Array]:
@@ -41,3 +40,21 @@ def projective(matrix: Array, points: Array) -> tuple[Array, Array]:
         images = homogeneous[:, :-1] / homogeneous[:, -1:]
         slopes = matrix[:, :-1, :3] - images[:, :, None] * matrix[:, -1, None, :3]
         return images, np.asarray(slopes / homogeneous[:, -1, None, None])
+
+
+def nearest_points(rays: Array, centers: Array, owners: Integers, count: int, worst: float = 1e9) -> Array:
+    """Points (p, 3) nearest to all of their rays: those through centres (n, 3) in the directions (n, 3) of some length.
+
+    The point of each ray is one of `owners` (n,), from 0 to `count` less one. A row has NaN where a ray has, or where
+    the rays leave the point open: where the condition number is above the worst.
+    """
+    across = np.eye(3) - np.einsum("ni,nj->nij", rays, rays) / (rays**2).sum(axis=1)[:, None, None]
+    matrix, vector = np.zeros((count, 3, 3)), np.zeros((count, 3))
+    np.add.at(matrix, owners, across)
+    np.add.at(vector, owners, np.einsum("nij,nj->ni", across, centers))
+    points = np.full((count, 3), np.nan)
+    meet: Booleans = np.asarray(np.isfinite(matrix).all(axis=(1, 2)), dtype=np.bool_)
+    sizes = np.linalg.eigvalsh(matrix[meet])
+    meet[meet] = sizes[:, 0] * worst > sizes[:, 2]
+    points[meet] = np.linalg.solve(matrix[meet], vector[meet, :, None])[:, :, 0]
+    return points

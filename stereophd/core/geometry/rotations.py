@@ -22,6 +22,20 @@ def rotations(vectors: Array) -> Array:
     )
 
 
+def left_jacobians(vectors: Array) -> Array:
+    """Left Jacobians (n, 3, 3) of rotation vectors (n, 3): exp(v + dv) = exp(J dv) exp(v) to first order.
+
+    Of a vector that changes with time, J dv / dt is the angular velocity (J. Sola et al., "A micro Lie theory", 2018,
+    eq. 145).
+    """
+    cross = cross_matrices(vectors)
+    angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
+    safe = np.where(angle < 1e-4, 1.0, angle)
+    second = np.where(angle < 1e-4, 0.5, (1.0 - np.cos(safe)) / safe**2)
+    third = np.where(angle < 1e-4, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
+    return np.asarray(np.eye(3) + second * cross + third * cross @ cross)
+
+
 def quaternion_matrices(quaternions: Array) -> Array:
     """Rotation matrices (n, 3, 3) of unit quaternions (n, 4) in the order w, x, y, z."""
     w, vector = quaternions[:, 0, None, None], quaternions[:, 1:]

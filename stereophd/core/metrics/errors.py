@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.metrics.matching.assignment import is_positive_definite
-from stereophd.core.metrics.scans import PointSets, ScanScores
+from stereophd.core.metrics.distances.ospa import ScanScores
+from stereophd.core.metrics.scans import UNLABELLED, PointSets
+from stereophd.core.numerics.covariance_factors import is_positive_definite
 
 
 def root_mean_square(errors: Array) -> float:
@@ -53,9 +54,6 @@ def mean_of(values: NDArray[Any]) -> float:
     """Return the mean of values, NaN without any."""
     return float(values.mean()) if len(values) else float("nan")
 
-
-# A track without an identity (filters that do not label their estimates) carries a negative label.
-UNLABELLED = -1
 
 # Errors are no longer alike where the squared norm of their correlation is below this many times its mean by chance.
 CHANCE = 2.0
@@ -151,14 +149,13 @@ def confirmation_figures(
     labels, target = np.unique(truth.label, return_inverse=True)
     appears = np.full(len(labels), np.inf)
     np.minimum.at(appears, target, time_s[truth.scan])
-    pairs = np.arange(len(scores.pair_scan))
+    pairs = scores.pairs
     if estimates.confirmed is not None:
-        pairs = pairs[estimates.confirmed[scores.pair_estimate]]
+        pairs = pairs.take(estimates.confirmed[pairs.estimate])
     # Pairs are in order of scan.
-    tracked, first = np.unique(target[scores.pair_truth[pairs]], return_index=True)
-    first = pairs[first]
-    confirmed = time_s[scores.pair_scan[first]]
-    reported = _first_reported(estimates.label[scores.pair_estimate[first]], confirmed, reported_id, reported_s)
+    tracked, first = np.unique(target[pairs.truth], return_index=True)
+    confirmed = time_s[pairs.scan[first]]
+    reported = _first_reported(estimates.label[pairs.estimate[first]], confirmed, reported_id, reported_s)
     waited = confirmed - appears[tracked]
     return {
         "mean_s": mean_of(waited),

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.metrics.errors import UNLABELLED, mean_of
-from stereophd.core.metrics.matching.assignment import optimal_assignment
-from stereophd.core.metrics.matching.near_pairs import Couples, NearPairs, couples
-from stereophd.core.metrics.scans import PointSets, ScanScores
+from stereophd.core.metrics.distances.ospa import ScanScores
+from stereophd.core.metrics.errors import mean_of
+from stereophd.core.metrics.matching.near_pairs import NearPairs, couples, most_gain
+from stereophd.core.metrics.scans import UNLABELLED, PointSets
 
 # An object is mostly tracked if it is matched in at least this share of its scans, and mostly lost below the rest.
 MOSTLY = 0.8
@@ -99,7 +99,7 @@ def identity_figures(
     `switched` (q,) marks the matched pairs whose object has changed its track. Values are NaN where there is nothing to
     average, None where the estimates carry no identities.
     """
-    pair_track, pair_object = estimates.label[scores.pair_estimate], truth.label[scores.pair_truth]
+    pair_track, pair_object = estimates.label[scores.pairs.estimate], truth.label[scores.pairs.truth]
     labelled = pair_track > UNLABELLED
     tracks = tabulate(estimates.label[estimates.label > UNLABELLED], pair_track[labelled], pair_object[labelled])
     objects = tabulate(truth.label, pair_object, pair_track, labelled)
@@ -154,12 +154,12 @@ def clear_mot_figures(
     the matched pairs; how many objects are matched in at least `MOSTLY` of their scans, and in less than the rest. NaN
     without true points, None without identities. The other arguments are those of `identity_figures`.
     """
-    matched, points = len(scores.pair_scan), len(truth.label)
+    matched, points = len(scores.pairs.scan), len(truth.label)
     if not has_identities(estimates):
         return {"mota": None, "motp": mean_of(distance), "mostly_tracked": None, "mostly_lost": None}
     wrong = points + len(estimates.label) - 2 * matched + int(switched.sum())
     number = np.unique(truth.label, return_inverse=True)[1]
-    share = np.bincount(number[scores.pair_truth], minlength=number.max(initial=-1) + 1) / np.bincount(number)
+    share = np.bincount(number[scores.pairs.truth], minlength=number.max(initial=-1) + 1) / np.bincount(number)
     return {
         "mota": 1.0 - wrong / points if points else float("nan"),
         "motp": mean_of(distance),
@@ -187,36 +187,9 @@ def identity_score(estimates: PointSets, truth: PointSets, near: NearPairs) -> d
     They are between 0 and 1; NaN where there is nothing to divide by. An estimate without an identity is a track of its
     own.
     """
-    right = _most_common_scans(couples(estimates, truth, near))
+    pairs = couples(estimates, truth, near)
+    common = np.bincount(pairs.number, minlength=len(pairs.objects)).astype(np.float64)
+    right = int(common[most_gain(pairs.objects, pairs.tracks, common)].sum())
     n_truth, n_estimates = len(truth.label), len(estimates.label)
     wholes = {"idf1": (n_truth + n_estimates) / 2.0, "id_precision": n_estimates, "id_recall": n_truth}
     return {name: right / whole if whole else float("nan") for name, whole in wholes.items()}
-
-
-def _most_common_scans(pairs: Couples) -> int:
-    """Return the greatest total number of near pairs when each object is given at most one track.
-
-    Objects and tracks that no chain of pairs connects are assigned apart, so that the work does not grow with the
-    number of all objects times that of all tracks.
-    """
-    objects, tracks_of, count = pairs.objects, pairs.tracks, np.bincount(pairs.number)
-    if len(objects) == 0:
-        return 0
-    from scipy.sparse import coo_array  # costly to import
-    from scipy.sparse.csgraph import connected_components
-
-    tracks = int(tracks_of.max()) + 1
-    nodes = int(objects.max()) + 1 + tracks
-    ones = np.ones(len(objects), dtype=np.int8)
-    graph = coo_array((ones, (objects, tracks_of + nodes - tracks)), shape=(nodes, nodes))
-    part = connected_components(graph, directed=False)[1][objects]
-    order = np.argsort(part, kind="stable")
-    total = 0
-    for rows in np.split(order, np.flatnonzero(np.diff(part[order])) + 1):
-        row, column = (np.unique(names[rows], return_inverse=True)[1] for names in (objects, tracks_of))
-        table = np.zeros((1, row.max() + 1, column.max() + 1))
-        table[0, row, column] = count[rows]
-        partner = optimal_assignment(-table)[0]
-        paired = partner >= 0
-        total += int(table[0, paired, partner[paired]].sum())
-    return total

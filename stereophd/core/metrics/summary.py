@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
 from stereophd.core.metrics.distances.hota import Hota, hota
-from stereophd.core.metrics.distances.ospa import Gospa, Ospa
+from stereophd.core.metrics.distances.ospa import Gospa, Ospa, ScanScores
 from stereophd.core.metrics.distances.ospa2 import ospa2_of_windows
 from stereophd.core.metrics.errors import (
-    UNLABELLED,
     error_percentiles,
     independent_count,
     mean_of,
@@ -30,7 +29,7 @@ from stereophd.core.metrics.identities import (
     identity_switches,
 )
 from stereophd.core.metrics.matching.near_pairs import NearPairs
-from stereophd.core.metrics.scans import PointSets, ScanScores
+from stereophd.core.metrics.scans import UNLABELLED, PointSets
 
 POSITION_DIMENSION = 3
 
@@ -40,7 +39,7 @@ PAIRS_AT_ONCE = 65_536
 
 @dataclass(frozen=True)
 class PairErrors:
-    """Errors of the matched pairs, in the order of `ScanScores.pair_scan`."""
+    """Errors of the matched pairs, in the order of `ScanScores.pairs`."""
 
     # `position`, `velocity`: (q, 3) arrays: Estimate minus truth in the world; NaN where a velocity is unknown.
     position: Array
@@ -59,7 +58,7 @@ class PairErrors:
 
 def pair_errors(estimates: PointSets, truth: PointSets, scores: ScanScores) -> PairErrors:
     """Return the errors of the matched pairs of scored scans."""
-    x, y = scores.pair_estimate, scores.pair_truth
+    x, y = scores.pairs.estimate, scores.pairs.truth
     position = estimates.position[x] - truth.position[y]
     normalised, alone = np.full(position.shape, np.nan), np.full(len(x), np.nan)
     if estimates.covariance is not None:
@@ -72,17 +71,17 @@ def pair_errors(estimates: PointSets, truth: PointSets, scores: ScanScores) -> P
         position,
         estimates.velocity[x] - truth.velocity[y],
         normalised,
-        identity_switches(scores.pair_scan, truth.label[y], estimates.label[x]),
+        identity_switches(scores.pairs.scan, truth.label[y], estimates.label[x]),
         None if estimates.cameras_part is None else alone,
     )
 
 
 def track_ospa(
-    estimates: PointSets, truth: PointSets, window: int, order: float, cutoff: float, *, mahalanobis: bool
+    estimates: PointSets, truth: PointSets, near: NearPairs, window: int, order: float, cutoff: float
 ) -> Ospa:
     """Return OSPA(2) of each window of scans, as `ospa2_of_windows`; NaN for estimates without identities."""
     if has_identities(estimates):
-        return ospa2_of_windows(estimates, truth, window, order, cutoff, mahalanobis=mahalanobis)
+        return ospa2_of_windows(estimates, truth, near, window, order, cutoff)
     unknown = np.full(estimates.scans, np.nan)
     return Ospa(unknown, unknown, unknown)
 
@@ -91,7 +90,7 @@ def per_scan_columns(
     time_s: Array, estimates: PointSets, truth: PointSets, scores: ScanScores, ospa2: Ospa, errors: PairErrors
 ) -> dict[str, NDArray[Any]]:
     """Return the columns of ``per_scan.parquet``, arrays (k,); NaN where a scan has no matched pair."""
-    scans, group = len(time_s), scores.pair_scan
+    scans, group = len(time_s), scores.pairs.scan
     return {
         "time_s": time_s,
         "ospa": scores.ospa.distance,
@@ -115,7 +114,6 @@ def figures(
     estimates: PointSets,
     truth: PointSets,
     scores: ScanScores,
-    near: NearPairs,
     matchable: NearPairs,
     ospa2: Ospa,
     errors: PairErrors,
@@ -123,8 +121,7 @@ def figures(
 ) -> dict[str, Any]:
     """Return the figures of a run as nested JSON-able values; NaN where there is nothing to average.
 
-    `near` are all pairs nearer than the cutoff (HOTA), `matchable` those that may be matched (IDF1);
-    `confirmation` is of `confirmation_figures`.
+    `matchable` are all pairs that may be matched (IDF1); `confirmation` is of `confirmation_figures`.
 
     Means of OSPA, OSPA(2) and GOSPA (and of their parts) are over scans, the others over matched pairs. The
     parts of a mean distance do not add up to it: only those of a single scan do.
@@ -133,7 +130,7 @@ def figures(
     normalised, alone = errors.nees, errors.nees_without_cameras
     known = np.isfinite(normalised)
     normalised = normalised[known]
-    independent = independent_count(errors.whitened[known], truth.label[scores.pair_truth[known]])
+    independent = independent_count(errors.whitened[known], truth.label[scores.pairs.truth[known]])
     low, high = nees_interval(independent, POSITION_DIMENSION)
     matched = int(scores.n_matched.sum())
     labels = estimates.label[estimates.label > UNLABELLED]
@@ -159,7 +156,7 @@ def figures(
         "clear_mot": clear_mot_figures(
             estimates, truth, scores, errors.switched, np.linalg.norm(errors.position, axis=1)
         ),
-        **_identity_scores(estimates, truth, near, matchable),
+        **_identity_scores(estimates, truth, scores.near, matchable),
         "tracks": len(np.unique(labels)),
         **identity_figures(estimates, truth, scores, errors.switched),
         "confirmation": confirmation,

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.motion.base import Flow, Motion, Noise, NoiseFactor, accelerations, check_speed
+from stereophd.core.motion.base import Flow, Motion, Noise, accelerations, check_speed
 from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
 from stereophd.core.settings import PositiveLength, parameter, settings
 
@@ -69,12 +69,6 @@ class ConstantVelocity(Motion):
     def noise(self, dt: Array) -> Noise:
         """Return |dt|^3 / 3, sign(dt) dt^2 / 2 and |dt|, for intervals (...)."""
         return Noise(abs(dt) ** 3 / 3.0, dt * abs(dt) / 2.0, abs(dt))
-
-    def noise_factor(self, dt: Array) -> NoiseFactor:
-        """Return the factor of the noise of intervals (n,): one shape, scaled."""
-        std = np.sqrt(abs(dt))
-        size = np.shape(dt)
-        return NoiseFactor(std * dt, std, np.full(size, POSITION_WITH_VELOCITY), np.full(size, POSITION_ALONE))
 
     def arrays(self, dt: Array) -> MotionArrays:
         """Return what compiled code reads for intervals (n,): `Motion.arrays`, in a third of its time."""

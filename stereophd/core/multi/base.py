@@ -22,16 +22,15 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.multi.births.undetected import (
     Undetected,
-    birth_moments,
     burst_of,
     expected_births,
     newborn_prior,
     undetected_shares,
 )
-from stereophd.core.multi.extract import Counters, select_objects
+from stereophd.core.multi.extract import select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.state.estimates import Estimates, Info
-from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers
+from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers, with_newborns
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.swaps.history import History
 from stereophd.core.numerics.samples import SampleSets
@@ -201,30 +200,21 @@ class DisparityFilter(ABC):
         chosen = select_objects(
             mixture,
             self.settings.extraction,
-            Counters(state.next_label, state.next_track),
+            (state.next_label, state.next_track),
             self.rig.spaces(mixture.cameras, mixture.times),
             self.motion.arrays((0.0 if state.time_s is None else state.time_s) - mixture.times),
             self.sets.turn(state.n_events),
             self.labels_may_split,
         )
         # `replace` takes longer
-        state = FilterState(
-            chosen.mixture,
-            state.time_s,
-            state.n_events,
-            chosen.next_label,
-            chosen.next_track,
-            state.undetected,
-            state.history,
-        )
         mixture, index = chosen.mixture, chosen.index
+        state = FilterState(
+            mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track, state.undetected, state.history
+        )
         estimates = Estimates(
             mixture.tracks[index], chosen.means, chosen.covariances, chosen.existence, mixture.labels[index]
         )
-        confirmed = chosen.confirmed
-        if confirmed == len(index):
-            return state, estimates
-        return state, estimates.divided(confirmed)
+        return state, estimates if chosen.confirmed == len(index) else estimates.divided(chosen.confirmed)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""
@@ -245,9 +235,7 @@ class DisparityFilter(ABC):
 
     def event_arrays(self, event: Event) -> EventArrays:
         """Return an event's detections, and the objects that they may have given birth to, for compiled code."""
-        space = self.rig.space(event.camera, event.time_s)
-        means, covariances = birth_moments(event, space, self.settings.birth, self.state_size, self.rig.region)
-        return EventArrays(event.points, event.covariances, event.areas, event.readings(space), means, covariances)
+        return with_newborns(*self.detections(event), self.state_size)
 
     def detections(self, event: Event) -> tuple[Detections, FirstSight]:
         """Return an event's detections, and the prior of the objects that they may have given birth to."""

@@ -6,7 +6,6 @@ therefore reports a tentative object only after a second camera has detected it,
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,17 +36,14 @@ class Selection:
     next_track: int
 
 
-class Counters(NamedTuple):
-    """First unused label and identity."""
-
-    next_label: int
-    next_track: int
+# Labels, identities and flags of components (n,), as in a mixture.
+Identities = tuple[Integers, Integers, NDArray[np.bool_]]
 
 
 def select_objects(
     mixture: GaussianMixture,
     hysteresis: Hysteresis,
-    counters: Counters,
+    counters: tuple[int, int],
     homes: Array,
     motion: MotionArrays,
     samples: Array,
@@ -60,13 +56,13 @@ def select_objects(
     another object (two objects were merged while they were close), and gets a label of its own. An object at infinity
     has no position, and is left out.
 
-    The mixture is that after an event; `homes` (n, 30) has the packed home space of each component. The motion is from
-    the time of each component to that of the report, and `samples` (rows, s) are as in
-    `stereophd.core.disparity.moments.world_moments`. With `split`, a label may represent several objects, as in a PHD;
-    hypotheses of one track exclude each other.
+    The mixture is that after an event, and the counters are the first unused label and identity; `homes` (n, 30) has
+    the packed home space of each component. The motion is from the time of each component to that of the report, and
+    `samples` (rows, s) are as in `stereophd.core.disparity.moments.world_moments`. With `split`, a label may represent
+    several objects, as in a PHD; hypotheses of one track exclude each other.
     """
     # filled in place: a compiled function that returns arrays wraps each of them
-    changed = Identities(mixture.labels.copy(), mixture.tracks.copy(), mixture.reported.copy())
+    changed = (mixture.labels.copy(), mixture.tracks.copy(), mixture.reported.copy())
     levels = (hysteresis.confirm, hysteresis.release, hysteresis.tentative)
     placed, confirmed, next_label, next_track = _place(
         mixture.weights, mixture.labels, levels, counters, split, mixture.means, mixture.covariances, homes, motion,
@@ -75,20 +71,12 @@ def select_objects(
     return Selection(GaussianMixture(*mixture[:5], *changed), confirmed, *placed, next_label, next_track)
 
 
-class Identities(NamedTuple):
-    """Labels, identities and flags of components (n,), as in a mixture."""
-
-    labels: Integers
-    tracks: Integers
-    reported: NDArray[np.bool_]
-
-
 @compiled
 def _place(
     weights: Array,
     known: Integers,
     levels: tuple[float, float, float],
-    counters: Counters,
+    counters: tuple[int, int],
     split: bool,
     means: Array,
     covariances: Array,
@@ -141,7 +129,7 @@ def _select(
     weights: Array,
     known: Integers,
     levels: tuple[float, float, float],
-    counters: Counters,
+    counters: tuple[int, int],
     split: bool,
     changed: Identities,
     index: Integers,

@@ -152,6 +152,19 @@ def places(chosen: NDArray[np.bool_]) -> Integers:
 
 
 @compiled
+def group(keys: Integers) -> tuple[Integers, int]:
+    """Number equal keys alike: the number of each key (n,) in order of the keys, and how many there are."""
+    order = stable_order(keys)
+    member = np.empty(len(keys), dtype=np.int64)
+    count = 0
+    for i in range(len(keys)):
+        if i > 0 and keys[order[i]] != keys[order[i - 1]]:
+            count += 1
+        member[order[i]] = count
+    return member, count + 1 if len(keys) > 0 else 0
+
+
+@compiled
 def copy_gaussian(means: Array, covariances: Array, k: int, to_means: Array, to_covariances: Array, i: int) -> None:
     """Copy mean and covariance k to place i (in loops: compiled, assigning slices takes five times as long)."""
     size = means.shape[1]

@@ -11,13 +11,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.geometry.rotations import cross_matrices, rotations
-from stereophd.core.motion.base import Motion
+from stereophd.core.geometry.rotations import left_jacobians, rotations
 
 # Harmonics of each coordinate.
 HARMONICS = 4
-# Angle, rad, below which (a - sin a) / a^3 is taken from its series.
-SMALL_ANGLE = 1e-3
 
 
 @dataclass(frozen=True)
@@ -83,24 +80,10 @@ class Body:
         angles = self.frequencies * (times_s[:, None, None] - self.start_s) + self.phases
         sway = (self.amplitudes * np.cos(angles)).sum(axis=1)
         rate = -(self.amplitudes * self.frequencies * np.sin(angles)).sum(axis=1)
-        turning = _angular_velocities(sway[:, 3:], rate[:, 3:])
+        turning = np.einsum("nij,nj->ni", left_jacobians(sway[:, 3:]), rate[:, 3:])
         latest = BodyPoses(times_s, self.center + sway[:, :3], rotations(sway[:, 3:]), rate[:, :3], turning)
         self._latest[:] = [latest]
         return latest
-
-
-def _angular_velocities(vectors: Array, rates: Array) -> Array:
-    """Angular velocities (n, 3), rad/s, of rotation vectors (n, 3), rad, that change at rates (n, 3), rad/s.
-
-    The left Jacobian of the rotation group (J. Sola et al., "A micro Lie theory", 2018, eq. 145).
-    """
-    angle = np.linalg.norm(vectors, axis=1)[:, None]
-    safe = np.maximum(angle, SMALL_ANGLE)
-    second = np.where(angle < SMALL_ANGLE, 1.0 / 6.0 - angle**2 / 120.0, (safe - np.sin(safe)) / safe**3)
-    cross = cross_matrices(vectors)
-    once = np.einsum("nij,nj->ni", cross, rates)
-    twice = np.einsum("nij,nj->ni", cross, once)
-    return np.asarray(rates + 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2 * once + second * twice)
 
 
 @dataclass(frozen=True)
@@ -112,10 +95,6 @@ class BodyPoint:
     point: int  # which of the body's points
     birth_s: float  # exists at true times ``birth_s <= t <= death_s``
     death_s: float = np.inf
-
-    def path(self, _motion: Motion) -> BodyPoint:
-        """Return what gives its states: itself, because no motion model moves it."""
-        return self
 
     def states(self, times_s: Array) -> Array:
         """Return position and velocity (n, 6), world frame, at true times (n,)."""

@@ -7,12 +7,12 @@ from heapq import merge
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.simulation.boxes import SizedObjects, draw_boxes
 from stereophd.core.simulation.objects import SceneObject, StateWindow, state_windows
-from stereophd.core.simulation.timing import TimeGrid, instants
+from stereophd.core.simulation.timing import TimeGrid
 
 # Label of a false detection.
 CLUTTER_ID = -1
@@ -109,17 +109,15 @@ def _detect(
     detected = generator.random(shape) < camera.detector.p_detect
     noise = generator.standard_normal((*shape, 2)) * np.asarray(camera.detector.sigma)
     frame, row = np.nonzero(detected & ~np.isnan(states[:, :, 0]))
-    points = states[frame, row, :3]
+    points, times_s = states[frame, row, :3], times_s[frame]
     if camera.readout_s != 0.0:
         velocities = states[frame, row, 3:]
-        delays = _row_delays(camera, points, velocities, times_s[frame])
-        pixels = camera.project_at(points + delays[:, None] * velocities, times_s[frame] + delays)
-        in_view = camera.contains(pixels)
-    else:
-        pixels, in_view = _project_in_view(camera, points, times_s[frame])
-    pixels = pixels + noise[frame, row]
+        delays = _row_delays(camera, points, velocities, times_s)
+        points, times_s = points + delays[:, None] * velocities, times_s + delays
+    exact = camera.project_at(points, times_s)
+    pixels = exact + noise[frame, row]
     # Noise over the edge of the image is no detection: the sensor ends there.
-    kept = in_view & _inside_image(camera, pixels)
+    kept = camera.contains(exact) & camera.contains(pixels)
     return frame[kept], pixels[kept], window.object_id[row[kept]]
 
 
@@ -144,25 +142,6 @@ def _row_delays(camera: Camera, points: Array, velocities: Array, times_s: Array
         if not (change > READOUT_TOLERANCE_S).any():
             break
     return np.where(change > READOUT_TOLERANCE_S, np.nan, delays)
-
-
-def _project_in_view(camera: Camera, points: Array, times_s: Array) -> tuple[Array, Booleans]:
-    """Return distorted pixels (n, 2) of points (n, 3) at their true times (n,), and which are in view."""
-    if camera.pose.is_static:
-        return np.asarray(camera.project(points)), np.asarray(camera.in_view(points), dtype=np.bool_)
-    pixels = np.empty((len(points), 2))
-    in_view = np.zeros(len(points), dtype=np.bool_)
-    for time_s, rows in instants(times_s):  # a moving camera is another camera at every instant
-        frozen = camera.at(time_s)
-        pixels[rows], in_view[rows] = frozen.project(points[rows]), frozen.in_view(points[rows])
-    return pixels, in_view
-
-
-def _inside_image(camera: Camera, pixels: Array) -> Booleans:
-    # Pixel (0, 0) is the centre of the top-left pixel, so the image reaches half a pixel beyond it.
-    upper = np.array([camera.width, camera.height]) - 0.5
-    with np.errstate(invalid="ignore"):
-        return np.asarray(((pixels >= -0.5) & (pixels <= upper)).all(axis=1), dtype=np.bool_)
 
 
 def _clutter(camera: Camera, frames: int, generator: np.random.Generator) -> tuple[Integers, Array, Integers]:

@@ -10,7 +10,7 @@ from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.simulation.objects import MovingObject, Path
-from stereophd.core.simulation.timing import TimeGrid, instants
+from stereophd.core.simulation.timing import TimeGrid
 from stereophd.errors import InputError
 
 # Candidates for one object: drawn a batch at a time, given up after this many batches.
@@ -32,16 +32,6 @@ class Drawing:
     stay_in_view: Literal["all", "any", "none"] = "all"
     births_per_s: float = 0.0  # rate of further objects (a Poisson process)
     mean_lifetime_s: float | None = None  # of an exponential lifetime; None: to the end of the run
-
-
-def in_view_at(camera: Camera, points: Array, times_s: Array) -> Booleans:
-    """Return whether a camera sees points (n, 3), world frame, each at its own true time (n,)."""
-    if camera.pose.is_static:
-        return np.asarray(camera.in_view(points), dtype=np.bool_)
-    result = np.zeros(len(points), dtype=np.bool_)
-    for time_s, rows in instants(times_s):  # a moving camera is another camera at every instant
-        result[rows] = camera.at(time_s).in_view(points[rows])
-    return result
 
 
 def draw_objects(
@@ -124,8 +114,8 @@ def _stays_in_view_coarsely(
     times_s = first_s + (last_s - first_s) * np.arange(COARSE_INSTANTS) / COARSE_INSTANTS
     flow = motion.flow(times_s - first_s)
     points = positions[:, None] + velocities[:, None] * flow.reach[:, None] + flow.drift[:, :3]
-    instants = np.broadcast_to(times_s, points.shape[:2])
-    seen = np.stack([in_view_at(camera, points.reshape(-1, 3), instants.reshape(-1)) for camera in cameras])
+    places, instants = points.reshape(-1, 3), np.broadcast_to(times_s, points.shape[:2]).ravel()
+    seen = np.stack([camera.contains(camera.project_at(places, instants)) for camera in cameras])
     seen = np.all(seen, axis=0) if stay_in_view == "all" else np.any(seen, axis=0)
     return np.asarray(seen.reshape(points.shape[:2]).all(axis=1), dtype=np.bool_)
 
@@ -144,7 +134,7 @@ def _stays_in_view(
             break
         times_s = grid.times(max(lower_s, candidate.birth_s), min(upper_s, end_s))
         points = path.states(times_s)[:, :3]
-        looks = (in_view_at(camera, points, times_s) for camera in cameras)
+        looks = (camera.contains(camera.project_at(points, times_s)) for camera in cameras)
         # most candidates that leave leave the view of the first cameras: the others need not look
         if not (all(look.all() for look in looks) if stay_in_view == "all" else np.any(list(looks), axis=0).all()):
             return False

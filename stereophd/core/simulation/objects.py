@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +12,9 @@ from stereophd.core.arrays import Array
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.compilation.compiled import compiled
+from stereophd.core.simulation.bodies import BodyPoint
 from stereophd.core.simulation.timing import TimeGrid
+from stereophd.core.simulation.walkers import Walker
 
 
 @dataclass(frozen=True)
@@ -27,40 +28,9 @@ class MovingObject:
     velocity: Array
     noise_seed: int  # of its process noise: its path is computed anew at each use, and is always the same
 
-    def path(self, motion: Motion) -> Path:
-        """Return its path by a motion model."""
-        return Path(self, motion)
 
-
-class SomePath(Protocol):
-    """What gives the states of an object at ascending instants."""
-
-    def states(self, times_s: Array) -> Array:
-        """Return position and velocity (n, 6), world frame, at ascending true times (n,) of its life."""
-        ...
-
-
-class SceneObject(Protocol):
-    """An object of a scene: `MovingObject`, or a point of a body (`stereophd.core.simulation.bodies`)."""
-
-    @property
-    def object_id(self) -> int:
-        """Its label in the truth."""
-        ...
-
-    @property
-    def birth_s(self) -> float:
-        """First true time of its life."""
-        ...
-
-    @property
-    def death_s(self) -> float:
-        """Last true time of its life."""
-        ...
-
-    def path(self, motion: Motion) -> SomePath:
-        """Return its path; what a motion model moves follows `motion`."""
-        ...
+# An object of a scene: a motion model moves it, or it has a path of its own.
+SceneObject = MovingObject | BodyPoint | Walker
 
 
 class Path:
@@ -111,11 +81,11 @@ class StateWindow:
 def state_windows(objects: Sequence[SceneObject], grid: TimeGrid, motion: Motion) -> Iterator[StateWindow]:
     """Yield the states of all objects at the instants of a run, in windows: memory does not grow with the run."""
     waiting = sorted(objects, key=lambda item: (item.birth_s, item.object_id), reverse=True)
-    living: dict[int, tuple[SceneObject, SomePath]] = {}
+    living: dict[int, tuple[SceneObject, Path | BodyPoint | Walker]] = {}
     for lower_s, upper_s in grid.windows():
         while waiting and waiting[-1].birth_s < upper_s:
             born = waiting.pop()
-            living[born.object_id] = (born, born.path(motion))
+            living[born.object_id] = (born, Path(born, motion) if isinstance(born, MovingObject) else born)
         times_s = grid.times(lower_s, upper_s)
         states = np.full((len(living), times_s.size, 6), np.nan)
         for row, (item, path) in enumerate(living.values()):

@@ -100,14 +100,3 @@ class TimeGrid:
 def _distinct_times(schedules: Sequence[Schedule], lower_s: float, upper_s: float) -> Array:
     times = [schedule.window(lower_s, upper_s)[1] for schedule in schedules]
     return np.unique(np.concatenate(times))
-
-
-def instants(times_s: Array) -> Iterator[tuple[float, Integers]]:
-    """Yield each distinct time of an array (n,) with the indices at which it stands."""
-    if times_s.size == 0:
-        return
-    order = np.argsort(times_s, kind="stable")
-    ascending = times_s[order]
-    starts = np.flatnonzero(np.diff(ascending)) + 1
-    for group in np.split(order, starts):
-        yield float(times_s[group[0]]), group

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.motion.base import Motion
 
 # Steps of the walk, s: states between them are interpolated.
 STEP_S = 0.05
@@ -98,11 +97,6 @@ class Walker:
     def death_s(self) -> float:
         """It stays."""
         return float(np.inf)
-
-    def path(self, motion: Motion) -> Walker:
-        """Return its path, which no motion model moves."""
-        del motion
-        return self
 
     def states(self, times_s: Array) -> Array:
         """Return position and velocity (n, 6), world frame, at true times (n,)."""

@@ -12,7 +12,6 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
-from stereophd.core.geometry.layout import FX, FY
 from stereophd.core.numerics.linear_algebra import condition
 from stereophd.core.numerics.samples import cubature_points
 from stereophd.core.single.base import Changes, SingleEstimate, SingleEstimator, first_density
@@ -20,13 +19,12 @@ from stereophd.core.single.gaussian import (
     UNSEEN,
     GaussianState,
     center,
-    inverse_depth_prior,
+    first_gaussian,
     linear_update,
+    place,
     project,
-    ray,
     rotation,
     unseen_state,
-    velocity_covariance,
 )
 from stereophd.core.single.settings import CartesianSettings
 
@@ -66,29 +64,20 @@ class CartesianEstimator(SingleEstimator[GaussianState]):
 
     def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:
         """Gaussian in the world of a first detection and the prior."""
-        size, pixel = self.state_size, event.points[0]
-        rho, rho_std = inverse_depth_prior(self.prior, camera)
-        focal = camera[[FX, FY]]
-        covariance = np.zeros((3, 3))
-        covariance[:2, :2] = event.covariances[0] / np.outer(focal, focal)
-        covariance[2, 2] = rho_std**2
-        slopes = ray(camera, pixel)
-        local = np.array([slopes[0], slopes[1], rho])
-        back = rotation(camera).T
+        first, whole = first_gaussian(self.prior, camera, event, self.state_size)
+        local, covariance = first[:3], whole[:3, :3]
         if self.settings.rule == "extended":
-            point = back @ slopes / rho
-            jacobian = np.column_stack([back[:, 0] / rho, back[:, 1] / rho, -point / rho])
-            position, spread = center(camera) + point, jacobian @ covariance @ jacobian.T
+            position, jacobian = place(camera, local)
+            spread = jacobian @ covariance @ jacobian.T
         else:
             samples = local + (np.linalg.cholesky(covariance) @ cubature_points(3)).T
             rays = np.column_stack([samples[:, :2], np.ones(len(samples))])
-            points = rays / np.maximum(samples[:, 2:], rho / FARTHEST) @ back.T + center(camera)
+            depths = 1.0 / np.maximum(samples[:, 2:], local[2] / FARTHEST)
+            points = rays * depths @ rotation(camera) + center(camera)
             position = points.mean(axis=0)
             spread = (points - position).T @ (points - position) / len(points)
-        mean, whole = np.zeros(size), np.zeros((size, size))
-        mean[:3], whole[:3, :3] = position, spread
-        if size == 6:
-            whole[3:, 3:] = velocity_covariance(self.prior, camera, pixel, rho)
+        mean = np.append(position, first[3:])
+        whole[:3, :3] = spread
         return mean, whole
 
     def _predicted(self, state: GaussianState, time_s: float) -> tuple[Array, Array]:

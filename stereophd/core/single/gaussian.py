@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array
+from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
@@ -77,6 +78,30 @@ def velocity_covariance(prior: InitialPrior, space: Array, pixel: Array, rho: fl
     per_pixel[:, 2] = -ray(space, pixel) / (disparity_scale(space) * rho**2)
     jacobian = rotation(space).T @ per_pixel
     return np.asarray(jacobian @ np.diag(np.square(prior.disparity_velocity_std_px_s)) @ jacobian.T)
+
+
+def first_gaussian(prior: InitialPrior, camera: Array, event: Event, size: int) -> tuple[Array, Array]:
+    """Gaussian (d,), (d, d) of an object seen for the first time: slopes and inverse depth, and velocity in the world.
+
+    Slopes and inverse depth (a, b, rho) are in the camera's axes.
+    """
+    rho, rho_std = inverse_depth_prior(prior, camera)
+    mean, covariance = np.zeros(size), np.zeros((size, size))
+    mean[:3] = ray(camera, event.points[0])
+    mean[2] = rho
+    focal = camera[[FX, FY]]
+    covariance[:2, :2] = event.covariances[0] / np.outer(focal, focal)
+    covariance[2, 2] = rho_std**2
+    if size == 6:
+        covariance[3:, 3:] = velocity_covariance(prior, camera, event.points[0], rho)
+    return mean, covariance
+
+
+def place(camera: Array, local: Array) -> tuple[Array, Array]:
+    """World position (3,) of slopes and inverse depth (a, b, rho) in a camera's axes, and its Jacobian (3, 3)."""
+    back, rho = rotation(camera).T, local[2]
+    point = back @ [local[0], local[1], 1.0] / rho
+    return center(camera) + point, np.column_stack([back[:, 0] / rho, back[:, 1] / rho, -point / rho])
 
 
 @compiled

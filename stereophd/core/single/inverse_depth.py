@@ -18,19 +18,17 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
-from stereophd.core.geometry.layout import FX, FY
 from stereophd.core.single.base import Changes, SingleEstimate, SingleEstimator, first_density
 from stereophd.core.single.gaussian import (
     UNSEEN,
     GaussianState,
     center,
-    inverse_depth_prior,
+    first_gaussian,
     linear_update,
+    place,
     project,
-    ray,
     rotation,
     unseen_state,
-    velocity_covariance,
 )
 
 
@@ -53,7 +51,7 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
     def _detected(self, state: InverseDepthState, event: Event, camera: Array, time_s: float) -> tuple[Changes, float]:
         """Predict and update to first order."""
         if state.camera == UNSEEN:
-            mean, covariance = self._first(event, camera)
+            mean, covariance = first_gaussian(self.prior, camera, event, self.state_size)
             first = Changes(mean=mean, covariance=covariance, camera=event.camera, home_s=time_s, anchor=camera)
             return first, first_density(self.rig, event)
         mean, covariance = self._predicted(state, time_s)
@@ -69,20 +67,6 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
             mean, covariance, matrix, pixel, event.points[0], event.covariances[0]
         )
         return Changes(mean=mean, covariance=covariance, home_s=time_s), log_density + float(np.log(event.areas[0]))
-
-    def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:
-        size = self.state_size
-        rho, rho_std = inverse_depth_prior(self.prior, camera)
-        mean = np.zeros(size)
-        mean[:3] = ray(camera, event.points[0])
-        mean[2] = rho
-        covariance = np.zeros((size, size))
-        focal = camera[[FX, FY]]
-        covariance[:2, :2] = event.covariances[0] / np.outer(focal, focal)
-        covariance[2, 2] = rho_std**2
-        if size == 6:
-            covariance[3:, 3:] = velocity_covariance(self.prior, camera, event.points[0], rho)
-        return mean, covariance
 
     def _predicted(self, state: InverseDepthState, time_s: float) -> tuple[Array, Array]:
         """First-order prediction: (mean, covariance) at a time."""
@@ -120,12 +104,7 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         mean, covariance = self._predicted(state, state.time_s)
         if not mean[2] > 0.0:
             return SingleEstimate(np.full(6, np.nan), np.full(6, np.nan), np.full((6, 6), np.nan))
-        back = rotation(state.anchor).T
-        point = back @ [mean[0], mean[1], 1.0] / mean[2]
-        jacobian = np.zeros((6, len(mean)))
-        jacobian[:3, :3] = np.column_stack([back[:, 0] / mean[2], back[:, 1] / mean[2], -point / mean[2]])
-        jacobian[3:, 3:] = np.eye(3)[:, : len(mean) - 3]
-        out = np.zeros(6)
-        out[:3] = center(state.anchor) + point
+        out, jacobian = np.zeros(6), np.eye(6, len(mean))
+        out[:3], jacobian[:3, :3] = place(state.anchor, mean)
         out[3 : len(mean)] = mean[3:]
         return SingleEstimate(out, out, jacobian @ covariance @ jacobian.T)

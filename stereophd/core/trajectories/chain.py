@@ -90,11 +90,7 @@ class WholeRun:
         out = np.zeros(len(events), dtype=np.bool_)
         for number, camera in enumerate(self.cameras):
             own = np.flatnonzero(self.looks[events] == number)
-            if camera.pose.is_static:
-                out[own] = camera.in_view(states[own, :3])
-                continue
-            for k in own.tolist():
-                out[k] = camera.at(float(self.times[events[k]])).in_view(states[k : k + 1, :3])[0]
+            out[own] = camera.contains(camera.project_at(states[own, :3], self.times[events[own]]))
         return out
 
     def gains(self, event: int, states: Array, covariances: Array) -> Array:

@@ -60,11 +60,4 @@ def extend_back(
     for k, time_s in enumerate(times):
         transition = motion.transition(float(time_s - trajectory.times[0]))
         states[k], covariances[k] = transition.predict(trajectory.states[0], trajectory.covariances[0])
-    return Trajectory(
-        trajectory.track_id,
-        np.concatenate([events, trajectory.events]),
-        np.concatenate([times, trajectory.times]),
-        np.concatenate([states, trajectory.states]),
-        np.concatenate([covariances, trajectory.covariances]),
-        np.concatenate([existence, trajectory.existence]),
-    )
+    return Trajectory(trajectory.track_id, events, times, states, covariances, existence).join(trajectory)

@@ -31,11 +31,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.trajectories.chain import LEAST_GAIN, NONE, Chain, WholeRun, predicted
-from stereophd.core.trajectories.smoothing import Trajectory
 
 # Most rounds, and events to either side of a group over which its tracks are compared.
 ROUNDS, REACH = 6, 60
@@ -337,17 +335,9 @@ def _frame_interval(run: WholeRun) -> float:
 
 def _joined(before: Chain, place: int, after: Chain, since: int) -> Chain:
     """Return the one track up to a place, and then the other."""
-    first, last = before.trajectory, after.trajectory
-
-    def joined(one: NDArray[Any], other: NDArray[Any]) -> NDArray[Any]:
-        return np.concatenate([one[:place], other[since:]])
-
-    trajectory = Trajectory(
-        first.track_id, joined(first.events, last.events), joined(first.times, last.times),
-        joined(first.states, last.states), joined(first.covariances, last.covariances),
-        joined(first.existence, last.existence)
-    )  # fmt: skip
-    return replace(before, trajectory=trajectory, detections=joined(before.detections, after.detections))
+    trajectory = before.trajectory.take(slice(place)).join(after.trajectory.take(slice(since, None)))
+    detections = np.concatenate([before.detections[:place], after.detections[since:]])
+    return replace(before, trajectory=trajectory, detections=detections)
 
 
 def _best_cut(one: Chain, other: Chain, width: float) -> tuple[int, float] | None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.numerics.rows import ArrayRows
 
 # Tracks are interpolated over at most this many of their median steps.
 LONGEST_GAP = 3.5
@@ -61,17 +62,13 @@ class RawTracks:
 
 
 @dataclass(frozen=True)
-class Rays:
+class Rays(ArrayRows):
     """Rays of two cameras at common times, row by row, in the axes of the cameras."""
 
     rays: Array  # (r, 2, 3): third component 1
     times: Array  # (r,): true times, s
     cameras: Integers  # (r, 2) of int
     seen: Booleans  # (r,): false where track b was not seen, or a pixel cannot be undistorted
-
-    def take(self, rows: Integers) -> Rays:
-        """Return some of the rays."""
-        return Rays(self.rays[rows], self.times[rows], self.cameras[rows], self.seen[rows])
 
 
 def rays_of(cameras: Sequence[Camera], tracks: RawTracks, entries: Integers, others: Integers) -> Rays:

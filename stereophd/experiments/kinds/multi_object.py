@@ -12,10 +12,11 @@ import numpy as np
 from stereophd.config.experiment import MultiObjectScenario
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
-from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
+from stereophd.core.bounds.known_association import noiseless_paths, sight
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.distances.ospa import score_scans
+from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS, Truth, align_truth, last_event_of_each_time
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.state.estimates import Estimates
@@ -119,10 +120,10 @@ def _known(
         assert frame.object_id is not None
         true = (frame.object_id != CLUTTER_ID) & np.isin(frame.object_id, labels)
         parts.append(sight(camera, time_s, frame.pixels[true], np.searchsorted(labels, frame.object_id[true])))
-        for row, point in zip(parts[-1][0].tolist(), parts[-1][3], strict=True):
+        for row, point in zip(parts[-1].row.tolist(), parts[-1].points, strict=True):
             if first[row] is None:
                 first[row] = DisparitySpace(camera.at(time_s), baseline, rectification), time_s, point
-    detections = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    detections = parts[0].join(*parts[1:])
     states, covariances, seen = noiseless_paths(detections, first, multi_filter.settings.birth, times_s, motion)
     exists = np.zeros(seen.shape, dtype=bool)
     exists[truth.scan, np.searchsorted(labels, truth.label)] = True

@@ -20,7 +20,8 @@ from stereophd.core.bounds.known_association import AssociatedDetections, sight
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
-from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.distances.ospa import score_scans
+from stereophd.core.metrics.scans import PointSets
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames
 from stereophd.errors import InputError
@@ -70,8 +71,8 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
     scenario = scenario_of(loaded.config, StaticSceneScenario)
     scores = score_scans(points, truth, 2.0, scenario.cutoff)
     unit, over = loaded.config.units.length, np.arange(len(times), dtype=np.float64)
-    last = scores.pair_scan == len(times) - 1
-    pairs = np.column_stack([scores.pair_estimate[last], scores.pair_truth[last] % max(count, 1)])
+    last = scores.pairs.scan == len(times) - 1
+    pairs = np.column_stack([scores.pairs.estimate[last], scores.pairs.truth[last] % max(count, 1)])
     bias = (points.counts - count).astype(np.float64)
     return [
         Series("ospa", unit, scores.ospa.distance, over),
@@ -128,14 +129,14 @@ def _correspondence(points: PointSets, views: _Views, pairs: np.ndarray) -> list
 def _assigned(camera: Camera, frame: Frame, positions: Array, covariances: Array) -> tuple[np.ndarray, np.ndarray]:
     """Assign detections of a frame to landmarks one to one: rows of landmarks, and of detections."""
     rows = np.arange(len(frame.pixels))
-    _, _, projections, points, whitening = sight(camera, frame.time_s, frame.pixels, rows)
-    if not len(points) or not len(positions):
+    seen = sight(camera, frame.time_s, frame.pixels, rows)
+    if not len(seen.points) or not len(positions):
         return rows[:0], rows[:0]
     visible = camera.at(frame.time_s).in_view(positions)
-    pixels, slopes = projective(projections[0], positions)
-    noise = np.linalg.inv(np.swapaxes(whitening, 1, 2) @ whitening)
+    pixels, slopes = projective(seen.projection[0], positions)
+    noise = np.linalg.inv(np.swapaxes(seen.whitening, 1, 2) @ seen.whitening)
     spread = (slopes @ covariances @ np.swapaxes(slopes, 1, 2))[:, None] + noise[None]
-    errors = points[None] - pixels[:, None]
+    errors = seen.points[None] - pixels[:, None]
     distance = np.einsum("nmi,nmij,nmj->nm", errors, np.linalg.inv(spread), errors)
     cost = np.where(visible[:, None], np.minimum(distance, GATE), GATE)
     chosen, columns = linear_sum_assignment(cost)
@@ -158,11 +159,11 @@ def _views(loaded: LoadedConfig, number: int) -> _Views:
         true = frame.object_id != CLUTTER_ID
         camera = cameras[frame.camera]
         parts.append(sight(camera, frame.time_s, frame.pixels[true], np.searchsorted(labels, frame.object_id[true])))
-        for row in parts[-1][0].tolist():
+        for row in parts[-1].row.tolist():
             if first[row] is None:
                 frozen = camera.at(frame.time_s)
                 first[row] = DisparitySpace(frozen, config.disparity.baseline, config.disparity.rectification)
-    detections = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    detections = parts[0].join(*parts[1:])
     prior = build_filter(config, cameras, loaded.path).settings.birth
     information = static_point_information(detections, positions, first, prior)
     return _Views(cameras, frames, labels, positions, detections, information)

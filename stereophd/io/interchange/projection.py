@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array
+from stereophd.core.geometry.projection import nearest_points
 from stereophd.errors import InputError
 
 #: Turns a left-handed world into a right-handed one.
@@ -65,33 +66,17 @@ def is_left_handed(cameras: Sequence[Decomposed], points: Array | None) -> bool:
     """
     if points is None or not len(points):
         centers, axes = np.array([c.center for c in cameras]), np.array([c.rotation[2] for c in cameras])
-        scene = meeting_point(centers, axes, 1e3)
-        points = np.zeros((1, 3)) if scene is None else scene[None]
+        scene = nearest_points(axes, centers, np.zeros(len(axes), dtype=np.int64), 1, 1e3)
+        points = np.nan_to_num(scene)
     behind = [float(np.median(np.sign(camera.depth(points)))) for camera in cameras]
     return sum(behind) < 0
 
 
-def meeting_point(centers: Array, axes: Array, parallel: float) -> Array | None:
-    """Return the point nearest to optical axes (k, 3) through centres (k, 3).
-
-    None where the condition number says that they are parallel.
-    """
-    across = np.eye(3) - axes[:, :, None] * axes[:, None, :]
-    total = across.sum(axis=0)
-    if len(centers) < 2 or np.linalg.cond(total) > parallel:
-        return None
-    return np.asarray(np.linalg.solve(total, np.einsum("kij,kj->i", across, centers)), dtype=np.float64)
-
-
 def triangulate(projections: Sequence[Array], pixels: Array) -> Array:
-    """Return world points of pixels (n, cameras, 2), linearly; those that fewer than two cameras see are left out."""
-    result = []
-    for row in pixels:
-        seen = np.isfinite(row).all(axis=1)
-        if seen.sum() < 2:
-            continue
-        pairs = [(p, uv) for p, uv, is_seen in zip(projections, row, seen, strict=True) if is_seen]
-        equations = np.concatenate([uv[:, None] * p[2] - p[:2] for p, uv in pairs])
-        solution, *_ = np.linalg.lstsq(equations[:, :3], -equations[:, 3], rcond=None)
-        result.append(solution)
-    return np.array(result).reshape(-1, 3)
+    """Return world points of pixels (n, cameras, 2); those that fewer than two cameras see are left out."""
+    inverses = np.linalg.inv([projection[:, :3] for projection in projections])
+    centers = -np.einsum("kij,kj->ki", inverses, [projection[:, 3] for projection in projections])
+    row, camera = np.nonzero(np.isfinite(pixels).all(axis=2))
+    seen = np.column_stack([pixels[row, camera], np.ones(len(row))])
+    points = nearest_points(np.einsum("nij,nj->ni", inverses[camera], seen), centers[camera], row, len(pixels))
+    return points[np.isfinite(points).all(axis=1)]

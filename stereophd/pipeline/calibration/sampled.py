@@ -9,12 +9,11 @@ from stereophd.core.calibration.annealing.fits import fit_from
 from stereophd.core.calibration.annealing.method import Calibrated, HistoryRow
 from stereophd.core.calibration.annealing.starts import NOISE_AS_STATED, RIVAL_DISTANCE, disagreement, explained
 from stereophd.core.calibration.sampling import bridging, sequential
-from stereophd.core.calibration.sampling.blocks import BlockPath, block_sampler
-from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeResult, BridgeState
-from stereophd.core.calibration.sampling.likelihood import Evidence, LogEvidence
+from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeResult, BridgeSampler, BridgeState
+from stereophd.core.calibration.sampling.likelihood import Evidence
+from stereophd.core.calibration.sampling.paths import BlockPath, LogEvidence, TemperedPath
 from stereophd.core.calibration.sampling.recording_evidence import RecordingEvidence
 from stereophd.core.calibration.sampling.sequential import SequentialInfo, SequentialState
-from stereophd.core.calibration.sampling.tempered import TemperedPath, tempered_sampler
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, can_be_enlarged, scale_is_free
 from stereophd.core.multi.base import DisparityFilter
@@ -33,7 +32,8 @@ def sequential_outcome(run: CalibrationRun) -> Outcome:
     if settings.moves == "none":
         return _plain_outcome(run)
     path = BlockPath(_evidence(run, settings.likelihood, problem.scale, samples=settings.samples), settings)
-    sampler = block_sampler(path, SEQUENTIAL_PARTICLES.seed(run.seed))
+    seed = SEQUENTIAL_PARTICLES.seed(run.seed)
+    sampler = BridgeSampler(path, settings.resample_below, settings.moves_per_step, seed)
 
     def after(state: BridgeState, steps: Any) -> None:
         run.unfinished.keep("sequential", (state, list(steps)))
@@ -71,7 +71,7 @@ def _plain_outcome(run: CalibrationRun) -> Outcome:
         run.unfinished.keep("sequential", (state, list(history)))
         run.report_progress(number, len(events))
 
-    result = sequential.run(
+    state, infos = sequential.run(
         parameters,
         events,
         FilterBatch(_template(run, settings.likelihood, settings.samples), run.jobs),
@@ -81,20 +81,16 @@ def _plain_outcome(run: CalibrationRun) -> Outcome:
         after,
         walk if walk.any() else None,
     )
-    mean, covariance = weighted_mean_covariance(result.state.values, result.state.log_weights)
-    sizes = [info.effective_sample_size for info in result.history]
+    mean, covariance = weighted_mean_covariance(state.values, state.log_weights)
     details = {
-        "log_evidence": result.state.log_evidence,
-        "effective_sample_size": effective_sample_size(result.state.log_weights),
-        "least_effective_sample_size": min(sizes),
-        "resampled": sum(info.resampled for info in result.history),
+        "log_evidence": state.log_evidence,
+        "effective_sample_size": effective_sample_size(state.log_weights),
+        "least_effective_sample_size": min(info.effective_sample_size for info in infos),
+        "resampled": sum(info.resampled for info in infos),
     }
-    history = tuple(HistoryRow(info.time_s, info.mean, info.covariance) for info in result.history)
+    history = tuple(HistoryRow(info.time_s, info.mean, info.covariance) for info in infos)
     doubt = _doubt(run, mean, covariance, details)
-    return Outcome(
-        parameters, mean, covariance, result.state.values, result.state.log_weights, history, "", doubt,
-        details=details,
-    )  # fmt: skip
+    return Outcome(parameters, mean, covariance, state.values, state.log_weights, history, "", doubt, details=details)
 
 
 def _doubt(run: CalibrationRun, values: Array, covariance: Array, details: dict[str, Any]) -> str:
@@ -124,7 +120,7 @@ def smc_outcome(
     """Full posterior by tempered particles about the modes found."""
     settings, parameters = run.section.smc, run.problem.parameters
     path = TemperedPath(parameters, _evidence(run, settings.evidence, scale, settings.max_events), modes, settings)
-    sampler = tempered_sampler(path, TEMPERED_PARTICLES.seed(run.seed))
+    sampler = BridgeSampler(path, settings.resample_below, settings.moves, TEMPERED_PARTICLES.seed(run.seed))
 
     def after(state: BridgeState, steps: Any) -> None:
         run.unfinished.keep("smc", (state, list(steps)))

@@ -12,12 +12,11 @@ from numpy.typing import NDArray
 from stereophd.config.tracking import RegionConfig
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.region import box_half_spaces
+from stereophd.core.metrics.distances.ospa import score_scans
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
 from stereophd.core.metrics.errors import confirmation_figures
-from stereophd.core.metrics.matching.assignment import is_positive_definite
 from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
-from stereophd.core.metrics.matching.near_pairs import near_pairs
-from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.summary import figures, pair_errors, per_scan_columns, track_ospa
 from stereophd.core.metrics.truth.interpolation import (
     Events,
@@ -35,6 +34,7 @@ from stereophd.core.metrics.truth.scored import (
     leave_out_unseen,
     on_plane,
 )
+from stereophd.core.numerics.covariance_factors import is_positive_definite
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks, rows_of
 from stereophd.pipeline.evaluation.options import ScoreOptions
@@ -140,17 +140,16 @@ def _scored(
     scores = score_scans(estimates, points, order, cutoff, mahalanobis=mahalanobis)
     distance = cutoff if options.match_distance is None else options.match_distance
     scores, matchable = match_within(estimates, points, scores, order, cutoff, distance, mahalanobis=mahalanobis)
-    beside = beside_another(estimates, points, scores, matchable)
-    warn_of_wrong_matches(tracks_path, beside, len(scores.pair_scan), distance)
-    near = matchable if distance == cutoff else near_pairs(estimates, points, cutoff, mahalanobis=mahalanobis)
-    ospa2 = track_ospa(estimates, points, options.ospa2_window, order, cutoff, mahalanobis=mahalanobis)
+    beside = beside_another(estimates, points, scores.pairs, matchable)
+    warn_of_wrong_matches(tracks_path, beside, len(scores.pairs.scan), distance)
+    ospa2 = track_ospa(estimates, points, scores.near, options.ospa2_window, order, cutoff)
     errors = pair_errors(estimates, points, scores)
     rows, start = rows_of(tracks.events)  # tentative reports count as the first
     reported_s = np.repeat(tracks.events.time_s, np.diff(start))
     confirmation = confirmation_figures(time_s, estimates, points, scores, tracks.track_id[rows], reported_s)
-    summary = figures(estimates, points, scores, near, matchable, ospa2, errors, confirmation)
+    summary = figures(estimates, points, scores, matchable, ospa2, errors, confirmation)
     if options.switch_cost is not None:
-        tgospa = trajectory_gospa(estimates, points, near, order, cutoff, options.switch_cost)
+        tgospa = trajectory_gospa(estimates, points, scores.near, order, cutoff, options.switch_cost)
         summary["tgospa"] = {"mean": tgospa.mean(order), **asdict(tgospa)}
     return Scored(
         figures=summary,

@@ -16,11 +16,12 @@ import numpy as np
 
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array, Booleans
-from stereophd.core.bodies.boxes import Boxes, boxes_of
-from stereophd.core.bodies.outline import BOTTOM, TOP, WIDTH, U
+from stereophd.core.bodies.boxes import Boxes, box_middles, boxes_of
+from stereophd.core.bodies.outline import BOTTOM, TOP, WIDTH
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.random_streams import GROUND_SEED
+from stereophd.core.two_views.epipolar import nearest_depths
 from stereophd.pipeline.build import build_bodies
 from stereophd.pipeline.initial.template import Choice, rounded
 from stereophd.pipeline.tracking.loop import run_estimator
@@ -158,13 +159,10 @@ def _pairs(
 
 def _meeting(boxes: Boxes, camera: Camera, others: Boxes, other: Camera) -> Array:
     """Return the pairs (k, 5) of two frames whose rays meet and whose heights agree, as `_pairs`."""
-    a, b = (_rays(each.values, frozen) for each, frozen in ((boxes, camera), (others, other)))
-    a, b = a[:, None, :], b[None, :, :]
-    apart = other.pose.center - camera.pose.center
-    aa, bb, ab = (a * a).sum(-1), (b * b).sum(-1), (a * b).sum(-1)
-    ra, rb, determinant = (a * apart).sum(-1), (b * apart).sum(-1), aa * bb - ab**2
+    a = (camera.pinhole_rays(box_middles(boxes.values)) @ camera.pose.rotation)[:, None]
+    b = (other.pinhole_rays(box_middles(others.values)) @ other.pose.rotation)[None]
+    near, far, _ = nearest_depths(a, b, other.pose.center - camera.pose.center)
     with np.errstate(all="ignore"):
-        near, far = (ra * bb - rb * ab) / determinant, (ra * ab - rb * aa) / determinant
         sizes = [
             np.log(np.stack([(v[:, BOTTOM] - v[:, TOP]) / frozen.fy, v[:, WIDTH] / frozen.fx]))
             for v, frozen in ((boxes.values, camera), (others.values, other))
@@ -176,15 +174,6 @@ def _meeting(boxes: Boxes, camera: Camera, others: Boxes, other: Camera) -> Arra
         agree = (np.abs(one[0] - two[0]) < DIFFERING) & (gap < MISSING * np.exp(logs[0])) & (near > 0.0) & (far > 0.0)
     middles = (places[0] + places[1])[agree] / 2.0
     return np.column_stack([middles, logs[0][agree], logs[1][agree]])
-
-
-def _rays(values: Array, camera: Camera) -> Array:
-    """Rays (n, 3) through the middles of boxes (n, 4), of depth 1, in the world."""
-    middle = (values[:, TOP] + values[:, BOTTOM]) / 2.0
-    rays = np.column_stack(
-        [(values[:, U] - camera.cx) / camera.fx, (middle - camera.cy) / camera.fy, np.ones(len(values))]
-    )
-    return rays @ camera.pose.rotation
 
 
 def _plane(places: Array, height: float, up: Array | None, true_share: float) -> tuple[Array, Array] | None:

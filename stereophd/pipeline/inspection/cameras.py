@@ -10,8 +10,8 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import Pose
+from stereophd.core.geometry.projection import nearest_points
 from stereophd.io.cameras.models import CameraConfig
-from stereophd.io.interchange.projection import meeting_point
 
 # Optical axes whose directions all lie this close together have no point that they look at, condition number.
 PARALLEL = 1e4
@@ -25,7 +25,8 @@ def summarise_cameras(cameras: Mapping[str, CameraConfig], length_unit: str) -> 
     centers = np.array([row["center"] for row in rows.values()])
     axes = np.array([row["looks_along"] for row in rows.values()])
     distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)[np.triu_indices(len(centers), 1)]
-    target = meeting_point(centers, axes, PARALLEL)
+    nearest = nearest_points(axes, centers, np.zeros(len(axes), dtype=np.int64), 1, PARALLEL)[0]
+    target = nearest if np.isfinite(nearest).all() else None
     offset = centers - (np.zeros(3) if target is None else target)
     across = offset - np.einsum("ki,ki->k", offset, axes)[:, None] * axes
     return {

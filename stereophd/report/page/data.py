@@ -135,10 +135,8 @@ def _cameras(
 
 def _pyramid(camera: Camera, depth: float) -> Array:
     """Centre and the corners of the image (5, 3) at a depth, of the pinhole camera: a lens may not reach them."""
-    u = np.array([-0.5, camera.width - 0.5, camera.width - 0.5, -0.5])
-    v = np.array([-0.5, -0.5, camera.height - 0.5, camera.height - 0.5])
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(4)], axis=1)
-    return np.concatenate([camera.pose.center[None], camera.pose.to_world(depth * rays)])
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [camera.width, camera.height] - 0.5
+    return np.concatenate([camera.pose.center[None], camera.pose.to_world(depth * camera.pinhole_rays(corners))])
 
 
 def _evaluation(evaluation: Evaluation, start: float) -> dict[str, Any]:

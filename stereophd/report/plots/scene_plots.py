@@ -14,8 +14,7 @@ from matplotlib.figure import Figure
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.metrics.errors import UNLABELLED
-from stereophd.core.metrics.scans import PointSets
+from stereophd.core.metrics.scans import UNLABELLED, PointSets
 from stereophd.core.metrics.truth.interpolation import in_window
 from stereophd.report.plots.time_plots import draw_cardinality, draw_ospa
 from stereophd.report.plots.views import SceneView, field_of_view, limits, viewing_depth, views

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from stereophd.core.bodies.births import newborn_bodies, shares_left
+from stereophd.core.bodies.births import body_shares_left, newborn_bodies
 from stereophd.core.bodies.boxes import Boxes, box_variances, boxes_of, share_in_image
 from stereophd.core.bodies.occlusion import exclusive_existence, hidden_shares
 from stereophd.core.bodies.outline import outline_boxes
@@ -132,7 +132,7 @@ def test_frames_leave_few_undetected_objects_where_views_overlap() -> None:
         camera_at([11.0, 9.0, 2.8], [5.0, 4.0, 0.9], "b"),
         camera_at([-2.0, -2.0, 2.8], [-9.0, -9.0, 0.9], "c"),
     ]
-    left = shares_left(cameras, people())
+    left = body_shares_left(cameras, people())
     assert np.diag(left) == pytest.approx([0.05] * 3)
     assert left[0, 1] < 0.7
     assert left[2, 0] > 0.9

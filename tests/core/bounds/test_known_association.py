@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
+from stereophd.core.bounds.known_association import noiseless_paths, sight
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
@@ -37,10 +37,10 @@ def estimate(prior: BirthPrior, noise: float, seed: int, lens: Lens) -> tuple[np
             pixels = one.project(STARTS[rows] + time_s * VELOCITIES[rows])
             pixels = pixels + noise * np.array(one.detector.sigma) * rng.standard_normal(pixels.shape)
             parts.append(sight(one, time_s, pixels, rows))
-            for row, point in zip(rows.tolist(), parts[-1][3], strict=True):
+            for row, point in zip(rows.tolist(), parts[-1].points, strict=True):
                 if first[row] is None:
                     first[row] = DisparitySpace(one), time_s, point
-    sightings = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    sightings = parts[0].join(*parts[1:])
     return noiseless_paths(sightings, first, prior, TIMES, ConstantVelocity())
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from stereophd.core.bounds.cramer_rao import static_point_information
-from stereophd.core.bounds.known_association import AssociatedDetections, sight
+from stereophd.core.bounds.known_association import sight
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
@@ -19,7 +19,7 @@ def test_information_is_that_of_pixels_and_disparity() -> None:
     times = (0.0, 2.0, 5.0)
     seen = np.array([0, 1])  # nobody sees the third point
     parts = [sight(camera, t, camera.at(t).project(points[seen]), seen) for t in times]
-    detections = AssociatedDetections(*(np.concatenate(part) for part in zip(*parts, strict=True)))
+    detections = parts[0].join(*parts[1:])
     space = DisparitySpace(camera.at(times[0]))
     prior = BirthPrior(velocity_std=1.0, disparity=DisparityPrior(mean_px=7.0, std_px=3.0))
     found = static_point_information(detections, points, [space, space, None], prior)

@@ -8,8 +8,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
-from stereophd.core.calibration.unknowns.quantities.center import CENTER
-from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
+from stereophd.core.calibration.unknowns.quantities.pose import CENTER, ROTATION
 from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera

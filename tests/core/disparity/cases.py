@@ -8,10 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from stereophd.core.arrays import Array
+from stereophd.core.disparity.events import Event
+from stereophd.core.disparity.initial import initial_moments
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.motion.base import Motion
+from stereophd.core.multi.births.undetected import newborn_prior
+from stereophd.core.multi.filter_settings.common import BirthPrior
 from tests.scenes import build_camera
 
 LENSES = {
@@ -125,3 +129,11 @@ def in_deviations(error: Array, covariance: Array) -> Array:
     """Errors of a mean, or of a covariance, in standard deviations (or products of two)."""
     std = np.sqrt(np.diag(covariance))
     return np.abs(error) / (std if error.ndim == 1 else np.outer(std, std))
+
+
+def birth_moments(
+    event: Event, space: np.ndarray, prior: BirthPrior, size: int, region: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gaussians of the objects that the detections of an event may have given birth to."""
+    first = newborn_prior(space, prior, region)
+    return initial_moments(event.points, event.covariances, first, size, event.readings(space))

@@ -15,9 +15,8 @@ from stereophd.core.disparity.rolling import turned_to_frame
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
-from stereophd.core.multi.births.undetected import birth_moments
 from stereophd.core.multi.filter_settings.common import BirthPrior
-from tests.core.disparity.cases import LENSES, make_camera, make_space
+from tests.core.disparity.cases import LENSES, birth_moments, make_camera, make_space
 
 TIME_S = 3.0
 # The camera turns by some 3 degrees and travels a tenth of a typical depth while it reads an image.

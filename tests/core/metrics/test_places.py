@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from stereophd.core.geometry.region import box_half_spaces
+from stereophd.core.metrics.distances.ospa import score_scans
 from stereophd.core.metrics.identities import clear_mot_figures
 from stereophd.core.metrics.matching.clear_mot import match_within
-from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.summary import pair_errors
 from stereophd.core.metrics.truth.scored import leave_out_outside, on_plane
 from tests.core.metrics.test_tgospa import point_sets

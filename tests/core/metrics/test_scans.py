@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from stereophd.core.metrics import scans as scans_module
-from stereophd.core.metrics.distances.ospa import gospa, ospa
+from stereophd.core.metrics.distances.ospa import score_scans
 from stereophd.core.metrics.errors import (
     error_percentiles,
     independent_count,
@@ -16,8 +15,8 @@ from stereophd.core.metrics.errors import (
     root_mean_square_per_group,
 )
 from stereophd.core.metrics.identities import identity_switches
-from stereophd.core.metrics.matching.assignment import mahalanobis_distances
-from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.matching import near_pairs as pairs_module
+from stereophd.core.metrics.scans import PointSets
 
 
 def random_sets(random: np.random.Generator, scans: int, most: int, covariance: bool = False) -> PointSets:
@@ -36,28 +35,22 @@ def random_sets(random: np.random.Generator, scans: int, most: int, covariance: 
 @pytest.mark.parametrize("mahalanobis", [False, True])
 @pytest.mark.parametrize("entries", [1, 40, 100_000])
 def test_batches_give_what_single_scans_give(mahalanobis, entries, monkeypatch):
-    monkeypatch.setattr(scans_module, "BATCH_ENTRIES", entries)
+    monkeypatch.setattr(pairs_module, "PAIRS_AT_ONCE", entries)
     random = np.random.default_rng(11)
     estimates, truth = random_sets(random, 80, 5, covariance=True), random_sets(random, 80, 4)
     order, cutoff = 2.0, 6.0
     scores = score_scans(estimates, truth, order, cutoff, mahalanobis=mahalanobis)
     for scan in range(80):
-        rows = slice(*estimates.start[scan : scan + 2])
-        x, y = estimates.position[rows], truth.position[slice(*truth.start[scan : scan + 2])]
-        base = mahalanobis_distances(x, y, estimates.covariance[rows]) if mahalanobis else None
-        one, two = ospa(x, y, order, cutoff, base), gospa(x, y, order, cutoff, base)
-        assert scores.ospa.distance[scan] == pytest.approx(one.distance, abs=1e-12)
-        assert scores.ospa.localisation[scan] == pytest.approx(one.localisation, abs=1e-12)
-        assert scores.ospa.cardinality[scan] == pytest.approx(one.cardinality, abs=1e-12)
-        assert scores.gospa.distance[scan] == pytest.approx(two.distance, abs=1e-12)
-        assert scores.gospa.missed[scan] == pytest.approx(two.missed, abs=1e-12)
-        assert scores.gospa.false[scan] == pytest.approx(two.false, abs=1e-12)
-        assert scores.n_matched[scan] == (scores.pair_scan == scan).sum()
-    assert (np.diff(scores.pair_scan) >= 0).all()
-    assert (estimates.scan[scores.pair_estimate] == scores.pair_scan).all()
-    assert (truth.scan[scores.pair_truth] == scores.pair_scan).all()
+        sets = (one.keep_scans(np.arange(80) == scan) for one in (estimates, truth))
+        alone = score_scans(*sets, order, cutoff, mahalanobis=mahalanobis)
+        for part, expected in zip((*scores.ospa, *scores.gospa), (*alone.ospa, *alone.gospa), strict=True):
+            assert part[scan] == pytest.approx(expected[0], abs=1e-12)
+        assert scores.n_matched[scan] == alone.n_matched[0] == (scores.pairs.scan == scan).sum()
+    assert (np.diff(scores.pairs.scan) >= 0).all()
+    assert (estimates.scan[scores.pairs.estimate] == scores.pairs.scan).all()
+    assert (truth.scan[scores.pairs.truth] == scores.pairs.scan).all()
     if not mahalanobis:
-        errors = estimates.position[scores.pair_estimate] - truth.position[scores.pair_truth]
+        errors = estimates.position[scores.pairs.estimate] - truth.position[scores.pairs.truth]
         assert (np.linalg.norm(errors, axis=1) < cutoff).all()
 
 
@@ -76,7 +69,7 @@ def test_points_and_scans_can_be_left_out():
 def test_no_scans():
     nothing = random_sets(np.random.default_rng(0), 0, 3)
     scores = score_scans(nothing, nothing, 2.0, 20.0)
-    assert len(scores.ospa.distance) == len(scores.pair_scan) == 0
+    assert len(scores.ospa.distance) == len(scores.pairs.scan) == 0
 
 
 def test_root_mean_square_and_groups():

@@ -61,7 +61,7 @@ def test_without_a_cost_of_switches_it_is_gospa() -> None:
     objects = [{k: float(x) for k, x in enumerate(generator.uniform(0, 6, 3))} for _ in range(8)]
     tracks = [{k + 10: float(x) for k, x in enumerate(generator.uniform(0, 6, 4))} for _ in range(8)]
     estimates, truth = point_sets(tracks), point_sets(objects)
-    from stereophd.core.metrics.scans import score_scans
+    from stereophd.core.metrics.distances.ospa import score_scans
 
     scores = score_scans(estimates, truth, 2.0, 2.0, mahalanobis=False)
     found = distance(tracks, objects, 1e-9)

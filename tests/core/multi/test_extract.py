@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.disparity.moments import world_moments
-from stereophd.core.multi.extract import Counters, Selection, select_objects
+from stereophd.core.multi.extract import Selection, select_objects
 from stereophd.core.multi.filter_settings.common import Hysteresis
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from tests.core.multi.scenes import make_filter, make_mixture, random_mixture
@@ -24,7 +24,7 @@ def select(mixture: GaussianMixture, levels: Hysteresis, next_label: int, next_t
         mixture = mixture._replace(means=mixture.means + np.array([400.0, 300.0, 7.0, 0.0, 0.0, 0.0]))
     homes = multi_filter.rig.spaces(mixture.cameras, mixture.times)
     motion, samples = multi_filter.motion.arrays(np.full(mixture.size, 0.5)), multi_filter.sets.turn(0)
-    return select_objects(mixture, levels, Counters(next_label, next_track), homes, motion, samples)
+    return select_objects(mixture, levels, (next_label, next_track), homes, motion, samples)
 
 
 def identities(selection: Selection) -> list[int]:

@@ -8,7 +8,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stereophd.core.simulation.timing import INSTANTS_PER_WINDOW, Schedule, TimeGrid, instants
+from stereophd.core.simulation.timing import INSTANTS_PER_WINDOW, Schedule, TimeGrid
 
 SCHEDULES = st.builds(
     lambda rate, start, duration, phase: Schedule(rate, start, start + duration, phase),
@@ -69,9 +69,3 @@ def test_truth_has_its_own_rate_or_every_distinct_frame_time() -> None:
     own = TimeGrid(frames, Schedule(4.0, 0.0, 1.0))
     np.testing.assert_allclose(own.truth_times(0.0, 1.0), [0.0, 0.25, 0.5, 0.75])
     assert np.isin(own.truth_times(0.0, 1.0), own.times(0.0, 1.0)).all()
-
-
-def test_instants_groups_equal_times() -> None:
-    groups = {time: list(rows) for time, rows in instants(np.array([2.0, 1.0, 2.0, 3.0, 1.0]))}
-    assert groups == {1.0: [1, 4], 2.0: [0, 2], 3.0: [3]}
-    assert list(instants(np.empty(0))) == []

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
-from stereophd.core.calibration.adjustment.problem import Problem, true_times
+from stereophd.core.calibration.adjustment.problem import Loss, Problem, true_times
 from stereophd.core.calibration.adjustment.trajectories import (
     Interpolation,
     MotionPrior,
@@ -41,8 +40,8 @@ class NormalEquations:
     state_vector: Array
     value_vector: Array
     distances: Array
-    energy: float
-    pull: Array
+    energy: float = 0.0
+    pull: Array = field(default_factory=lambda: np.zeros(0))
 
 
 class Placement(NamedTuple):
@@ -85,27 +84,11 @@ class Linearisation:
     def at(self, values: Array, states: Array, log_noise: float = 0.0) -> NormalEquations:
         """Return the normal equations at values (m,) and knots (k, 2, 3), the motion's noise times e^log_noise."""
         problem, parameters = self.problem, self.problem.parameters
-        size, count = problem.knots.size, parameters.size
-        bands, coupling, matrix = np.zeros((12, size)), np.zeros((size, count)), np.zeros((count, count))
-        state_vector, value_vector = np.zeros(size), np.zeros(count)
-        observations = problem.observations
-        distances = np.zeros(len(observations))
-        path, errors, visible, by_point, by_value = self.residuals(values, states)
-        counted = np.ones(len(observations)) if observations.weights is None else observations.weights
-        cost = normal_equations.accumulate(
-            observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
-            path.weights, self.columns, problem.loss.kind, problem.loss.scale,
-            bands, coupling, matrix, state_vector, value_vector, distances,
-        )  # fmt: skip
+        sums = self.summed(*self.residuals(values, states))
+        coupling, matrix, value_vector = sums.coupling, sums.matrix, sums.value_vector
         # motion model, its noise in units of the scene's scale
         logarithm, gradient = log_scale(parameters, problem.reference, values)
-        density = np.exp(-2.0 * (logarithm + log_noise))
-        x, motion = states.ravel(), self.motion
-        product = density * banded_product(motion.bands, x)
-        pull = product - density * motion.pull
-        energy = float(x @ product) + density * (motion.energy - 2.0 * float(x @ motion.pull))
-        bands += density * motion.bands
-        state_vector -= pull
+        energy, pull = self._add_motion(sums, states, logarithm + log_noise)
         coupling -= np.outer(pull, gradient)
         matrix += energy * np.outer(gradient, gradient)
         value_vector += energy * gradient
@@ -113,7 +96,7 @@ class Linearisation:
         scaled = (values - parameters.prior_mean) / parameters.prior_std
         matrix += np.diag(parameters.prior_std**-2)
         value_vector -= scaled / parameters.prior_std
-        cost += energy + float(scaled @ scaled)
+        cost = sums.cost + energy + float(scaled @ scaled)
         if problem.scale is not None:
             expected, slope = predicted(parameters, problem.reference, problem.scale, values)
             residual = (problem.scale.value - expected) / problem.scale.std
@@ -125,7 +108,41 @@ class Linearisation:
             coupling[:, held], value_vector[held] = 0.0, 0.0
             matrix[held], matrix[:, held] = 0.0, 0.0
             matrix[held, held] = parameters.prior_std[held] ** -2
-        return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances, energy, pull)
+        return replace(sums, cost=cost, energy=energy, pull=pull)
+
+    def summed(
+        self,
+        path: Interpolation,
+        errors: Array,
+        visible: Booleans,
+        by_point: Array,
+        by_value: Array,
+        loss: Loss | None = None,
+    ) -> NormalEquations:
+        """Contributions of all detections, from what `residuals` returns; by default with the loss of the problem.
+
+        Those by values are empty where the derivatives by values are.
+        """
+        observations, size = self.problem.observations, self.problem.knots.size
+        count, loss = self.problem.parameters.size * (by_value.shape[2] > 0), loss or self.problem.loss
+        counted = np.ones(len(observations)) if observations.weights is None else observations.weights
+        bands, coupling, matrix = np.zeros((12, size)), np.zeros((size, count)), np.zeros((count, count))
+        state_vector, value_vector, distances = np.zeros(size), np.zeros(count), np.zeros(len(observations))
+        cost = normal_equations.accumulate(
+            observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
+            path.weights, self.columns[:, : by_value.shape[2]], loss.kind, loss.scale,
+            bands, coupling, matrix, state_vector, value_vector, distances,
+        )  # fmt: skip
+        return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances)
+
+    def _add_motion(self, sums: NormalEquations, states: Array, log_noise: float) -> tuple[float, Array]:
+        """Add the motion model, its noise times e^log_noise, to the sums of the knots; return its energy and pull."""
+        density, x, motion = np.exp(-2.0 * log_noise), states.ravel(), self.motion
+        product = density * banded_product(motion.bands, x)
+        pull = product - density * motion.pull
+        sums.bands[:] += density * motion.bands
+        sums.state_vector[:] -= pull
+        return float(x @ product) + density * (motion.energy - 2.0 * float(x @ motion.pull)), pull
 
     def log_scale_of_noise(self, values: Array, log_noise: float) -> float:
         """Logarithm of the factor on the noise of the motion, at values (m,) and a noise times e^log_noise."""
@@ -138,23 +155,10 @@ class Linearisation:
 
         A placement of the values without velocities (`placed`) saves what several knots at the same values share.
         """
-        observations, problem, size = self.problem.observations, self.problem, self.problem.knots.size
-        bands, vector, count = np.zeros((12, size)), np.zeros(size), len(observations)
         placement = placement or self.placed(values, by_values=False)
-        path, errors, visible, by_point, by_value = self.residuals(values, states, placement, by_values=False)
-        counted = np.ones(count) if observations.weights is None else observations.weights
-        cost = normal_equations.accumulate(
-            observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
-            path.weights, self.columns[:, :0], problem.loss.kind, problem.loss.scale,
-            bands, np.zeros((size, 0)), np.zeros((0, 0)), vector, np.zeros(0), np.empty(count),
-        )  # fmt: skip
-        density = np.exp(-2.0 * self.log_scale_of_noise(values, log_noise))
-        bands += density * self.motion.bands
-        x = states.ravel()
-        product = density * banded_product(self.motion.bands, x)
-        vector -= product - density * self.motion.pull
-        cost += float(x @ product) + density * (self.motion.energy - 2.0 * float(x @ self.motion.pull))
-        return cost, bands, vector
+        sums = self.summed(*self.residuals(values, states, placement, by_values=False))
+        energy, _ = self._add_motion(sums, states, self.log_scale_of_noise(values, log_noise))
+        return sums.cost + energy, sums.bands, sums.state_vector
 
     def placed(self, values: Array, by_values: bool = True) -> Placement:
         """Return what the values determine; without `by_values` the velocities are those of the prior mean."""
@@ -170,7 +174,7 @@ class Linearisation:
 
     def residuals(
         self, values: Array, states: Array, placement: Placement | None = None, by_values: bool = True
-    ) -> tuple[Interpolation, Array, NDArray[np.bool_], Array, Array]:
+    ) -> tuple[Interpolation, Array, Booleans, Array, Array]:
         """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values.
 
         Without `by_values` the latter are empty, (n, 2, 0).
@@ -182,7 +186,7 @@ class Linearisation:
 
     def seen(
         self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True
-    ) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+    ) -> tuple[Array, Booleans, Array, Array]:
         """Residuals, visibility, and derivatives by points and values, of points and velocities (n, 3)."""
         observations, parameters = self.problem.observations, self.problem.parameters
         count = len(observations)

@@ -14,10 +14,11 @@ from stereophd.core.calibration.adjustment.trajectories import Knots
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.numerics.rows import ArrayRows
 
 
 @dataclass(frozen=True)
-class Observations:
+class Observations(ArrayRows):
     """Detections that belong to trajectories."""
 
     # `trajectories`, `cameras`: arrays (n,) of int
@@ -35,13 +36,6 @@ class Observations:
 
     def __len__(self) -> int:
         return len(self.times)
-
-    def take(self, rows: Integers) -> Observations:
-        """Return some of the detections."""
-        return Observations(
-            self.trajectories[rows], self.cameras[rows], self.times[rows], self.points[rows], self.precisions[rows],
-            self.log_times[rows], self.rows[rows], None if self.weights is None else self.weights[rows],
-        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -21,9 +21,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.problem import Observations
+from stereophd.core.calibration.adjustment.problem import SQUARED, Observations
 from stereophd.core.calibration.adjustment.solver import eliminate, within_prior
 from stereophd.core.calibration.adjustment.trajectories import positions
 from stereophd.core.numerics.compilation.compiled import compiled
@@ -130,19 +129,11 @@ def shared_errors(
 
 def remaining_errors(linearisation: Linearisation, values: Array, states: Array, errors: Array) -> Array:
     """Return what one linear step of cameras and trajectories leaves of errors (n, 2) of the detections."""
-    observations, knots = linearisation.problem.observations, linearisation.problem.knots
     equations = linearisation.at(values, states)
     path, _, visible, by_point, by_value = linearisation.residuals(values, states)
-    counted = np.ones(len(observations)) if observations.weights is None else observations.weights
-    size, count = knots.size, len(values)
-    state_vector, value_vector = np.zeros(size), np.zeros(count)
-    normal_equations.accumulate(
-        observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
-        path.weights, linearisation.columns, normal_equations.SQUARED, 1.0, np.zeros((12, size)),
-        np.zeros((size, count)), np.zeros((count, count)), state_vector, value_vector, np.zeros(len(observations)),
-    )  # fmt: skip
-    eliminated, schur = eliminate(replace(equations, state_vector=state_vector), DAMPING)
-    right = value_vector - equations.coupling.T @ eliminated[:, -1]
+    sums = linearisation.summed(path, errors, visible, by_point, by_value, SQUARED)
+    eliminated, schur = eliminate(replace(equations, state_vector=sums.state_vector), DAMPING)
+    right = sums.value_vector - equations.coupling.T @ eliminated[:, -1]
     value_step = within_prior(schur, linearisation.problem.parameters.prior_std) @ right
     state_step = eliminated[:, -1] - eliminated[:, :-1] @ value_step
     moved = positions(state_step.reshape(states.shape), path.knot, path.weights, np.zeros((len(errors), 3)))

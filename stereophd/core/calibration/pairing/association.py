@@ -11,7 +11,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.projection import pinhole
+from stereophd.core.geometry.lens import Lens
 from stereophd.core.multi.pmb.filter import PmbFilter
 
 # A detection belongs to a track within this squared Mahalanobis distance in its (inflated) noise.
@@ -75,29 +75,22 @@ def track_detections(multi_filter: PmbFilter, scans: Scans, inflation: float) ->
     return TrackedDetections(tracks[order], detections[order], estimated[order], variances[order], total)
 
 
-def undistorted_pixels(camera: Camera, points: Array) -> Array:
-    """Undistorted pixels (n, 2) of world points; NaN behind the camera."""
-    seen = camera.pose.to_camera(points)
-    focal = np.array([camera.fx, camera.fy])
-    slopes, _ = pinhole(seen, focal)
-    return np.where(seen[:, 2:] > 0.0, slopes * focal + [camera.cx, camera.cy], np.nan)
-
-
 def detected_pixels(camera: Camera, states: Array, event: Event) -> Array:
     """Undistorted pixels (n, m, 2) of objects, positions and velocities (n, 6), at the times of m detections.
 
     With a rolling shutter a detection is later than its event by the delay of its row. The pixels are those of the
     camera at the event; that the camera moves on until then is as if the objects moved the other way.
     """
+    pinhole = replace(camera, lens=Lens())
     moves = event.delays is not None and states.shape[1] == 6
     if event.delays is None or not (moves or event.travels is not None):
-        return np.asarray(undistorted_pixels(camera, states[:, :3])[:, None, :])
+        return np.asarray(pinhole.project(states[:, :3])[:, None, :])
     moved = np.repeat(states[:, None, :3], len(event.points), axis=1)
     if moves:
         moved = moved + event.delays[None, :, None] * states[:, None, 3:]
     if event.travels is not None:
         moved = moved - event.travels
-    return undistorted_pixels(camera, moved.reshape(-1, 3)).reshape(len(states), len(event.points), 2)
+    return pinhole.project(moved.reshape(-1, 3)).reshape(len(states), len(event.points), 2)
 
 
 def squared_distances(pixels: Array, event: Event) -> Array:

@@ -13,7 +13,6 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.calibration.unknowns.quantities.clock_offset import QUANTITY
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.two_views.track_rays import RawTracks
 
@@ -93,7 +92,7 @@ def _shifts(
 
 def offset_places(parameters: ParameterSet) -> Integers:
     """Place (c,) of the clock offset of each camera among the values; -1 where it is known."""
-    return np.concatenate([parameters.index(camera.name, QUANTITY.components) for camera in parameters.cameras])
+    return np.concatenate([parameters.index(camera.name, ["clock_offset"]) for camera in parameters.cameras])
 
 
 def _step(cameras: Sequence[Camera], tracks: RawTracks) -> float:

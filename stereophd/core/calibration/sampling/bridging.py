@@ -19,12 +19,11 @@ step alone, so that a run continued from any state gives the same result as an u
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.unknowns.modes import Modes
+from stereophd.core.calibration.sampling.paths import DensityPath
 from stereophd.core.numerics.resampling import systematic
 from stereophd.core.numerics.weights import effective_sample_size, normalised, step_generator, weighted_mean_covariance
 
@@ -97,31 +96,6 @@ BISECTIONS = 40
 
 # Called after every step with the state and the history so far.
 AfterStep = Callable[[BridgeState, Sequence[BridgeInfo]], None]
-
-
-class DensityPath(Protocol):
-    """A sequence of densities, from one that can be sampled to the target."""
-
-    @property
-    def particles(self) -> Sequence[int]:
-        """Number of particles in each stage."""
-
-    @property
-    def prior_std(self) -> Array:
-        """Prior standard deviations (m,): the scale of each parameter."""
-
-    @property
-    def modes(self) -> Modes | None:
-        """Modes of the wanted density, where they are known."""
-
-    def draw(self, count: int, rng: np.random.Generator) -> Array:
-        """Draw values (count, m) from the first density."""
-
-    def log_densities(self, values: Array, stage: int, begin: bool) -> tuple[Array, Array]:
-        """Log-densities (k,) at the beginning and the end of a stage.
-
-        Both are of values (k, m), up to a constant. With `begin` False the first is not needed, and any array will do.
-        """
 
 
 @dataclass(frozen=True)
@@ -215,7 +189,7 @@ class BridgeSampler:
         A mode with too few particles takes its own covariance. In a direction in which the particles do not differ
         no proposal would ever move, so a millionth of the prior's standard deviation is added.
         """
-        modes, prior_std = self.path.modes, self.path.prior_std
+        modes, prior_std = self.path.modes, self.path.parameters.prior_std
         size = len(prior_std)
         covariances = np.empty((1, size, size)) if modes is None else modes.covariances.copy()
         which = self._mode_of(values)

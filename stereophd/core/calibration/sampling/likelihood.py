@@ -14,7 +14,6 @@ Hypotheses of anything else than poses need events of their own: `calibration.sa
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -25,28 +24,6 @@ from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, predicte
 from stereophd.core.disparity.events import Event, Rig, make_rig
 from stereophd.core.geometry.layout import CENTER
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
-
-
-class LogEvidence(Protocol):
-    """Log-likelihood of a log, or of its first events, as a function of parameter values."""
-
-    @property
-    def parameters(self) -> ParameterSet:
-        """Unknowns and their priors."""
-
-    @property
-    def n_events(self) -> int:
-        """Number of events of the log."""
-
-    def __call__(self, values: Array) -> Array:
-        """Return the log-likelihoods (k,) of values (k, m)."""
-
-    def after(self, values: Array, counts: Sequence[int], inflation: float = 1.0) -> Array:
-        """Return the log-likelihoods (s, k) of values (k, m) after the first events, for each of several counts.
-
-        `counts` are increasing, and at most the number of events; `inflation` is a factor on the noise of all
-        detections.
-        """
 
 
 @dataclass(frozen=True)
@@ -68,11 +45,15 @@ class Evidence:
         return len(self.events)
 
     def __call__(self, values: Array) -> Array:
-        """See `LogEvidence`."""
+        """Return the log-likelihoods (k,) of values (k, m)."""
         return np.asarray(self.after(values, [len(self.events)])[0])
 
     def after(self, values: Array, counts: Sequence[int], inflation: float = 1.0) -> Array:
-        """See `LogEvidence`; all counts come from one run of the filters."""
+        """Return the log-likelihoods (s, k) of values (k, m) after the first events, for each of several counts.
+
+        `counts` are increasing, and at most the number of events; `inflation` is a factor on the noise of all
+        detections. All counts come from one run of the filters.
+        """
         total = log_density_of_scale(self.parameters, self.scale_reference, self.scale, values)
         spaces = hypothesis_spaces(self.parameters, values, self.batch.template.rig)
         if self.scale_reference is not None:

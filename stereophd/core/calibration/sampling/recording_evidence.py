@@ -65,11 +65,11 @@ class RecordingEvidence:
         return ThreadPoolExecutor(self.threads)
 
     def __call__(self, values: Array) -> Array:
-        """See `stereophd.core.calibration.sampling.likelihood.LogEvidence`."""
+        """Return the log-likelihoods (k,) of values (k, m)."""
         return np.asarray(self.after(values, [len(self.frames)])[0])
 
     def after(self, values: Array, counts: Sequence[int], inflation: float = 1.0) -> Array:
-        """See `calibration.sampling.likelihood.LogEvidence`; the first events are those of the first frames."""
+        """See `calibration.sampling.likelihood.Evidence.after`; the first events are those of the first frames."""
 
         def run(row: Array) -> list[float]:
             return self._of_one(row, counts, inflation)

@@ -66,24 +66,6 @@ class SequentialInfo:
 AfterEvent = Callable[[int, SequentialState, Sequence[SequentialInfo]], None]
 
 
-@dataclass(frozen=True)
-class SequentialResult:
-    """Outcome of a run."""
-
-    state: SequentialState  # After the last event; `values` (k, m) and `log_weights` (k,) are the posterior
-    history: tuple[SequentialInfo, ...]  # One per event
-
-    @property
-    def mean(self) -> Array:
-        """Posterior mean (m,)."""
-        return weighted_mean_covariance(self.state.values, self.state.log_weights)[0]
-
-    @property
-    def best(self) -> int:
-        """Index of the heaviest particle."""
-        return int(self.state.log_weights.argmax())
-
-
 def init(
     parameters: ParameterSet, batch: FilterBatch, settings: SequentialSettings, seed: np.random.SeedSequence
 ) -> SequentialState:
@@ -142,12 +124,13 @@ def run(
     resume: tuple[SequentialState, Sequence[SequentialInfo]] | None = None,
     after_event: AfterEvent | None = None,
     motion_std: Array | None = None,
-) -> SequentialResult:
-    """Calibrate by one pass over a log, whose events are in order of time.
+) -> tuple[SequentialState, list[SequentialInfo]]:
+    """Calibrate by one pass over a log, whose events are in order of time; return the last state and the history.
 
-    `resume` has the state and the history that `after_event` was given: the run continues there, to the same result.
-    `after_event` serves progress and checkpoints; an exception that it raises ends the run. `motion_std` (m,) is the
-    standard deviation of the random walk of each parameter over one second, in its unit.
+    Its `values` (k, m) and `log_weights` (k,) are the posterior; there is one info for each event. `resume` has
+    the state and the history that `after_event` was given: the run continues there, to the same result. `after_event`
+    serves progress and checkpoints; an exception that it raises ends the run. `motion_std` (m,) is the standard
+    deviation of the random walk of each parameter over one second, in its unit.
     """
     state = init(parameters, batch, settings, seed) if resume is None else resume[0]
     history = [] if resume is None else list(resume[1])
@@ -156,4 +139,4 @@ def run(
         history.append(info)
         if after_event is not None:
             after_event(number + 1, state, history)
-    return SequentialResult(state, tuple(history))
+    return state, history

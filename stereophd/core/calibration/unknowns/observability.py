@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import LENGTH, LENGTH_PER_SECOND
-from stereophd.core.calibration.unknowns.quantities.center import CENTER
-from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
+from stereophd.core.calibration.unknowns.quantities.pose import CENTER, ROTATION
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.covariance_factors import covariance_factor
 

@@ -21,7 +21,7 @@ from scipy.special import gammaln
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.calibration.unknowns.quantities.center import CENTER
+from stereophd.core.calibration.unknowns.quantities.pose import CENTER
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 

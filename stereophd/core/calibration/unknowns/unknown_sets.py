@@ -24,12 +24,6 @@ class UnknownSet:
     free: Booleans  # (m,) of bool: Which values of the parameter set are free
     names: tuple[str, ...]  # Components that are free, each once, in the order of the parameters
 
-    @staticmethod
-    def of(parameters: ParameterSet, free: Booleans) -> UnknownSet:
-        """Return the set of some values."""
-        chosen = [p.name for p, used in zip(parameters.parameters, free, strict=True) if used]
-        return UnknownSet(free, tuple(dict.fromkeys(chosen)))
-
 
 def _of_the_frame(parameters: ParameterSet) -> Booleans:
     """Values that move a camera or set its clock."""
@@ -47,7 +41,8 @@ def _distinct(parameters: ParameterSet, masks: Sequence[Booleans]) -> tuple[Unkn
     found: list[UnknownSet] = []
     for mask in masks:
         if mask.any() and not any((mask == other.free).all() for other in found):
-            found.append(UnknownSet.of(parameters, mask))
+            names = [p.name for p, free in zip(parameters.parameters, mask, strict=True) if free]
+            found.append(UnknownSet(mask, tuple(dict.fromkeys(names))))
     return tuple(found)
 
 

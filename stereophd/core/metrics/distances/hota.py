@@ -42,7 +42,7 @@ def hota(estimates: PointSets, truth: PointSets, near: NearPairs) -> Hota:
     similarity, number, count = 1.0 - near.ratio, pairs.number, len(pairs.objects)
     either = (object_scans[pairs.objects] + track_scans[pairs.tracks]).astype(np.float64)
     overlap = np.bincount(number, _overlap(near, similarity), count)
-    chosen = most_gain(near, (overlap / (either - overlap))[number] * similarity)
+    chosen = most_gain(near.estimate, near.truth, (overlap / (either - overlap))[number] * similarity)
     similarity, number = similarity[chosen], number[chosen]
     parts = np.empty((len(THRESHOLDS), 3))
     for row, threshold in enumerate(THRESHOLDS):

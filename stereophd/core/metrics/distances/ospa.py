@@ -1,5 +1,9 @@
 """OSPA and GOSPA distances between sets of points (paper VIII-C).
 
+Both are sums over an optimal assignment of estimates to true points, and so is everything that is counted over matched
+pairs (RMSE, NEES, identity switches). Pairs at or beyond the cutoff cost as much as pairs that are not assigned: those
+nearer than the cutoff are all that the assignment needs.
+
 References
 ----------
 D. Schuhmacher, B.-T. Vo, B.-N. Vo, "A consistent metric for performance evaluation of multi-object
@@ -15,10 +19,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.metrics.matching.assignment import euclidean_distances, optimal_assignment
+from stereophd.core.metrics.matching.near_pairs import NearPairs, most_gain, near_pairs
+from stereophd.core.metrics.scans import PointSets
 
 
 class Ospa(NamedTuple):
@@ -46,14 +50,6 @@ class Gospa(NamedTuple):
     false: Array
 
 
-@dataclass(frozen=True)
-class Matching:
-    """Optimal assignments of k scans that all have m estimates and n true points."""
-
-    truth: Integers  # (k, m) array: Index of the true point that each estimate is assigned to, -1 if none
-    distance: Array  # (k, m) array: Base distance of that pair, infinite if none
-
-
 def check_parameters(order: float, cutoff: float) -> None:
     """Raise ValueError unless ``1 <= order < inf`` and ``0 < cutoff < inf``."""
     if not (np.isfinite(order) and order >= 1.0):
@@ -62,88 +58,50 @@ def check_parameters(order: float, cutoff: float) -> None:
         raise ValueError(f"expected a cutoff > 0 and finite, found {cutoff}")
 
 
-def match(distances: Array, order: float, cutoff: float) -> Matching:
-    """Assign estimates to true points at the least sum of ``min(distance, cutoff)**order``.
+@dataclass(frozen=True)
+class ScanScores:
+    """Metrics of each scan, arrays (k,), and the pairs of estimates and true points."""
 
-    The distances are (k, m, n), of k scans. Pairs further apart than the cutoff are kept; their distance identifies
-    them.
+    ospa: Ospa
+    gospa: Gospa
+    near: NearPairs  # All pairs nearer than the cutoff
+    pairs: NearPairs  # Those that are matched, in order of estimate
+
+    @property
+    def n_matched(self) -> Integers:
+        """Number of matched pairs of each scan, (k,)."""
+        return np.bincount(self.pairs.scan, minlength=len(self.ospa.distance)).astype(np.int64)
+
+
+def score_scans(
+    estimates: PointSets, truth: PointSets, order: float, cutoff: float, *, mahalanobis: bool = False
+) -> ScanScores:
+    """Score the estimates of each scan against its true points, by OSPA and GOSPA of this order and cutoff.
+
+    The base distance is Euclidean or taken from the covariance of each estimate (Mahalanobis); the cutoff is in its
+    unit. Matched are the pairs of the optimal assignment that are nearer than the cutoff.
+
+    Raises ValueError when the scans differ in number, parameters are out of range, a distance is not finite, or a
+    covariance that is needed is missing or not positive definite.
     """
     check_parameters(order, cutoff)
-    truth = optimal_assignment(np.minimum(distances / cutoff, 1.0) ** order)
-    if distances.shape[2] == 0:
-        return Matching(truth, np.full(truth.shape, np.inf))
-    distance = np.take_along_axis(distances, np.maximum(truth, 0)[:, :, None], axis=2)[:, :, 0]
-    return Matching(truth, np.where(truth >= 0, distance, np.inf))
+    near = near_pairs(estimates, truth, cutoff, mahalanobis=mahalanobis)
+    pairs = near.take(most_gain(near.estimate, near.truth, 1.0 - near.ratio**order))
+    count = np.bincount(pairs.scan, minlength=estimates.scans)
+    located: Array = np.bincount(pairs.scan, pairs.ratio**order, estimates.scans).astype(np.float64)
+    m, n = estimates.counts, truth.counts
+    missed, false, root = 0.5 * (n - count), 0.5 * (m - count), 1.0 / order
+    parts = (located + missed + false, located, missed, false)
+    gospa = Gospa(*(np.asarray(cutoff * part**root) for part in parts))
+    return ScanScores(ospa_of_sums(located, count, m, n, order, cutoff), gospa, near, pairs)
 
 
-def ospa_of_matching(matching: Matching, n_truth: int, order: float, cutoff: float) -> Ospa:
-    """Return the OSPA distances of matched scans (Schuhmacher et al. 2008, eq. 3 and its two parts)."""
-    scans, n_estimates = matching.truth.shape
-    longest = max(n_estimates, n_truth)
-    if longest == 0:
-        return Ospa(np.zeros(scans), np.zeros(scans), np.zeros(scans))
-    ratio = np.where(matching.truth >= 0, np.minimum(matching.distance / cutoff, 1.0), 0.0)
-    located = (ratio**order).sum(axis=1) / longest
-    absent = np.full(scans, abs(n_estimates - n_truth) / longest)
-    root = 1.0 / order
+def ospa_of_sums(located: Array, count: Integers, m: Integers, n: Integers, order: float, cutoff: float) -> Ospa:
+    """Return the OSPA distances of k optimal assignments (Schuhmacher et al. 2008, eq. 3 and its two parts).
+
+    Of each, `located` (k,) is the sum of ``(distance / cutoff)**order`` over the pairs nearer than the cutoff, `count`
+    the number of these, and m and n are the numbers of estimates and of true points.
+    """
+    longest, root = np.maximum(np.maximum(m, n), 1), 1.0 / order
+    located, absent = (located + np.minimum(m, n) - count) / longest, np.abs(m - n) / longest
     return Ospa(cutoff * (located + absent) ** root, cutoff * located**root, cutoff * absent**root)
-
-
-def gospa_of_matching(matching: Matching, n_truth: int, order: float, cutoff: float) -> Gospa:
-    """Return the GOSPA distances (alpha = 2) of matched scans.
-
-    With alpha = 2 a pair at or beyond the cutoff costs as much as one missed and one false point, so the
-    assignment of OSPA is optimal for GOSPA too.
-    """
-    n_estimates = matching.truth.shape[1]
-    near = matching.distance < cutoff
-    pairs = near.sum(axis=1)
-    located = (np.where(near, matching.distance / cutoff, 0.0) ** order).sum(axis=1)
-    missed = 0.5 * (n_truth - pairs)
-    false = 0.5 * (n_estimates - pairs)
-    root = 1.0 / order
-    return Gospa(
-        cutoff * (located + missed + false) ** root, cutoff * located**root, cutoff * missed**root, cutoff * false**root
-    )
-
-
-def _match_two_sets(
-    x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: ArrayLike | None
-) -> tuple[Matching, int]:
-    estimates, truth = _as_points(x), _as_points(y)
-    shape = (len(estimates), len(truth))
-    if distances is not None:
-        base = np.asarray(distances, dtype=float)
-        if base.shape != shape:
-            raise ValueError(f"expected distances of shape {shape}, found {base.shape}")
-    elif 0 in shape:
-        base = np.zeros(shape)
-    else:
-        base = euclidean_distances(estimates, truth)
-    return match(base[None], order, cutoff), len(truth)
-
-
-def _as_points(points: ArrayLike) -> Array:
-    array = np.asarray(points, dtype=float)
-    return array.reshape(0, 0) if array.size == 0 and array.ndim < 2 else array
-
-
-def ospa(x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: ArrayLike | None = None) -> Ospa:
-    """Return the OSPA distance between two sets of points, and its parts, as zero-dimensional arrays.
-
-    Estimates `x` are (m, d), the truth `y` is (n, d); either may be empty, and all parts are zero when both are. The
-    order p >= 1 sets the weight of outliers; the cutoff c > 0 is the cost of a missed or false object, in the unit of
-    the distances. Base distances (m, n) are given when they are not Euclidean (Mahalanobis, or between whole tracks).
-    Raises ValueError for an order or cutoff out of range, a wrong shape, or a distance that is not finite.
-    """
-    matching, n_truth = _match_two_sets(x, y, order, cutoff, distances)
-    return Ospa(*(part[0] for part in ospa_of_matching(matching, n_truth, order, cutoff)))
-
-
-def gospa(x: ArrayLike, y: ArrayLike, order: float, cutoff: float, distances: ArrayLike | None = None) -> Gospa:
-    """Return the GOSPA distance (alpha = 2) between two sets of points, and its parts.
-
-    Parameters and errors are those of `ospa`; the result holds zero-dimensional arrays.
-    """
-    matching, n_truth = _match_two_sets(x, y, order, cutoff, distances)
-    return Gospa(*(part[0] for part in gospa_of_matching(matching, n_truth, order, cutoff)))

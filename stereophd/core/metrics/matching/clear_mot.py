@@ -25,9 +25,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.metrics.errors import UNLABELLED
+from stereophd.core.metrics.distances.ospa import ScanScores
 from stereophd.core.metrics.matching.near_pairs import NearPairs, most_gain, near_pairs
-from stereophd.core.metrics.scans import PointSets, ScanScores, score_scans
+from stereophd.core.metrics.scans import UNLABELLED, PointSets
 
 NEVER = -1
 # A track that is so many times nearer to another object than to its own does not follow its own.
@@ -86,27 +86,18 @@ def match_within(
     The cutoff of the scores and the distance are in the unit of the base distance, which is Euclidean or taken from the
     covariance of each estimate; the rest is as for `follow`.
     """
-    near = near_pairs(estimates, truth, distance, mahalanobis=mahalanobis)
-    if distance == cutoff:
-        return follow(estimates, truth, scores, near, order), near
-    optimal = score_scans(estimates, truth, order, distance, mahalanobis=mahalanobis)
-    followed = follow(estimates, truth, optimal, near, order)
-    return replace(followed, ospa=scores.ospa, gospa=scores.gospa), near
+    near = scores.near if distance == cutoff else near_pairs(estimates, truth, distance, mahalanobis=mahalanobis)
+    return replace(scores, pairs=follow(estimates, truth, near, order)), near
 
 
-def beside_another(estimates: PointSets, truth: PointSets, scores: ScanScores, matchable: NearPairs) -> int:
+def beside_another(estimates: PointSets, truth: PointSets, matched: NearPairs, matchable: NearPairs) -> int:
     """Return the number of matches whose track is more than `BESIDE` times nearer to another object than to its own.
 
     They count where that is so in most matches of the same object and track: errors of the track cause it now and then.
-    The scores have the pairs of `match_within`; `matchable` holds all pairs that may be matched.
+    Both pairs are those of `match_within`.
     """
-    if not len(scores.pair_scan):
-        return 0
     nearest = np.full(len(estimates.label), np.inf)
     np.minimum.at(nearest, matchable.estimate, matchable.ratio)
-    partner = np.full(len(estimates.label), NEVER, dtype=np.int64)
-    partner[scores.pair_estimate] = scores.pair_truth
-    matched = matchable.take(partner[matchable.estimate] == matchable.truth)
     beside = matched.ratio > BESIDE * nearest[matched.estimate]
     named = np.stack([truth.label[matched.truth], estimates.label[matched.estimate]])
     couple = np.unique(named, axis=1, return_inverse=True)[1].ravel()
@@ -114,16 +105,14 @@ def beside_another(estimates: PointSets, truth: PointSets, scores: ScanScores, m
     return int(wrong[2 * wrong > pairs].sum())
 
 
-def follow(estimates: PointSets, truth: PointSets, scores: ScanScores, near: NearPairs, order: float) -> ScanScores:
-    """Return the scores with the pairs of CLEAR MOT in place of those of the optimal assignments.
+def follow(estimates: PointSets, truth: PointSets, near: NearPairs, order: float) -> NearPairs:
+    """Return the pairs of CLEAR MOT, in order of estimate.
 
-    The scans are in order of time; `near` holds all pairs nearer than the distance of the scores (of `score_scans`),
-    and `order` is the order p of the cost of the points that keep no assignment. `pair_scan`, `pair_estimate`,
-    `pair_truth` and `n_matched` change, the distances stay. The loop over single scans begins only at the first scan at
-    which the optimal assignment breaks a pair that could be kept, and ends where both assignments remember the same
-    tracks again.
+    The scans are in order of time; `near` holds all pairs that may be matched, and `order` is the order p of the cost
+    of the points that keep no assignment. The loop over single scans begins only at the first scan at which the optimal
+    assignment breaks a pair that could be kept, and ends where both assignments remember the same tracks again.
     """
-    run = _number(estimates, truth, scores, near, order)
+    run = _number(estimates, truth, near, order)
     suspects = _suspects(run)
     pieces: list[Integers] = []
     done = position = 0
@@ -134,31 +123,21 @@ def follow(estimates: PointSets, truth: PointSets, scores: ScanScores, near: Nea
         pieces.extend(stepped)
         position = int(np.searchsorted(suspects, done))
     pieces.append(np.flatnonzero(run.optimal[run.start[done] :]) + run.start[done])
-    pairs = run.near.take(np.concatenate(pieces))
-    pairs = pairs.take(np.argsort(pairs.estimate, kind="stable"))
-    return replace(
-        scores,
-        n_matched=np.bincount(pairs.scan, minlength=estimates.scans).astype(np.int64),
-        pair_scan=pairs.scan,
-        pair_estimate=pairs.estimate,
-        pair_truth=pairs.truth,
-    )
+    return near.take(np.sort(np.concatenate(pieces)))
 
 
-def _number(estimates: PointSets, truth: PointSets, scores: ScanScores, near: NearPairs, order: float) -> _Run:
+def _number(estimates: PointSets, truth: PointSets, near: NearPairs, order: float) -> _Run:
     """Number the objects, and put the optimal pairs in order."""
     labels, label = np.unique(truth.label, return_inverse=True)
     start = np.searchsorted(near.scan, np.arange(estimates.scans + 1)).astype(np.int64)
     track, target = estimates.label[near.estimate], label[near.truth].astype(np.int64)
-    partner = np.full(len(estimates.label), NEVER, dtype=np.int64)
-    partner[scores.pair_estimate] = scores.pair_truth
-    optimal = partner[near.estimate] == near.truth
+    gain = 1.0 - near.ratio**order
+    optimal = np.zeros(len(gain), dtype=np.bool_)
+    optimal[most_gain(near.estimate, near.truth, gain)] = True
     rows = np.flatnonzero(optimal & (track > UNLABELLED))
     key = target[rows] * len(start) + near.scan[rows]
     in_order = np.argsort(key, kind="stable")
-    return _Run(
-        near, start, track, target, 1.0 - near.ratio**order, len(labels), optimal, rows[in_order], key[in_order]
-    )  # fmt: skip
+    return _Run(near, start, track, target, gain, len(labels), optimal, rows[in_order], key[in_order])
 
 
 def _suspects(run: _Run) -> Integers:
@@ -212,4 +191,5 @@ def _assign(run: _Run, rows: Integers, memory: _Memory) -> Integers:
     kept = kept[np.unique(run.target[kept], return_index=True)[1]]
     free = ~(np.isin(run.near.estimate[rows], run.near.estimate[kept]) | np.isin(target, run.target[kept]))
     remaining = rows[free]
-    return np.concatenate([kept, remaining[most_gain(run.near.take(remaining), run.gain[remaining])]])
+    estimate, true_point = run.near.estimate[remaining], run.near.truth[remaining]
+    return np.concatenate([kept, remaining[most_gain(estimate, true_point, run.gain[remaining])]])

@@ -1,14 +1,17 @@
-"""All pairs of an estimate and a true point nearer than the cutoff, and assignments among them."""
+"""All pairs of an estimate and a true point nearer than the cutoff, and the optimal assignment among them."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.metrics.errors import UNLABELLED
-from stereophd.core.metrics.matching.assignment import optimal_assignment
-from stereophd.core.metrics.scans import PointSets, base_distances, batches_of_one_size
+from stereophd.core.metrics.scans import UNLABELLED, PointSets
+from stereophd.core.numerics.covariance_factors import is_positive_definite
 from stereophd.core.numerics.rows import ArrayRows
+
+# Distances held at once: some 20 megabytes.
+PAIRS_AT_ONCE = 400_000
 
 
 @dataclass(frozen=True)
@@ -23,19 +26,45 @@ class NearPairs(ArrayRows):
 
 
 def near_pairs(estimates: PointSets, truth: PointSets, cutoff: float, *, mahalanobis: bool = False) -> NearPairs:
-    """Return all pairs of the same scans whose base distance is below the cutoff."""
+    """Return all pairs of the same scans whose base distance is below the cutoff.
+
+    The distance is Euclidean, or ``sqrt((x - y)^T P^-1 (x - y))`` with the covariance P of the estimate (Mahalanobis,
+    paper VIII-C). Raises ValueError when the scans differ in number, a distance is not finite, or a covariance that is
+    needed is missing or not positive definite.
+    """
+    if estimates.scans != truth.scans:
+        raise ValueError(f"expected as many scans of truth as of estimates, {estimates.scans}")
+    inverse = _inverse_covariances(estimates) if mahalanobis else None
     pieces = [(np.zeros(0, dtype=np.int64),) * 3 + (np.zeros(0),)]
-    for scans, m, n in batches_of_one_size(estimates.counts, truth.counts):
-        if m == 0 or n == 0:
-            continue
-        rows = estimates.start[scans][:, None] + np.arange(m)
-        columns = truth.start[scans][:, None] + np.arange(n)
-        distance = base_distances(estimates, truth, rows, columns, mahalanobis)
-        batch, row, column = np.nonzero(distance < cutoff)
-        ratio = distance[batch, row, column] / cutoff
-        pieces.append((scans[batch], rows[batch, row], columns[batch, column], ratio))
-    scan, estimate, true_point, ratio = (np.concatenate(parts) for parts in zip(*pieces, strict=True))
-    return NearPairs(scan, estimate, true_point, ratio).take(np.lexsort((true_point, estimate)))
+    for scan, estimate, true_point in _pairs_of_scans(estimates, truth):
+        difference = estimates.position[estimate] - truth.position[true_point]
+        weighted = difference if inverse is None else np.einsum("qij,qj->qi", inverse[estimate], difference)
+        distance = np.sqrt(np.maximum(np.einsum("qd,qd->q", difference, weighted), 0.0))
+        if not np.isfinite(distance).all():
+            raise ValueError("expected finite distances")
+        near = distance < cutoff
+        pieces.append((scan[near], estimate[near], true_point[near], distance[near] / cutoff))
+    return NearPairs(*(np.concatenate(parts) for parts in zip(*pieces, strict=True)))
+
+
+def _inverse_covariances(estimates: PointSets) -> Array:
+    if estimates.covariance is None:
+        raise ValueError("expected covariances for the Mahalanobis distance")
+    if not is_positive_definite(estimates.covariance).all():
+        raise np.linalg.LinAlgError("expected positive definite covariances")
+    return np.asarray(np.linalg.inv(estimates.covariance))
+
+
+def _pairs_of_scans(estimates: PointSets, truth: PointSets) -> Iterator[tuple[Integers, Integers, Integers]]:
+    """Yield scan, estimate and true point of all pairs within a scan, in order, some scans at a time."""
+    m, n = estimates.counts, truth.counts
+    total = np.cumsum(m * n)
+    for scans in np.split(np.arange(estimates.scans), np.flatnonzero(np.diff(total // PAIRS_AT_ONCE)) + 1):
+        count = (m * n)[scans]
+        scan = np.repeat(scans, count)
+        place = np.arange(len(scan)) - np.repeat(np.cumsum(count) - count, count)
+        estimate, true_point = np.divmod(place, n[scan])
+        yield scan, estimates.start[scan] + estimate, truth.start[scan] + true_point
 
 
 @dataclass(frozen=True)
@@ -71,34 +100,40 @@ def _numbered_tracks(label: Integers) -> tuple[Integers, int]:
     return out, len(names) + int(np.count_nonzero(~known))
 
 
-def most_gain(pairs: NearPairs, gain: Array) -> Integers:
-    """Choose pairs that share no point, of the greatest total gain (q,), not negative, in each scan; return their rows.
+def most_gain(rows: Integers, columns: Integers, gain: Array) -> Integers:
+    """Choose pairs that share no row and no column, of the greatest total gain (q,), not negative; return their places.
 
-    Rows are in rising order. Where the best partners of the estimates of a scan differ they are the optimum: their sum
-    bounds every choice. Only the other scans are solved.
+    Rows and columns (q,) are any numbers, such as those of estimates and true points, and the places are in rising
+    order. Where the best partners of all rows differ they are the optimum: their sum bounds every choice. Otherwise
+    pairs that no chain of pairs connects are assigned apart, so that the work does not grow with the number of all rows
+    times that of all columns.
     """
     if len(gain) == 0:
         return np.zeros(0, dtype=np.int64)
-    order = np.lexsort((gain, pairs.estimate))
-    last = np.append(np.diff(pairs.estimate[order]) > 0, True)
-    best = order[last]
-    partners = np.bincount(pairs.truth[best])
-    clash = np.unique(pairs.scan[best[partners[pairs.truth[best]] > 1]])
-    chosen = [best[~np.isin(pairs.scan[best], clash)]]
-    by_scan = np.argsort(pairs.scan, kind="stable")
-    begin = np.searchsorted(pairs.scan[by_scan], clash, side="left")
-    end = np.searchsorted(pairs.scan[by_scan], clash, side="right")
-    for first, stop in zip(begin.tolist(), end.tolist(), strict=True):
-        rows = by_scan[first:stop]
-        chosen.append(rows[_solve(pairs.estimate[rows], pairs.truth[rows], gain[rows])])
+    order = np.lexsort((gain, rows))
+    best = order[np.append(np.diff(rows[order]) > 0, True)]
+    wanted, times = np.unique(columns[best], return_inverse=True, return_counts=True)[1:]
+    clashing = best[times[wanted] > 1]
+    if not len(clashing):
+        return np.sort(best)
+    from scipy.optimize import linear_sum_assignment  # costly to import, often not needed
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    row, column = (np.unique(names, return_inverse=True)[1] for names in (rows, columns))
+    size = int(row.max()) + int(column.max()) + 2
+    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, size - 1 - column)), shape=(size, size))
+    part = connected_components(graph, directed=False)[1][row]
+    is_free = ~np.isin(part, part[clashing])
+    chosen = [best[is_free[best]]]
+    others = np.flatnonzero(~is_free)
+    others = others[np.argsort(part[others], kind="stable")]
+    for places in np.split(others, np.flatnonzero(np.diff(part[others])) + 1):
+        i, j = (np.unique(names[places], return_inverse=True)[1] for names in (row, column))
+        table = np.zeros((i.max() + 1, j.max() + 1))
+        table[i, j] = gain[places]
+        partner = np.full(len(table), -1)
+        assigned, partners = linear_sum_assignment(table, maximize=True)
+        partner[assigned] = partners
+        chosen.append(places[partner[i] == j])
     return np.sort(np.concatenate(chosen))
-
-
-def _solve(estimate: Integers, truth: Integers, gain: Array) -> Integers:
-    """Choose pairs of one scan: those of the greatest total gain."""
-    names, row = np.unique(estimate, return_inverse=True)
-    others, column = np.unique(truth, return_inverse=True)
-    cost = np.zeros((1, len(names), len(others)))
-    cost[0, row, column] = -gain
-    partner = optimal_assignment(cost)[0]
-    return np.flatnonzero(partner[row] == column)

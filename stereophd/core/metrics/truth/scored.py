@@ -6,7 +6,8 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.region import are_inside
-from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.distances.ospa import score_scans
+from stereophd.core.metrics.scans import PointSets
 from stereophd.core.numerics.times import SAME_TIME_S
 
 
@@ -66,9 +67,9 @@ def leave_out_unseen(
     `score_scans`) pairs them nearer than the cutoff. Returns the remaining estimates and true points of each scan, and
     the scans (k,) that lost points and have none left.
     """
-    scores = score_scans(estimates, truth, order, cutoff, mahalanobis=mahalanobis)
+    pairs = score_scans(estimates, truth, order, cutoff, mahalanobis=mahalanobis).pairs
     keep = np.ones(len(estimates.label), dtype=bool)
-    keep[scores.pair_estimate[~seen[scores.pair_truth]]] = False
+    keep[pairs.estimate[~seen[pairs.truth]]] = False
     fewer_estimates, fewer_truth = estimates.keep_points(keep), truth.keep_points(seen)
     remaining = fewer_estimates.counts + fewer_truth.counts
     emptied = (remaining == 0) & (truth.counts > 0)

@@ -134,12 +134,14 @@ def _same_noise(noises: Array) -> NDArray[np.bool_]:
     """Whether each detection has the noise (m, 2, 2) of the one before."""
     same = np.zeros(len(noises), dtype=np.bool_)
     for j in range(1, len(noises)):
-        same[j] = (
-            noises[j, 0, 0] == noises[j - 1, 0, 0]
-            and noises[j, 0, 1] == noises[j - 1, 0, 1]
-            and noises[j, 1, 1] == noises[j - 1, 1, 1]
-        )
+        same[j] = _are_equal(noises[j], noises[j - 1])
     return same
+
+
+@compiled
+def _are_equal(one: Array, other: Array) -> bool:
+    """Whether two noises (2, 2) are the same."""
+    return bool(one[0, 0] == other[0, 0] and one[0, 1] == other[0, 1] and one[1, 1] == other[1, 1])
 
 
 @compiled
@@ -209,75 +211,20 @@ def kalman_updates(
     points: Array,
     noises: Array,
     readings: Array | None = None,
-) -> tuple[Array, Array]:
+) -> tuple[Array, Array, Integers]:
     """Kalman update of each pair with H = [I_2 0] (eq. 4), or with readings (see above).
 
-    Returns means (p, d) and covariances (p, d, d) of the updated components.
+    Consecutive pairs of one component with detections of equal noise have one covariance: a component that may have
+    made hundreds of detections takes little memory. Returns means (p, d), covariances (q, d, d), and which of these
+    (p,) each pair has.
     """
-    count, size = len(components), means.shape[1]
-    out_means, out_covariances = np.empty((count, size)), np.empty((count, size, size))
-    rows = np.arange(count)
-    _update_pairs(
-        means, covariances, components, detections, points, noises, readings, rows, out_means, out_covariances
-    )  # fmt: skip
-    return out_means, out_covariances
-
-
-@compiled
-def shared_kalman_updates(
-    means: Array,
-    covariances: Array,
-    components: Integers,
-    detections: Integers,
-    points: Array,
-    noises: Array,
-    readings: Array | None = None,
-) -> tuple[Array, Array, Integers]:
-    """`kalman_updates`, with one covariance for consecutive pairs of one component with detections of equal noise.
-
-    A component that may have made hundreds of detections takes little memory. Returns means (p, d), covariances (q, d,
-    d), and which of these (p,) each pair has.
-    """
-    count, size = len(components), means.shape[1]
-    rows = np.empty(count, dtype=np.int64)
-    found = 0
-    for i in range(count):
-        found += 0 if i > 0 and readings is None and _share_covariance(components, detections, noises, i) else 1
+    rows, found = np.empty(len(components), dtype=np.int64), 0
+    for i in range(len(components)):
+        again = i > 0 and readings is None and components[i] == components[i - 1]
+        found += 0 if again and _are_equal(noises[detections[i]], noises[detections[i - 1]]) else 1
         rows[i] = found - 1
-    out_means, out_covariances = np.empty((count, size)), np.empty((found, size, size))
-    _update_pairs(
-        means, covariances, components, detections, points, noises, readings, rows, out_means, out_covariances
-    )  # fmt: skip
-    return out_means, out_covariances, rows
-
-
-@compiled
-def _share_covariance(components: Integers, detections: Integers, noises: Array, i: int) -> bool:
-    """Whether pair i has the component and the noise of the pair before."""
-    one, other = noises[detections[i]], noises[detections[i - 1]]
-    return bool(
-        components[i] == components[i - 1]
-        and one[0, 0] == other[0, 0]
-        and one[0, 1] == other[0, 1]
-        and one[1, 1] == other[1, 1]
-    )
-
-
-@compiled
-def _update_pairs(
-    means: Array,
-    covariances: Array,
-    components: Integers,
-    detections: Integers,
-    points: Array,
-    noises: Array,
-    readings: Array | None,
-    rows: Integers,
-    out_means: Array,
-    out_covariances: Array,
-) -> None:
-    """Fill in the updated means (p, d), and the covariances in their rows (p,); those of one row are equal."""
     size = means.shape[1]
+    out_means, out_covariances = np.empty((len(components), size)), np.empty((found, size, size))
     gain = np.empty((size, 2))
     # row a: covariance of the state with the observed u and v
     observed = np.empty((size, 2))
@@ -319,3 +266,4 @@ def _update_pairs(
                     out[b, a] = value
         for a in range(size):
             out_means[i, a] = means[k, a] + gain[a, 0] * du + gain[a, 1] * dv
+    return out_means, out_covariances, rows

@@ -17,33 +17,6 @@ from stereophd.core.numerics.compilation.compiled import compiled
 
 
 @compiled
-def fade_out_of_view(
-    weights: Array,
-    status: Integers,
-    means: Array,
-    homes: Array,
-    reach: Array,
-    drift: Array,
-    views: Array,
-    elapsed: float,
-    time_constant: float,
-) -> None:
-    """Multiply the weights of components outside every view by ``exp(-elapsed / time_constant)``, in place.
-
-    A component is outside every view if the event's camera has too little of it in view (`status`) and no camera has
-    its mean in view, moved on to the time of the event: means (n, d) are in packed home spaces (n, 30), `reach` (n,)
-    and `drift` (n, 6) are those of `MotionArrays` up to the event, and `views` (c, 30) the packed spaces of all cameras
-    then. `elapsed` is the time since the last event, s; with an infinite time constant nothing fades.
-    """
-    if math.isinf(time_constant) or elapsed <= 0.0:
-        return
-    factor = math.exp(-elapsed / time_constant)
-    for k in range(len(weights)):
-        if status[k] == OUT_OF_VIEW and not _mean_in_view(means[k], homes[k], reach[k], drift[k], views):
-            weights[k] *= factor
-
-
-@compiled
 def _mean_in_view(mean: Array, home: Array, reach: float, drift: Array, views: Array) -> bool:
     """Whether any camera has the mean (d,) in view after the motion (`reach` and `drift` of `MotionArrays`)."""
     # position and its displacement, both times rho: points at infinity have a direction
@@ -91,16 +64,23 @@ def keep_surviving_weights(
 ) -> float:
     """Lessen the weights (n,) of moved components by what is lost, in place; return their sum.
 
-    Existence outside every view fades (`fade_out_of_view`, whose parameters they share). What lies outside the region
-    is gone; what was never established (no identity, and light) and has left the view of the only camera that may have
-    seen it is forgotten, or clutter would fill the world around the view. `status` and `inside` are those of `Moved`,
-    `means`, `tracks` and `cameras` those of the components before the move; `camera` is that of the event.
+    Existence outside every view is multiplied by ``exp(-elapsed / time_constant)``: where the event's camera has too
+    little of a component in view (`status`) and no camera has its mean in view, moved on to the time of the event. What
+    lies outside the region is gone; what was never established (no identity, and light) and has left the view of the
+    only camera that may have seen it is forgotten, or clutter would fill the world around the view. `status` and
+    `inside` are those of `Moved`, `means` (n, d) in packed `homes` (n, 30), `tracks` and `cameras` those of the
+    components before the move; `reach` (n,) and `drift` (n, 6) are those of `MotionArrays` up to the event, and `views`
+    (c, 30) the packed spaces of all cameras then. `camera` is that of the event, `elapsed` the time since the last one,
+    s; with an infinite time constant nothing fades.
     """
-    fade_out_of_view(weights, status, means, homes, reach, drift, views, elapsed, time_constant)
     total = 0.0
+    fading = 1.0 if elapsed <= 0.0 or math.isinf(time_constant) else math.exp(-elapsed / time_constant)
     for k in range(len(weights)):
+        out_of_view = status[k] == OUT_OF_VIEW
+        if out_of_view and fading < 1.0 and not _mean_in_view(means[k], homes[k], reach[k], drift[k], views):
+            weights[k] *= fading
         unknown = tracks[k] < 0 and weights[k] < IMPORTANT_WEIGHT
-        forgotten = unknown and status[k] == OUT_OF_VIEW and cameras[k] == camera
+        forgotten = unknown and out_of_view and cameras[k] == camera
         weights[k] = 0.0 if forgotten else weights[k] * inside[k]
         total += weights[k]
     return total

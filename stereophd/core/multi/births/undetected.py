@@ -18,7 +18,7 @@ clutter.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import Any, NamedTuple, TypeVar, cast
@@ -27,8 +27,9 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.initial import FirstSight, initial_moments
-from stereophd.core.geometry.camera import Detector
+from stereophd.core.disparity.initial import FirstSight
+from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.multi.filter_settings.common import BirthPrior
 
 Reduction = TypeVar("Reduction", bound=NamedTuple)
@@ -166,44 +167,46 @@ def reduction_in_crowd(reduction: Reduction, births: float, detector: Detector, 
 
 
 def undetected_shares(rig: Rig, prior: BirthPrior) -> Array:
-    """Return the share (c, c) of the objects in view of each camera (row) that a frame of each one (column) leaves."""
-    p_detect = np.array([camera.detector.p_detect for camera in rig.cameras])
-    return np.asarray(1.0 - p_detect * view_overlap(rig, prior))
-
-
-def view_overlap(rig: Rig, prior: BirthPrior) -> Array:
-    """Share (c, c) of the objects in view of each camera (row) that each camera (column) sees, at time 0.
+    """Return the share (c, c) of the objects in view of each camera (row) that a frame of each one (column) leaves.
 
     Objects are uniform over the image, with the prior's disparity.
     """
-    cameras = [camera.at(0.0) for camera in rig.cameras]
-    out = np.eye(len(cameras))
-    for k, camera in enumerate(cameras):
-        points = _objects_in_view(camera.width, camera.height, prior.disparity_moments(rig.packed[k]))
-        depths = _scale(rig, k) / points[:, 2]
-        world = camera.unproject(points[:, :2], depths)
-        good = np.isfinite(world).all(axis=1)
-        for c, other in enumerate(cameras):
-            if c != k and good.any():
-                out[k, c] = float(np.mean(other.in_view(world[good])))
-    return out
-
-
-def _scale(rig: Rig, camera: int) -> float:
-    """Depth times disparity of a camera."""
-    reference = rig.cameras[camera]
-    return float((reference.fx if rig.rectification == "horizontal" else reference.fy) * rig.baseline)
-
-
-def _objects_in_view(width: int, height: int, disparity: Sequence[float]) -> Array:
-    """Pixels and disparities (n, 3) of objects uniform over an image; those of disparity 0 and less are left out."""
-    across, down = OVERLAP_GRID
-    u = (np.arange(across) + 0.5) / across * width - 0.5
-    v = (np.arange(down) + 0.5) / down * height - 0.5
     quantiles = (np.arange(OVERLAP_DISPARITIES) + 0.5) / OVERLAP_DISPARITIES
-    d = disparity[0] + disparity[1] * np.array([NormalDist().inv_cdf(float(q)) for q in quantiles])
-    grid = np.stack(np.meshgrid(u, v, d[d > 0.0], indexing="ij"), axis=-1)
-    return np.asarray(grid.reshape(-1, 3))
+    normal = np.array([NormalDist().inv_cdf(float(q)) for q in quantiles])
+
+    def places(camera: Camera) -> Array:
+        space = DisparitySpace(camera, rig.baseline, rig.rectification)
+        mean, std = prior.disparity_moments(space.packed())
+        disparities = (mean + std * normal)[mean + std * normal > 0.0]
+        pixels = np.repeat(pixel_grid(camera), len(disparities), axis=0)
+        depths = space.disparity_focal * rig.baseline / disparities
+        return camera.unproject(pixels, np.tile(depths, len(pixels) // max(len(depths), 1)))
+
+    return shares_left(rig.cameras, places)
+
+
+def shares_left(cameras: Sequence[Camera], places: Callable[[Camera], Array]) -> Array:
+    """Return the share (c, c) of the objects in view of each camera (row) that a frame of each one (column) leaves.
+
+    `places` returns where objects in view of a camera may be, (n, 3), at time 0; rows that are not finite do not count.
+    """
+    frozen = [camera.at(0.0) for camera in cameras]
+    overlap = np.eye(len(frozen))
+    for k, camera in enumerate(frozen):
+        seen = places(camera)
+        seen = seen[np.isfinite(seen).all(axis=1)]
+        for c, other in enumerate(frozen):
+            if c != k and len(seen):
+                overlap[k, c] = float(np.mean(other.in_view(seen)))
+    return np.asarray(1.0 - overlap * np.array([camera.detector.p_detect for camera in cameras]))
+
+
+def pixel_grid(camera: Camera) -> Array:
+    """Return places (n, 2) spread evenly over the image of a camera, px."""
+    across, down = OVERLAP_GRID
+    u = (np.arange(across) + 0.5) / across * camera.width - 0.5
+    v = (np.arange(down) + 0.5) / down * camera.height - 0.5
+    return np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
 def newborn_prior(space: Array, prior: BirthPrior, region: Array | None) -> FirstSight:
@@ -211,16 +214,3 @@ def newborn_prior(space: Array, prior: BirthPrior, region: Array | None) -> Firs
     mean, std = prior.disparity_moments(space)
     limits = np.empty(0) if region is None else region
     return FirstSight(space, float(mean), float(std), float(prior.velocity_std), limits)
-
-
-def birth_moments(
-    event: Event, space: Array, prior: BirthPrior, size: int, region: Array | None = None
-) -> tuple[Array, Array]:
-    """Gaussians of the objects that the detections of an event may have given birth to, given the detection.
-
-    Means (m, d) and covariances (m, d, d) are in the camera's packed disparity space (30,); `size`, their d, is 6, or 3
-    for static objects. In a `region` (r,) (`stereophd.core.disparity.events.Rig.region`), where objects can be, depths
-    along a ray are those inside it.
-    """
-    first = newborn_prior(space, prior, region)
-    return initial_moments(event.points, event.covariances, first, size, event.readings(space))

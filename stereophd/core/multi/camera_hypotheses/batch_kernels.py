@@ -38,7 +38,7 @@ class PredictionNumbers(NamedTuple):
 
     camera: int  # Index of the camera of the event
     survival: float  # Probability that an object survives since the last event
-    # `elapsed`, `out_of_view_s`: Time since the last event, s, and the time constant of `fade_out_of_view`.
+    # `elapsed`, `out_of_view_s`: Time since the last event, s, and the time constant of `keep_surviving_weights`.
     elapsed: float
     out_of_view_s: float
     shape_p_detect: float  # Probability of detection for the shape of the missed part; 0 where it keeps its own

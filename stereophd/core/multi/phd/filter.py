@@ -39,8 +39,9 @@ class PhdFilter(DisparityFilter):
         """Settings of the reduction, for compiled code."""
         settings = self.settings
         return PhdReduction(
-            float(settings.prune_weight), float(settings.merge_distance), most_components(settings.max_components),
-            settings.merge_rule == "mutual", settings.merge_moments == "label"
+            prune_weight=float(settings.prune_weight), merge_distance=float(settings.merge_distance),
+            max_components=most_components(settings.max_components), mutual=settings.merge_rule == "mutual",
+            by_label=settings.merge_moments == "label",
         )  # fmt: skip
 
     @property

@@ -11,7 +11,7 @@ from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allocate_outcomes, fill_missed
 from stereophd.core.multi.state.reduction import reduce_mixture
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import places, stable_order
+from stereophd.core.numerics.sorting import group, places, stable_order
 
 # Part of the intensity at a detection that is left to others at least, against rounding.
 LEAST_OTHERS = 1e-12
@@ -58,11 +58,11 @@ def update_intensity(
     out = allocate_outcomes(mixture, components, numbers, len(points))
     fill_missed(mixture, moved, np.arange(len(detected)), numbers, out)
     out.weights[: len(detected)] = mixture.weights - detected
-    means, covariances = kalman_updates(
+    means, covariances, rows = kalman_updates(
         moved.means, moved.covariances, components, detections, points, noises, readings
     )
     begin, end = len(detected), len(detected) + len(kept)
-    out.weights[begin:end], out.means[begin:end], out.covariances[begin:end] = weights[kept], means, covariances
+    out.weights[begin:end], out.means[begin:end], out.covariances[begin:end] = weights[kept], means, covariances[rows]
     out.weights[end:] = born * per_area / totals
     out.means[end:], out.covariances[end:] = birth_means, birth_covariances
     shares = out.weights
@@ -116,19 +116,13 @@ def label_shares(
         The sum over a label stays; newborn and unlabelled components keep their weights.
     """
     count, made = len(labels), len(others)
-    order = stable_order(labels)
-    number = np.empty(count, dtype=np.int64)
-    known = 0
-    for i in range(count):
-        if i > 0 and labels[order[i]] != labels[order[i - 1]]:
-            known += 1
-        number[order[i]] = known
+    number, known = group(labels)
     keys = np.empty(len(joint), dtype=np.int64)
     for p in range(len(joint)):
         keys[p] = number[components[p]] * made + detections[p]
     shares = weights.copy()
     # of each label: the sum of its weights, and of its odds
-    whole, total = np.zeros(known + 1), np.zeros(known + 1)
+    whole, total = np.zeros(known), np.zeros(known)
     for k in range(count):
         whole[number[k]] += weights[k]
         total[number[k]] += weights[k]

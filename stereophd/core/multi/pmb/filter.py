@@ -13,7 +13,7 @@ association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -40,7 +40,7 @@ from stereophd.core.multi.pmb.hypotheses import (
 from stereophd.core.multi.pmb.reduction import reduce_tracks
 from stereophd.core.multi.pmb.update import associate_tracks
 from stereophd.core.multi.state.estimates import Info
-from stereophd.core.multi.state.inputs import Detections, EventNumbers, compiled_settings, with_newborns
+from stereophd.core.multi.state.inputs import Detections, EventNumbers, with_newborns
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, empty_mixture
 from stereophd.core.multi.swaps.history import ClaimedDetections, History
 from stereophd.core.multi.swaps.swap_test import SwapTest
@@ -62,13 +62,13 @@ class PmbFilter(DisparityFilter):
     @cached_property
     def reduction(self) -> PmbReduction:
         """Settings of the reduction, for compiled code."""
-        stated = self.settings
-        settings = replace(
-            stated,
-            max_components=most_components(stated.max_components),
-            max_hypotheses=stated.max_hypotheses or BY_DETECTIONS,
-        )
-        return compiled_settings(PmbReduction, settings)
+        settings = self.settings
+        return PmbReduction(
+            recycle_below=float(settings.recycle_below), prune_weight=float(settings.prune_weight),
+            merge_distance=float(settings.merge_distance), max_components=most_components(settings.max_components),
+            hypothesis_distance=float(settings.hypothesis_distance), least_share=float(settings.least_share),
+            max_hypotheses=int(settings.max_hypotheses or BY_DETECTIONS),
+        )  # fmt: skip
 
     @cached_property
     def swap_test(self) -> SwapTest:

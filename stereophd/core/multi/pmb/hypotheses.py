@@ -16,7 +16,7 @@ from stereophd.core.multi.association.likelihoods import kalman_updates
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allocate_mixture, fill_missed
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import copy_gaussian, largest, picked, places, stable_order
+from stereophd.core.numerics.sorting import copy_gaussian, group, largest, picked, places, stable_order
 
 # `max_hypotheses` that stands for a bound by the number of detections: so many a detection, and at least `LEAST_BOUND`.
 BY_DETECTIONS = 0
@@ -67,19 +67,6 @@ class ChosenOutcomes(NamedTuple):
     chosen: Integers  # (k,) of int: Their places among all outcomes, in rising order
     weights: Array  # (k,): Of each
     left_out: int  # Number of others that were worth making but for the bound on hypotheses
-
-
-@compiled
-def group(keys: Integers) -> tuple[Integers, int]:
-    """Number equal keys alike: the number of each key (n,) in order of the keys, and how many there are."""
-    order = stable_order(keys)
-    member = np.empty(len(keys), dtype=np.int64)
-    count = 0
-    for i in range(len(keys)):
-        if i > 0 and keys[order[i]] != keys[order[i - 1]]:
-            count += 1
-        member[order[i]] = count
-    return member, count + 1 if len(keys) > 0 else 0
 
 
 @compiled
@@ -195,11 +182,14 @@ def make_hypotheses(
     for i in range(missed, len(chosen)):
         cameras[i], times[i] = numbers.camera, numbers.time_s
     fill_missed(mixture, moved, chosen[:missed], numbers, out)
-    means, covariances = kalman_updates(
+    means, covariances, rows = kalman_updates(
         moved.means, moved.covariances, owned, picked(outcomes.made, pairs), event.points, event.noises, event.readings
     )
     for i in range(len(owned)):
-        copy_gaussian(means, covariances, i, to_means, to_covariances, missed + i)
+        for a in range(means.shape[1]):
+            to_means[missed + i, a] = means[i, a]
+            for b in range(means.shape[1]):
+                to_covariances[missed + i, a, b] = covariances[rows[i], a, b]
     for i in range(detected, len(chosen)):
         j = chosen[i] - count - n_pairs
         copy_gaussian(outcomes.new_means, outcomes.new_covariances, j, to_means, to_covariances, i)

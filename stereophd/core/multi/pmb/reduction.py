@@ -9,7 +9,7 @@ import math
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.multi.pmb.hypotheses import Existences, PmbReduction, group
+from stereophd.core.multi.pmb.hypotheses import Existences, PmbReduction
 from stereophd.core.multi.state.mixture import (
     UNLABELLED,
     GaussianMixture,
@@ -21,7 +21,7 @@ from stereophd.core.multi.state.mixture import (
 from stereophd.core.multi.state.reduction import merge_sorted
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
-from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
+from stereophd.core.numerics.sorting import copy_gaussian, group, picked, places, stable_order
 
 # A track is never more certain than this: at existence 1 no number of misses could end it.
 MOST_EXISTENCE = 1.0 - 1e-9

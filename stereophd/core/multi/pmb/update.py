@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association.exact_association import association_marginals
-from stereophd.core.multi.association.likelihoods import pair_likelihoods, shared_kalman_updates
-from stereophd.core.multi.pmb.hypotheses import Outcomes, group
+from stereophd.core.multi.association.likelihoods import kalman_updates, pair_likelihoods
+from stereophd.core.multi.pmb.hypotheses import Outcomes
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import picked, places, stable_order
+from stereophd.core.numerics.sorting import group, picked, places, stable_order
 
 # A track that must have been detected (certain, in view, detection probability 1) may still be missed
 # with this probability: odds stay finite.
@@ -180,7 +180,7 @@ def _first_detections(
         return event.birth_means, event.birth_covariances
     chosen = chosen[:count]
     groups, owned = picked(detections, chosen), picked(components, chosen)
-    means, covariances, rows = shared_kalman_updates(
+    means, covariances, rows = kalman_updates(
         moved.means, moved.covariances, owned, groups, event.points, event.noises, event.readings
     )
     shares = picked(joint, chosen) / picked(first, groups)

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.region import are_inside
 from stereophd.core.multi.association.attribution import Claims
+from stereophd.core.numerics.rows import ArrayRows
 
 
 @dataclass(frozen=True)
-class Estimates:
+class Estimates(ArrayRows):
     """Objects reported after an event, in the world."""
 
     track_ids: Integers  # (k,) of int
@@ -35,32 +34,15 @@ class Estimates:
     def inside(self, half_spaces: Array) -> Estimates:
         """Return the estimates inside all half-spaces (h, 4)."""
         tentative = None if self.tentative is None else self.tentative.inside(half_spaces)
-        return self.take(are_inside(self.states[:, :3], half_spaces), tentative)
+        return replace(self.take(are_inside(self.states[:, :3], half_spaces)), tentative=tentative)
 
     def with_tentative(self) -> Estimates:
         """Return confirmed and tentative estimates as one."""
-        if self.tentative is None:
-            return self
-        names = [name for name, values in vars(self).items() if isinstance(values, np.ndarray)]
-        pairs = {name: (getattr(self, name), getattr(self.tentative, name)) for name in names}
-        joined: dict[str, Any] = {name: np.concatenate(pair) for name, pair in pairs.items()}
-        return Estimates(**joined)
+        return self if self.tentative is None else replace(self.join(self.tentative), tentative=None)
 
     def divided(self, confirmed: int) -> Estimates:
         """Return the first estimates, so many of them, with the others as the tentative ones."""
-        return self.take(slice(confirmed), self.take(slice(confirmed, None)))
-
-    def take(self, kept: NDArray[np.bool_] | slice, tentative: Estimates | None = None) -> Estimates:
-        """Return some of the estimates, by a mask (k,) or a slice, with others as the tentative ones."""
-        return Estimates(
-            self.track_ids[kept],
-            self.states[kept],
-            self.covariances[kept],
-            self.existence[kept],
-            self.labels[kept],
-            tentative,
-            None if self.extents is None else self.extents[kept],
-        )
+        return replace(self.take(slice(confirmed)), tentative=self.take(slice(confirmed, None)))
 
 
 @dataclass(frozen=True)

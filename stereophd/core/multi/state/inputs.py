@@ -1,12 +1,10 @@
 """What the compiled filters take of an event: its detections and its numbers, as named tuples."""
 
-from typing import NamedTuple, TypeVar, get_type_hints
+from typing import NamedTuple
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.initial import FirstSight, initial_moments
 from stereophd.core.numerics.compilation.compiled import compiled
-
-Kind = TypeVar("Kind")
 
 
 class Detections(NamedTuple):
@@ -52,11 +50,3 @@ def with_newborns(detections: Detections, prior: FirstSight, size: int) -> Event
     points, noises, areas, readings = detections
     means, covariances = initial_moments(points, noises, prior, size, readings)
     return EventArrays(points, noises, areas, readings, means, covariances)
-
-
-def compiled_settings(kind: type[Kind], settings: object) -> Kind:
-    """Return the settings that have the names of a named tuple's fields, as the types of the fields.
-
-    A kernel is compiled once for each type of its arguments: an integer where a float is expected compiles another.
-    """
-    return kind(*(convert(getattr(settings, name)) for name, convert in get_type_hints(kind).items()))

@@ -164,6 +164,6 @@ def _follow(
     least = math.exp(-MOST_SURPRISE) / (2.0 * math.pi * math.sqrt(area))
     fits = likely > least
     if fits:
-        after, spread = kalman_updates(after, spread, one, one, point, noise, reading)
+        after, spread, _ = kalman_updates(after, spread, one, one, point, noise, reading)
     copy_gaussian(after, spread, 0, means, covariances, track)
     return math.log(likely + least), fits

@@ -14,7 +14,7 @@ from stereophd.core.calibration.adjustment.problem import SQUARED, Problem
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, marginal_fit
 from stereophd.core.calibration.annealing.task import Fit
-from stereophd.core.calibration.unknowns.quantities.center import CENTER
+from stereophd.core.calibration.unknowns.quantities.pose import CENTER
 from stereophd.core.motion.ballistic import Ballistic
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity

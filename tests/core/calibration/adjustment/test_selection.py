@@ -10,7 +10,7 @@ from stereophd.core.calibration.adjustment.problem import Loss, Observations, Pr
 from stereophd.core.calibration.adjustment.selection import STRETCHES, choice, compare, stretches_of
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
-from stereophd.core.calibration.unknowns.quantities.center import CENTER
+from stereophd.core.calibration.unknowns.quantities.pose import CENTER
 from stereophd.core.calibration.unknowns.unknown_sets import candidates, default_stages, stages_named
 from tests.core.calibration.adjustment.test_solver import solve
 from tests.core.calibration.scenes import make_problem

@@ -11,9 +11,9 @@ import pytest
 
 from stereophd.core.calibration.pairing.association import inflated
 from stereophd.core.calibration.sampling import bridging
-from stereophd.core.calibration.sampling.blocks import BlockPath, Stage, block_sampler
-from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeState
+from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeSampler, BridgeState
 from stereophd.core.calibration.sampling.likelihood import Evidence
+from stereophd.core.calibration.sampling.paths import BlockPath, Stage
 from stereophd.core.calibration.settings import SequentialSettings
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
 from tests.core.calibration.problems import make_events, make_parameters, make_template, to_bytes
@@ -63,7 +63,7 @@ def test_densities_are_prior_times_evidence_of_the_first_events_at_the_stage_s_n
 
 def test_the_camera_is_found_and_a_resumed_run_ends_the_same() -> None:
     path = make_path(24, SMALL)
-    sampler = block_sampler(path, SEED)
+    sampler = BridgeSampler(path, SMALL.resample_below, SMALL.moves_per_step, SEED)
     saved: list[bytes] = []
 
     def save(state: BridgeState, history: Sequence[BridgeInfo]) -> None:
@@ -75,7 +75,7 @@ def test_the_camera_is_found_and_a_resumed_run_ends_the_same() -> None:
     assert to_bytes(resumed) == to_bytes(result)
     assert {info.stage for info in result.history} == set(range(len(path.stages)))
     pitch = result.values[:, 3]
-    assert pitch.std() < 0.5 * path.prior_std[3]
+    assert pitch.std() < 0.5 * path.parameters.prior_std[3]
     assert abs(pitch.mean()) < 5.0 * pitch.std()
 
 

@@ -11,7 +11,7 @@ import pytest
 from stereophd.core.calibration.sampling import bridging
 from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeSampler, BridgeState, temperature_rise
 from stereophd.core.calibration.sampling.likelihood import Evidence
-from stereophd.core.calibration.sampling.tempered import LogLikelihood, TemperedPath, tempered_sampler
+from stereophd.core.calibration.sampling.paths import LogLikelihood, TemperedPath
 from stereophd.core.calibration.settings import TemperedSettings
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
@@ -37,7 +37,8 @@ def plane() -> ParameterSet:
 def sampler_of(
     parameters: ParameterSet, log_likelihood: LogLikelihood, modes: Modes | None, settings: TemperedSettings
 ) -> BridgeSampler:
-    return tempered_sampler(TemperedPath(parameters, log_likelihood, modes, settings), SEED)
+    path = TemperedPath(parameters, log_likelihood, modes, settings)
+    return BridgeSampler(path, settings.resample_below, settings.moves, SEED)
 
 
 def linear(values: np.ndarray) -> np.ndarray:

@@ -11,8 +11,7 @@ from stereophd.core.calibration.unknowns.observability import (
     observability,
 )
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
-from stereophd.core.calibration.unknowns.quantities.center import CENTER
-from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
+from stereophd.core.calibration.unknowns.quantities.pose import CENTER, ROTATION
 from tests.scenes import build_camera
 
 STDS = np.array([5.0, 5.0, 5.0, 0.01, 0.1, 0.01])

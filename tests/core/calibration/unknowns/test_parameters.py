@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
-from stereophd.core.calibration.unknowns.quantities.center import CENTER
-from stereophd.core.calibration.unknowns.quantities.rotation import ROTATION
+from stereophd.core.calibration.unknowns.quantities.pose import CENTER, ROTATION
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import rotation_from_vector
 from tests import scenes

@@ -7,12 +7,12 @@ import pytest
 
 from stereophd.config.calibration import CameraPrior
 from stereophd.core.calibration.unknowns.quantities.base import TIMES, Quantity
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import left_jacobians, look
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.quantities.registry import component_names, quantities, quantity_of
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
-from stereophd.core.geometry.rotations import rotations
+from stereophd.core.geometry.rotations import left_jacobians, rotations
 from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
 
 LENSES = {

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.calibration.unknowns.quantities.center import CENTER
+from stereophd.core.calibration.unknowns.quantities.pose import CENTER
 from stereophd.core.calibration.unknowns.scale import collapse, log_probability_of_nearness
 from tests.core.calibration.problems import make_parameters
 

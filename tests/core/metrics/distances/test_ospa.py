@@ -12,11 +12,32 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from stereophd.core.metrics.distances.ospa import gospa, ospa
-from stereophd.core.metrics.matching.assignment import mahalanobis_distances, optimal_assignment
+from stereophd.core.metrics.distances.ospa import Gospa, Ospa, ScanScores, score_scans
+from stereophd.core.metrics.matching.near_pairs import near_pairs
+from stereophd.core.metrics.scans import PointSets
 
 TIME = datetime.datetime(2020, 1, 1)
 SIZES = [(0, 1), (1, 0), (0, 4), (5, 0), (1, 1), (1, 6), (6, 1), (2, 2), (3, 3), (4, 7), (7, 4), (8, 8)]
+
+
+def one_scan(points: Any, covariance: np.ndarray | None = None) -> PointSets:
+    """A single scan of points."""
+    position = np.asarray(points, dtype=float).reshape(-1, 3)
+    return PointSets(
+        np.array([0, len(position)]), position, np.zeros_like(position), np.arange(len(position)), covariance
+    )
+
+
+def scores_of(x: Any, y: Any, order: float, cutoff: float, covariance: np.ndarray | None = None) -> ScanScores:
+    return score_scans(one_scan(x, covariance), one_scan(y), order, cutoff, mahalanobis=covariance is not None)
+
+
+def ospa(x: Any, y: Any, order: float, cutoff: float, covariance: np.ndarray | None = None) -> Ospa:
+    return Ospa(*(part[0] for part in scores_of(x, y, order, cutoff, covariance).ospa))
+
+
+def gospa(x: Any, y: Any, order: float, cutoff: float) -> Gospa:
+    return Gospa(*(part[0] for part in scores_of(x, y, order, cutoff).gospa))
 
 
 def random_sets(seed: int, sizes: tuple[int, int], spread: float) -> tuple[np.ndarray, np.ndarray]:
@@ -123,39 +144,25 @@ def test_mahalanobis_distances_as_base():
     x, y = random.normal(size=(4, 3)), random.normal(size=(5, 3))
     factor = random.normal(size=(4, 3, 3))
     covariance = factor @ factor.transpose(0, 2, 1) + 0.1 * np.eye(3)
-    base = mahalanobis_distances(x, y, covariance)
-    for i in range(4):
-        for j in range(5):
-            e = x[i] - y[j]
-            assert base[i, j] == pytest.approx(np.sqrt(e @ np.linalg.solve(covariance[i], e)))
-    unit = ospa(x, y, 2.0, 3.0, mahalanobis_distances(x, y, np.tile(np.eye(3), (4, 1, 1))))
+    near = near_pairs(one_scan(x, covariance), one_scan(y), 100.0, mahalanobis=True)
+    assert len(near.ratio) == 20
+    for i, j, ratio in zip(near.estimate, near.truth, near.ratio, strict=True):
+        e = x[i] - y[j]
+        assert 100.0 * ratio == pytest.approx(np.sqrt(e @ np.linalg.solve(covariance[i], e)))
+    unit = ospa(x, y, 2.0, 3.0, np.tile(np.eye(3), (4, 1, 1)))
     assert unit.distance == pytest.approx(ospa(x, y, 2.0, 3.0).distance)
-    assert ospa(x, y, 2.0, 3.0, base).distance != pytest.approx(ospa(x, y, 2.0, 3.0).distance)
+    assert ospa(x, y, 2.0, 3.0, covariance).distance != pytest.approx(ospa(x, y, 2.0, 3.0).distance)
 
 
 def test_a_covariance_that_is_not_positive_definite_is_refused():
     with pytest.raises(ValueError, match="positive definite"):
-        mahalanobis_distances(np.zeros((1, 3)), np.ones((1, 3)), np.diag([1.0, -1.0, 1.0])[None])
+        ospa(np.zeros((1, 3)), np.ones((1, 3)), 2.0, 3.0, np.diag([1.0, -1.0, 1.0])[None])
 
 
 @pytest.mark.parametrize(("order", "cutoff"), [(0.5, 1.0), (np.inf, 1.0), (2.0, 0.0), (2.0, np.nan)])
 def test_parameters_out_of_range_are_refused(order, cutoff):
     with pytest.raises(ValueError, match="expected"):
         ospa(np.zeros((1, 3)), np.zeros((1, 3)), order, cutoff)
-
-
-@pytest.mark.parametrize("shape", [(40, 3, 3), (40, 2, 6), (40, 6, 2), (40, 8, 8)])
-def test_batched_assignment_is_optimal(shape):
-    from scipy.optimize import linear_sum_assignment
-
-    costs = np.minimum(np.random.default_rng(5).exponential(size=shape), 1.0)
-    columns = optimal_assignment(costs)
-    for cost, column in zip(costs, columns, strict=True):
-        used = column[column >= 0]
-        assert len(used) == min(shape[1:])
-        assert len(set(used)) == len(used)
-        expected = cost[linear_sum_assignment(cost)].sum()
-        assert cost[np.flatnonzero(column >= 0), used].sum() == pytest.approx(expected, abs=1e-12)
 
 
 point_sets = st.integers(0, 4).flatmap(

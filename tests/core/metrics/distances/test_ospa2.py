@@ -10,8 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.metrics.distances import ospa2 as ospa2_module
+from stereophd.core.metrics.distances.ospa import Ospa, score_scans
 from stereophd.core.metrics.distances.ospa2 import ospa2_of_windows
-from stereophd.core.metrics.scans import PointSets, score_scans
+from stereophd.core.metrics.matching.near_pairs import near_pairs
+from stereophd.core.metrics.scans import PointSets
 
 # Scans of {label: x}; every point lies on the x axis.
 Scans = list[dict[int, float]]
@@ -27,8 +29,14 @@ def point_sets(scans: Scans, variance: float = 1.0) -> PointSets:
     return PointSets(start, position, 0 * position, label, covariance)
 
 
+def windows_of(
+    x: PointSets, y: PointSets, window: int, order: float, cutoff: float, *, mahalanobis: bool = False
+) -> Ospa:
+    return ospa2_of_windows(x, y, near_pairs(x, y, cutoff, mahalanobis=mahalanobis), window, order, cutoff)
+
+
 def distances(x: Scans, y: Scans, window: int = 3, order: float = 1.0, cutoff: float = 10.0) -> list[float]:
-    return ospa2_of_windows(point_sets(x), point_sets(y), window, order, cutoff).distance.tolist()
+    return windows_of(point_sets(x), point_sets(y), window, order, cutoff).distance.tolist()
 
 
 def written_out(x: Scans, y: Scans, window: int, order: float, cutoff: float) -> list[tuple[float, float, float]]:
@@ -97,7 +105,7 @@ def test_scans_at_which_neither_exists_do_not_count():
 
 def test_parts_and_order():
     truth = [{1: 0.0, 2: 50.0}]
-    result = ospa2_of_windows(point_sets([{7: 3.0}]), point_sets(truth), 10, 2.0, 10.0)
+    result = windows_of(point_sets([{7: 3.0}]), point_sets(truth), 10, 2.0, 10.0)
     assert result.localisation == pytest.approx([np.sqrt(9 / 2)])
     assert result.cardinality == pytest.approx([np.sqrt(100 / 2)])
     assert result.distance == pytest.approx([np.sqrt(109 / 2)])
@@ -109,23 +117,23 @@ def test_unlabelled_and_repeated_estimates_are_tracks_of_one_scan():
         track = point_sets([{4: 0.0}] * 2)
         track = PointSets(track.start, track.position, track.velocity, np.array(labels))
         # Two tracks, each right in one of two scans: (c/2 + c) / 2.
-        assert ospa2_of_windows(track, truth, 2, 1.0, 10.0).distance == pytest.approx([0.0, 7.5])
+        assert windows_of(track, truth, 2, 1.0, 10.0).distance == pytest.approx([0.0, 7.5])
     twice = point_sets([{4: 0.0, 5: 30.0}])
     twice = PointSets(twice.start, twice.position, twice.velocity, np.array([4, 4]))
-    assert ospa2_of_windows(twice, point_sets([{1: 0.0}]), 2, 1.0, 10.0).distance == pytest.approx([5.0])
+    assert windows_of(twice, point_sets([{1: 0.0}]), 2, 1.0, 10.0).distance == pytest.approx([5.0])
     # A negative identity of a true object is one like any other.
     assert distances([{4: 1.0}] * 3, [{-2: 0.0}] * 3) == pytest.approx([1.0] * 3)
 
 
 def test_mahalanobis_distance():
     truth, track = [{1: 0.0}] * 3, [{7: 3.0}] * 3
-    result = ospa2_of_windows(point_sets(track, variance=4.0), point_sets(truth), 2, 2.0, 10.0, mahalanobis=True)
+    result = windows_of(point_sets(track, variance=4.0), point_sets(truth), 2, 2.0, 10.0, mahalanobis=True)
     assert result.distance == pytest.approx([1.5] * 3)
     with pytest.raises(ValueError, match="positive definite"):
-        ospa2_of_windows(point_sets(track, variance=0.0), point_sets(truth), 2, 2.0, 10.0, mahalanobis=True)
+        windows_of(point_sets(track, variance=0.0), point_sets(truth), 2, 2.0, 10.0, mahalanobis=True)
     bare = PointSets(*(getattr(point_sets(track), name) for name in ("start", "position", "velocity", "label")))
     with pytest.raises(ValueError, match="expected covariances"):
-        ospa2_of_windows(bare, point_sets(truth), 2, 2.0, 10.0, mahalanobis=True)
+        windows_of(bare, point_sets(truth), 2, 2.0, 10.0, mahalanobis=True)
 
 
 @pytest.mark.parametrize(
@@ -140,7 +148,7 @@ def test_mahalanobis_distance():
 def test_parameters_out_of_range(scans, options, message):
     options = {"window": 3, "order": 1.0, "cutoff": 10.0, **options}
     with pytest.raises(ValueError, match=message):
-        ospa2_of_windows(point_sets([{1: 0.0}] * scans), point_sets([{1: 0.0}] * 3), **options)
+        windows_of(point_sets([{1: 0.0}] * scans), point_sets([{1: 0.0}] * 3), **options)
 
 
 def test_no_scans():
@@ -174,7 +182,7 @@ def test_windows_are_as_the_definition_says(window, order, cutoff, entries, monk
         monkeypatch.setattr(ospa2_module, bound, entries)
     random = np.random.default_rng(5)
     truth, tracks = random_scans(random, 60, 3, 0.9), random_scans(random, 60, 4, 0.8)
-    found = ospa2_of_windows(point_sets(tracks), point_sets(truth), window, order, cutoff)
+    found = windows_of(point_sets(tracks), point_sets(truth), window, order, cutoff)
     expected = np.array(written_out(tracks, truth, window, order, cutoff)).T
     assert found.distance == pytest.approx(expected[0], abs=1e-9)
     assert found.localisation == pytest.approx(expected[1], abs=1e-9)
@@ -184,9 +192,9 @@ def test_windows_are_as_the_definition_says(window, order, cutoff, entries, monk
 def test_long_runs_in_pieces(monkeypatch):
     random = np.random.default_rng(6)
     truth, tracks = (point_sets(random_scans(random, 300, names, 0.9)) for names in (5, 6))
-    whole = ospa2_of_windows(tracks, truth, 7, 2.0, 8.0)
+    whole = windows_of(tracks, truth, 7, 2.0, 8.0)
     monkeypatch.setattr(ospa2_module, "MOST_SCANS_AT_ONCE", 3)
-    pieces = ospa2_of_windows(tracks, truth, 7, 2.0, 8.0)
+    pieces = windows_of(tracks, truth, 7, 2.0, 8.0)
     assert pieces.distance == pytest.approx(whole.distance, abs=1e-9)
 
 
@@ -195,8 +203,8 @@ def test_only_tracks_of_the_window_come_together(monkeypatch):
     made = []
     original = ospa2_module._base_distances
 
-    def watched(run, chunk):
-        result = original(run, chunk)
+    def watched(*arguments):
+        result = original(*arguments)
         made.append(result[0].size)
         return result
 
@@ -204,7 +212,7 @@ def test_only_tracks_of_the_window_come_together(monkeypatch):
     scans = 5000
     truth = point_sets([{t // 2: 0.0, 100_000 + t // 3: 50.0} for t in range(scans)])
     tracks = point_sets([{t: 0.0, 100_000 + t: 50.0} for t in range(scans)])
-    found = ospa2_of_windows(tracks, truth, 10, 1.0, 10.0)
+    found = windows_of(tracks, truth, 10, 1.0, 10.0)
     assert max(made) <= ospa2_module.WINDOW_ENTRIES
     assert sum(made) < 3000 * scans
     assert len(found.distance) == scans

@@ -9,10 +9,11 @@ import pytest
 from scipy.optimize import linear_sum_assignment
 
 from stereophd.core.metrics.distances.hota import THRESHOLDS, hota
+from stereophd.core.metrics.distances.ospa import ScanScores, score_scans
 from stereophd.core.metrics.identities import identity_score, identity_switches
-from stereophd.core.metrics.matching.clear_mot import beside_another, follow, match_within
-from stereophd.core.metrics.matching.near_pairs import NearPairs, most_gain, near_pairs
-from stereophd.core.metrics.scans import PointSets, ScanScores, score_scans
+from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
+from stereophd.core.metrics.matching.near_pairs import most_gain, near_pairs
+from stereophd.core.metrics.scans import PointSets
 
 CUTOFF = 10.0
 
@@ -50,12 +51,11 @@ def crowded_run(seed: int, scans: int = 60) -> tuple[PointSets, PointSets]:
 
 
 def followed(estimates: PointSets, truth: PointSets, order: float = 1.0, cutoff: float = CUTOFF) -> ScanScores:
-    scores = score_scans(estimates, truth, order, cutoff)
-    return follow(estimates, truth, scores, near_pairs(estimates, truth, cutoff), order)
+    return match_within(estimates, truth, score_scans(estimates, truth, order, cutoff), order, cutoff, cutoff)[0]
 
 
 def switches(estimates: PointSets, truth: PointSets, scores: ScanScores) -> int:
-    pairs = scores.pair_scan, truth.label[scores.pair_truth], estimates.label[scores.pair_estimate]
+    pairs = scores.pairs.scan, truth.label[scores.pairs.truth], estimates.label[scores.pairs.estimate]
     return int(identity_switches(*pairs).sum())
 
 
@@ -95,9 +95,9 @@ def test_perfect_tracks_nearer_than_their_errors_never_switch():
     scores = followed(estimates, truth, 2.0, 20.0)
     assert switches(estimates, truth, scores) == 0
     assert (scores.n_matched == 2).all()
-    assert (estimates.label[scores.pair_estimate] == truth.label[scores.pair_truth] + 7).all()
+    assert (estimates.label[scores.pairs.estimate] == truth.label[scores.pairs.truth] + 7).all()
     assert (scores.ospa.distance == optimal.ospa.distance).all()
-    assert beside_another(estimates, truth, scores, near_pairs(estimates, truth, 20.0)) == 0
+    assert beside_another(estimates, truth, scores.pairs, near_pairs(estimates, truth, 20.0)) == 0
 
 
 def test_a_match_that_is_wrong_from_the_first_scan_on_is_kept_within_the_distance_only():
@@ -108,10 +108,10 @@ def test_a_match_that_is_wrong_from_the_first_scan_on_is_kept_within_the_distanc
     estimates = point_sets([[(8, np.array([3.0, 0, 0]))], *([later] * 49)])
     optimal = score_scans(estimates, truth, 2.0, 20.0)
     wide, pairs = match_within(estimates, truth, optimal, 2.0, 20.0, 20.0)
-    assert wide.pair_estimate.tolist() == followed(estimates, truth, 2.0, 20.0).pair_estimate.tolist()
-    assert beside_another(estimates, truth, wide, pairs) == 98
+    assert wide.pairs.estimate.tolist() == followed(estimates, truth, 2.0, 20.0).pairs.estimate.tolist()
+    assert beside_another(estimates, truth, wide.pairs, pairs) == 98
     narrow, pairs = match_within(estimates, truth, optimal, 2.0, 20.0, 5.0)
-    assert beside_another(estimates, truth, narrow, pairs) == 0
+    assert beside_another(estimates, truth, narrow.pairs, pairs) == 0
     assert narrow.n_matched.tolist() == [1] + [2] * 49
     assert (narrow.ospa.distance == optimal.ospa.distance).all()
     assert switches(estimates, truth, narrow) == 1
@@ -125,7 +125,7 @@ def test_a_track_beyond_the_cutoff_is_let_go_and_may_be_taken_up_again():
     )
     # Object 3 has track 0, then 1 when 0 is far, and keeps 1 although 0 comes nearer again.
     scores = followed(near, truth)
-    assert near.label[scores.pair_estimate].tolist() == [0, 0, 1, 1, 1, 1]
+    assert near.label[scores.pairs.estimate].tolist() == [0, 0, 1, 1, 1, 1]
     assert switches(near, truth, scores) == 1
 
 
@@ -137,9 +137,9 @@ def test_pairs_are_those_of_plain_code(seed, order):
     label = np.where(estimates.label % 5 == 0, -1, estimates.label)
     estimates = PointSets(estimates.start, estimates.position, estimates.velocity, label)
     scores = followed(estimates, truth, order)
-    pairs = list(zip(scores.pair_estimate.tolist(), scores.pair_truth.tolist(), strict=True))
+    pairs = list(zip(scores.pairs.estimate.tolist(), scores.pairs.truth.tolist(), strict=True))
     assert pairs == assign_by_hand(estimates, truth, order)
-    assert scores.n_matched.tolist() == np.bincount(truth.scan[scores.pair_truth], minlength=truth.scans).tolist()
+    assert scores.n_matched.tolist() == np.bincount(truth.scan[scores.pairs.truth], minlength=truth.scans).tolist()
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -156,7 +156,7 @@ def test_switches_and_idf1_are_those_of_motmetrics(seed):
         rows = sorted(range(*truth.start[scan : scan + 2]), key=lambda row: -matched.get(truth.label[row], -1))
         columns = range(*estimates.start[scan : scan + 2])
         accumulator.update(truth.label[rows], estimates.label[columns], distance[np.ix_(rows, columns)])
-        found = truth.label[scores.pair_truth[scores.pair_scan == scan]]
+        found = truth.label[scores.pairs.truth[scores.pairs.scan == scan]]
         matched |= dict.fromkeys(found.tolist(), scan)
     names = ["num_switches", "num_misses", "num_false_positives", "idf1", "idp", "idr"]
     expected = motmetrics.metrics.create().compute(accumulator, metrics=names).iloc[0]
@@ -244,8 +244,7 @@ def test_pairs_of_most_gain_are_those_of_enumeration():
     for _ in range(30):
         table = np.where(random.random((3, 4)) < 0.6, random.random((3, 4)), 0.0)
         rows, columns = np.nonzero(table)
-        pairs = NearPairs(np.zeros(len(rows), dtype=np.int64), rows, columns, np.zeros(len(rows)))
-        chosen = most_gain(pairs, table[rows, columns])
+        chosen = most_gain(rows, columns, table[rows, columns])
         assert len(set(rows[chosen])) == len(set(columns[chosen])) == len(chosen)
         best = max(sum(table[row, order[row]] for row in range(3)) for order in permutations(range(4), 3))
         assert table[rows, columns][chosen].sum() == pytest.approx(best)

@@ -11,7 +11,6 @@ from stereophd.core.multi.association.likelihoods import (
     REACH_SIGMAS,
     kalman_updates,
     pair_likelihoods,
-    shared_kalman_updates,
 )
 from tests.core.disparity.cases import LENSES, make_camera, random_covariance
 
@@ -79,7 +78,8 @@ def test_kalman_updates(size: int) -> None:
     rng = np.random.default_rng(5)
     means, covariances, _, points, noises, _ = pairs_of(rng, size)
     components, detections = rng.integers(0, 20, 50), rng.integers(0, 30, 50)
-    found_means, found_covariances = kalman_updates(means, covariances, components, detections, points, noises)
+    found_means, found, rows = kalman_updates(means, covariances, components, detections, points, noises)
+    found_covariances = found[rows]
     h = np.eye(2, size)
     for i, (k, j) in enumerate(zip(components, detections, strict=True)):
         gain = covariances[k] @ h.T @ np.linalg.inv(h @ covariances[k] @ h.T + noises[j])
@@ -93,18 +93,19 @@ def test_kalman_updates(size: int) -> None:
 
 @pytest.mark.parametrize("read", [False, True])
 @pytest.mark.parametrize("size", [3, 6])
-def test_shared_kalman_updates(size: int, read: bool) -> None:
-    """The same bits as without sharing; one covariance for pairs that follow one another and have equal ones."""
+def test_updates_share_covariances(size: int, read: bool) -> None:
+    """The same bits as one by one; one covariance for pairs that follow one another and have equal ones."""
     rng = np.random.default_rng(6)
     means, covariances, _, points, noises, _ = pairs_of(rng, size)
     noises[10:20] = noises[10]
     components, detections = np.repeat(np.arange(20), 30), np.tile(np.arange(30), 20)
     readings = rng.uniform(0.0, 0.03, (30, 3)) if read else None
     arguments = means, covariances, components, detections, points, noises, readings
-    expected_means, expected = kalman_updates(*arguments)
-    found_means, found, rows = shared_kalman_updates(*arguments)
-    np.testing.assert_array_equal(found_means, expected_means)
-    np.testing.assert_array_equal(found[rows], expected)
+    found_means, found, rows = kalman_updates(*arguments)
+    for i, pair in enumerate(zip(components, detections, strict=True)):
+        one = kalman_updates(means, covariances, *(np.array([each]) for each in pair), points, noises, readings)
+        np.testing.assert_array_equal(found_means[i], one[0][0])
+        np.testing.assert_array_equal(found[rows[i]], one[1][0])
     assert len(found) == 20 * (30 if read else 21)
 
 

@@ -9,9 +9,8 @@ from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.region import box_half_spaces, pack_region
-from stereophd.core.multi.births.undetected import birth_moments
 from stereophd.core.multi.filter_settings.common import BirthPrior
-from tests.core.disparity.cases import LENSES, make_camera, make_space
+from tests.core.disparity.cases import LENSES, birth_moments, make_camera, make_space
 
 PIXELS = np.array([[10.0, 15.0], [400.0, 300.0], [790.0, 40.0]])
 

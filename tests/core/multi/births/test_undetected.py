@@ -18,7 +18,7 @@ from stereophd.core.multi.births.undetected import (
     expected_births,
     peak_births,
     reduction_in_crowd,
-    view_overlap,
+    undetected_shares,
 )
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
@@ -142,8 +142,9 @@ def test_overlap_of_views() -> None:
         make_camera((0.0, 0.0, 0.0), (50.0, 0.0, 0.0)),
         make_camera((0.0, np.pi, 0.0)),
     ]
-    overlap = view_overlap(make_rig(cameras, 1.0, "horizontal"), PRIOR)
-    np.testing.assert_array_equal(overlap[:2, :2], 1.0)
+    detects = [camera.detector.p_detect for camera in cameras]
+    overlap = (1.0 - undetected_shares(make_rig(cameras, 1.0, "horizontal"), PRIOR)) / detects
+    np.testing.assert_allclose(overlap[:2, :2], 1.0, rtol=1e-12)
     np.testing.assert_array_equal(overlap[3, :3], 0.0)
     # 50 to the side at depths of about 130 of a view 114 wide; quantiles of the disparity stand for the prior
     rng = np.random.default_rng(1)

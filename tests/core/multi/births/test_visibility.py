@@ -10,7 +10,7 @@ from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import FilterState
-from stereophd.core.multi.births.survival import fade_out_of_view
+from stereophd.core.multi.births.survival import keep_surviving_weights
 from tests.core.disparity.cases import make_camera
 from tests.core.multi.scenes import make_filter, make_mixture
 
@@ -39,12 +39,14 @@ def test_it_fades_where_no_camera_has_the_mean_in_view() -> None:
         ConstantVelocity([0.0] * 3).arrays(np.full(len(points), 2.0)),
     )
     status = np.full(len(points), OUT_OF_VIEW)
-    fade_out_of_view(weights, status, means, homes, motion.reach, motion.drift, packed, 1.5, 5.0)
+    names = np.zeros(len(points), dtype=np.int64)
+    moved = np.ones(len(points)), means, names, names, homes, motion.reach, motion.drift, packed, 1
+    keep_surviving_weights(weights, status, *moved, 1.5, 5.0)
     np.testing.assert_allclose(weights, np.where(seen, 1.0, np.exp(-1.5 / 5.0)), rtol=1e-12)
     weights = np.ones(len(points))
-    fade_out_of_view(weights, np.full(len(points), IN_VIEW), means, homes, motion.reach, motion.drift, packed, 1.5, 5.0)
+    keep_surviving_weights(weights, np.full(len(points), IN_VIEW), *moved, 1.5, 5.0)
     np.testing.assert_array_equal(weights, 1.0)
-    fade_out_of_view(weights, status, means, homes, motion.reach, motion.drift, packed, 1.5, np.inf)
+    keep_surviving_weights(weights, status, *moved, 1.5, np.inf)
     np.testing.assert_array_equal(weights, 1.0)
 
 

@@ -65,9 +65,9 @@ Entry = Mapping[str, Any]
 
 
 class Quantity(ABC):
-    """One kind of unknown of a camera: a class in a file of its own, with one instance, ``QUANTITY``."""
+    """One kind of unknown of a camera."""
 
-    name: ClassVar[str]  # The name of its file
+    name: ClassVar[str]
     components: ClassVar[tuple[str, ...]]  # Names of its values, unique among all quantities
     unit: ClassVar[str]  # Unit of the values: ``length``, ``rad``, ``1``, ``px``, ``s``, ``length/s`` or ``rad/s``
     prior: ClassVar[str]  # Key of its standard deviation in ``calibration.priors``
@@ -81,9 +81,6 @@ class Quantity(ABC):
     prior_unit: ClassVar[float] = 1.0  # The unit of that key in units of the values (degrees: pi / 180)
     largest_std: ClassVar[float] = LARGEST_LENGTH  # Largest value of that key: beyond what any set-up can mean
     has_pack: ClassVar[bool] = False  # Whether `pack` is defined
-
-    def __init_subclass__(cls) -> None:
-        cls.name = cls.__module__.rpartition(".")[2]
 
     def available(self, camera: Camera) -> tuple[str, ...]:
         """Return the components that a camera has."""

@@ -8,7 +8,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import CameraView
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import pinhole
-from stereophd.core.geometry.rotations import cross_matrices, rotations
+from stereophd.core.geometry.rotations import rotations
 
 
 def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:
@@ -85,13 +85,3 @@ def turned(view: CameraView, axes: Array) -> Array:
         for i in range(2):
             out[:, i, a] = view.by_point[:, i, 0] * t0 + view.by_point[:, i, 1] * t1 + view.by_point[:, i, 2] * t2
     return out
-
-
-def left_jacobians(vectors: Array) -> Array:
-    """Left Jacobians (n, 3, 3) of rotation vectors (n, 3): exp(v + dv) = exp(J dv) exp(v) to first order."""
-    cross = cross_matrices(vectors)
-    angle = np.linalg.norm(vectors, axis=-1)[:, None, None]
-    safe = np.where(angle < 1e-4, 1.0, angle)
-    second = np.where(angle < 1e-4, 0.5, (1.0 - np.cos(safe)) / safe**2)
-    third = np.where(angle < 1e-4, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
-    return np.asarray(np.eye(3) + second * cross + third * cross @ cross)

@@ -3,32 +3,21 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib import import_module
 
 from stereophd.core.calibration.unknowns.quantities.base import Quantity
-
-# In the order of the values of a camera. Each name is a file of this folder with its `QUANTITY`.
-NAMES = (
-    "center",
-    "rotation",
-    "focal",
-    "aspect",
-    "principal_point",
-    "distortion",
-    "clock_offset",
-    "clock_rate",
-    "readout",
-    "velocity",
-    "rotation_rate",
-    "mount_center",
-    "mount_rotation",
-)
+from stereophd.core.calibration.unknowns.quantities.intrinsics import Aspect, Distortion, Focal, PrincipalPoint
+from stereophd.core.calibration.unknowns.quantities.mount import MountCenter, MountRotation
+from stereophd.core.calibration.unknowns.quantities.pose import Center, Rotation, RotationRate, Velocity
+from stereophd.core.calibration.unknowns.quantities.timing import ClockOffset, ClockRate, Readout
 
 
 @cache
 def quantities() -> tuple[Quantity, ...]:
-    """Return all quantities in the order of the values."""
-    return tuple(import_module(f"{__package__}.{name}").QUANTITY for name in NAMES)
+    """Return all quantities in the order of the values of a camera."""
+    return (
+        Center(), Rotation(), Focal(), Aspect(), PrincipalPoint(), Distortion(), ClockOffset(), ClockRate(), Readout(),
+        Velocity(), RotationRate(), MountCenter(), MountRotation(),
+    )  # fmt: skip
 
 
 @cache

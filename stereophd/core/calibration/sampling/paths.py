@@ -1,29 +1,26 @@
-"""The single-cluster PHD filter of the paper (section VII-B) with moves: the posterior of the cameras as the log grows.
+"""Paths of densities from the prior, or from known modes, to the posterior of the cameras: see `sampling.bridging`.
 
 The likelihood of a log conditional on the cameras, L(z_1..z_n | s), is a deterministic function of s, so particles of
 static cameras need no jitter. Metropolis moves replace it: each runs the conditional filter again from the first event
-and leaves the posterior invariant. The other difficulty is a wide prior, of which few particles fit the first events.
-Tempering the likelihood leads into wrong modes. Inflating the noise of the detections does not, because detections with
-wide noise find their objects with any cameras. The path of densities (`calibration.sampling.bridging`) is
-therefore
-
-    p(s),  p(s) L_k(first block | s) for falling factors k on the noise, down to 1,
-    then p(s) L_1(events so far | s) for twice as many events from stage to stage, to the whole log.
-
-Each particle always carries the intensity of the filter conditional on it: moves recompute it, resampling copies it.
+and leaves the posterior invariant.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.sampling.bridging import BridgeSampler
-from stereophd.core.calibration.sampling.likelihood import LogEvidence
-from stereophd.core.calibration.settings import SequentialSettings
+from stereophd.core.calibration.sampling.likelihood import Evidence
+from stereophd.core.calibration.sampling.recording_evidence import RecordingEvidence
+from stereophd.core.calibration.settings import SequentialSettings, TemperedSettings
+from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 
+LogEvidence = Evidence | RecordingEvidence
+# Log-likelihoods (k,) of parameter values (k, m).
+LogLikelihood = Callable[[Array], Array]
 # The last stage may add more events than those so far, by this factor, so that no short one is left.
 LAST_GROWTH = 2.5
 
@@ -38,7 +35,18 @@ class Stage:
 
 @dataclass(frozen=True)
 class BlockPath:
-    """The first block at falling noise, then more and more events."""
+    """The single-cluster PHD filter of the paper (section VII-B) with moves: the posterior as the log grows.
+
+    Of a wide prior few particles fit the first events. Tempering the likelihood leads into wrong modes. Inflating the
+    noise of the detections does not, because detections with wide noise find their objects with any cameras. The path
+    is therefore
+
+        p(s),  p(s) L_k(first block | s) for falling factors k on the noise, down to 1,
+        then p(s) L_1(events so far | s) for twice as many events from stage to stage, to the whole log.
+
+    Each particle always carries the intensity of the filter conditional on it: moves recompute it, resampling copies
+    it.
+    """
 
     evidence: LogEvidence  # Evidence of the whole log
     settings: SequentialSettings
@@ -49,11 +57,6 @@ class BlockPath:
     def parameters(self) -> ParameterSet:
         """Unknowns and their priors."""
         return self.evidence.parameters
-
-    @property
-    def prior_std(self) -> Array:
-        """Prior standard deviations (m,)."""
-        return self.parameters.prior_std
 
     @cached_property
     def stages(self) -> tuple[Stage, ...]:
@@ -84,7 +87,10 @@ class BlockPath:
         return self.parameters.sample(rng, count)
 
     def log_densities(self, values: Array, stage: int, begin: bool) -> tuple[Array, Array]:
-        """Log-densities (k,) of the prior times the evidence at the beginning and the end of a stage."""
+        """Log-densities (k,) of the prior times the evidence at the beginning and the end of a stage.
+
+        Both are of values (k, m), up to a constant. With `begin` False the first is not needed, and any array will do.
+        """
         prior = self.parameters.log_prior(values)
         end = self.stages[stage]
         if stage == 0:
@@ -101,6 +107,36 @@ class BlockPath:
         return self.evidence.after(values, [stage.n_events for stage in stages], stages[-1].inflation)
 
 
-def block_sampler(path: BlockPath, seed: np.random.SeedSequence) -> BridgeSampler:
-    """Return the sampler of a path, with the settings of method sequential."""
-    return BridgeSampler(path, path.settings.resample_below, path.settings.moves_per_step, seed)
+@dataclass(frozen=True)
+class TemperedPath:
+    """One stage, from modes that another method has found, or from the prior, to the posterior p(x) L(Z | x).
+
+    L is the multi-object evidence of the filters conditional on x. A move runs the filter over the whole log again with
+    the same sample sets, which makes L a function of x. The estimate of the evidence is that of the log, x integrated
+    out.
+    """
+
+    parameters: ParameterSet  # Unknowns and their priors
+    log_likelihood: LogLikelihood  # Evidence of parameter values
+    modes: Modes | None  # Without them the particles start from the prior, which takes many more steps
+    settings: TemperedSettings
+
+    @property
+    def particles(self) -> tuple[int, ...]:
+        """Number of particles of the one stage."""
+        return (self.settings.particles,)
+
+    def draw(self, count: int, rng: np.random.Generator) -> Array:
+        """Draw values (count, m) from the modes, or from the prior."""
+        if self.modes is None:
+            return self.parameters.sample(rng, count)
+        return self.modes.draw(count, self.settings.spread, rng)
+
+    def log_densities(self, values: Array, stage: int, begin: bool) -> tuple[Array, Array]:
+        """Log-densities (k,) of the proposal and of the posterior, the latter not normalised."""
+        prior = self.parameters.log_prior(values)
+        first = prior if self.modes is None else self.modes.log_density(values, self.settings.spread)
+        return first, prior + self.log_likelihood(values)
+
+
+DensityPath = BlockPath | TemperedPath

@@ -1,0 +1,145 @@
+"""Focal length, aspect, principal point and lens of a camera."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from stereophd.core.arrays import Array
+from stereophd.core.calibration.unknowns.quantities.base import IMAGES, PIXELS, RATIO, CameraView, Entry, Quantity
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.lens import PARAMETERS
+from stereophd.core.settings import LARGEST_PX
+
+DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
+
+
+class Focal(Quantity):
+    """The focal length of a camera: the logarithm of a factor on fx and fy together."""
+
+    name = "focal"
+    components = ("focal",)
+    unit, affects = RATIO, IMAGES
+    prior, largest_std = "focal_std", 10.0
+    description = "standard deviation of the focal length, relative; fx and fy together"
+
+    def _apply(self, camera: Camera, values: Array) -> Camera:
+        """Multiply both focal lengths by exp(value)."""
+        factor = float(np.exp(values[0]))
+        return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
+
+    def _difference(self, camera: Camera, other: Camera) -> Array:
+        return np.array([np.log(other.fx / camera.fx)])
+
+    def derivative(self, view: CameraView, values: Array) -> Array:
+        """The pixel moves away from the principal point."""
+        return np.asarray((view.distorted * [view.camera.fx, view.camera.fy])[:, :, None])
+
+    def _entry(self, camera: Camera) -> Entry:
+        return {"intrinsics": {"fx": camera.fx, "fy": camera.fy}}
+
+
+class Aspect(Quantity):
+    """The aspect of a camera's pixels: the logarithm of a factor on fy over fx."""
+
+    name = "aspect"
+    components = ("aspect",)
+    unit, affects = RATIO, IMAGES
+    prior, largest_std = "aspect_std", 10.0
+    description = "standard deviation of fy over fx, relative"
+
+    def _apply(self, camera: Camera, values: Array) -> Camera:
+        """Multiply fy by exp(value)."""
+        return replace(camera, fy=camera.fy * float(np.exp(values[0])))
+
+    def _difference(self, camera: Camera, other: Camera) -> Array:
+        return np.array([np.log(other.fy / other.fx / (camera.fy / camera.fx))])
+
+    def derivative(self, view: CameraView, values: Array) -> Array:
+        """The pixel moves along v only."""
+        along = view.camera.fy * view.distorted[:, 1]
+        return np.stack([np.zeros_like(along), along], axis=1)[:, :, None]
+
+    def _entry(self, camera: Camera) -> Entry:
+        return {"intrinsics": {"fx": camera.fx, "fy": camera.fy}}
+
+
+class PrincipalPoint(Quantity):
+    """The principal point of a camera: an offset in pixels."""
+
+    name = "principal_point"
+    components = ("principal_point_u", "principal_point_v")
+    unit, affects = PIXELS, IMAGES
+    prior, largest_std = "principal_point_std_px", LARGEST_PX
+    description = "standard deviation of the principal point, px; one value or u, v"
+
+    def _apply(self, camera: Camera, values: Array) -> Camera:
+        """Move the principal point by values (2,), px."""
+        return replace(camera, cx=camera.cx + float(values[0]), cy=camera.cy + float(values[1]))
+
+    def _difference(self, camera: Camera, other: Camera) -> Array:
+        return np.array([other.cx - camera.cx, other.cy - camera.cy])
+
+    def derivative(self, view: CameraView, values: Array) -> Array:
+        """All pixels move alike."""
+        return np.broadcast_to(np.eye(2), (len(view.pixels), 2, 2))
+
+    def _entry(self, camera: Camera) -> Entry:
+        return {"intrinsics": {"cx": camera.cx, "cy": camera.cy}}
+
+
+class Distortion(Quantity):
+    """The coefficients of a camera's lens model: offsets without unit."""
+
+    name = "distortion"
+    components = DISTORTION
+    unit, affects = RATIO, IMAGES
+    prior, largest_std = "distortion_std", 1e6
+    description = "standard deviations of coefficients of the lens model by name, such as k1"
+    named = True
+
+    def available(self, camera: Camera) -> tuple[str, ...]:
+        """Return the coefficients of the camera's lens model."""
+        return PARAMETERS[camera.lens.model]
+
+    def _apply(self, camera: Camera, values: Array) -> Camera:
+        """Add values (8,) to the coefficients."""
+        moved = {
+            name: getattr(camera.lens, name) + float(value)
+            for name, value in zip(DISTORTION, values, strict=True)
+            if name in self.available(camera)
+        }
+        return replace(camera, lens=replace(camera.lens, **moved)) if moved else camera
+
+    def _difference(self, camera: Camera, other: Camera) -> Array:
+        return np.array([getattr(other.lens, name) - getattr(camera.lens, name) for name in DISTORTION])
+
+    def derivative(self, view: CameraView, values: Array) -> Array:
+        """Derivative of the distorted point with respect to each coefficient, in pixels."""
+        lens = view.camera.lens
+        x, y = view.undistorted[:, 0], view.undistorted[:, 1]
+        s = x * x + y * y
+        out = np.zeros((len(s), 2, len(DISTORTION)))
+        if lens.model == "fisheye":
+            radius = np.sqrt(s)
+            angle = np.arctan(radius)
+            part = angle / np.where(radius > 0.0, radius, 1.0)
+            for power, name in enumerate(PARAMETERS["fisheye"], 1):
+                scale = part * angle ** (2 * power)
+                column = DISTORTION.index(name)
+                out[:, 0, column], out[:, 1, column] = scale * x, scale * y
+        else:
+            denominator = 1.0 + s * (lens.k4 + s * (lens.k5 + s * lens.k6))
+            ratio = (1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))) / denominator
+            for power in (1, 2, 3):
+                above, below = s**power / denominator, -ratio * s**power / denominator
+                column, other = DISTORTION.index(f"k{power}"), DISTORTION.index(f"k{power + 3}")
+                out[:, 0, column], out[:, 1, column] = above * x, above * y
+                out[:, 0, other], out[:, 1, other] = below * x, below * y
+            out[:, 0, 2], out[:, 1, 2] = 2.0 * x * y, s + 2.0 * y * y
+            out[:, 0, 3], out[:, 1, 3] = s + 2.0 * x * x, 2.0 * x * y
+        return np.asarray(out * np.array([view.camera.fx, view.camera.fy])[:, None])
+
+    def _entry(self, camera: Camera) -> Entry:
+        return {
+            "distortion": {"model": camera.lens.model, **{n: getattr(camera.lens, n) for n in self.available(camera)}}
+        }
