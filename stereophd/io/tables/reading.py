@@ -57,6 +57,12 @@ def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
     return parquet
 
 
+def read_metadata(path: Path | str, what: str = "table") -> Mapping[bytes, bytes]:
+    """Return the key-value metadata of a Parquet file; errors as `open_parquet`."""
+    with open_parquet(path, what) as parquet:
+        return parquet.schema_arrow.metadata or {}
+
+
 def _first_line(error: BaseException) -> str:
     return (str(error).splitlines() or ["no details"])[0].rstrip(".")
 

@@ -10,7 +10,7 @@ import pyarrow.compute as pc
 from stereophd.core.geometry.trajectory import COLUMNS
 from stereophd.errors import InputError
 from stereophd.io.outputs.provenance import from_metadata, length_unit
-from stereophd.io.tables.reading import open_parquet, read_table
+from stereophd.io.tables.reading import open_parquet, read_metadata, read_table
 from stereophd.io.tables.schemas import CONFIRMED, FLOAT, INTEGER, STRING
 
 #: Kind of table -> columns by which it is recognised, the most particular first.
@@ -105,7 +105,6 @@ def _column(table: pa.Table, name: str) -> Any:
 def provenance_of(path: Path) -> dict[str, Any] | None:
     """Return the origin of a table according to its metadata."""
     try:
-        with open_parquet(path) as parquet:
-            return from_metadata(parquet.schema_arrow.metadata)
+        return from_metadata(read_metadata(path))
     except InputError:
         return None

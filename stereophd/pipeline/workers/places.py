@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from functools import partial
 from typing import Any, Protocol, TypeVar
 
+import stereophd
 from stereophd.errors import InputError
 from stereophd.pipeline.workers.processes import on_processes
 from stereophd.wording import LOGGER
@@ -131,6 +132,8 @@ def complete(
 ) -> Iterator[tuple[int, Result | None]]:
     """Call a function of a module (or `functools.partial` of one) for each argument, again where a worker dies.
 
+    Raises InputError if workers have another version of the package.
+
     Yields the number of an argument and its result, in any order. The result is None where the worker died in each of
     several attempts, the last of which had nothing else to do.
     """
@@ -139,7 +142,7 @@ def complete(
     while left and fruitless < ATTEMPTS:
         before = len(left)
         try:
-            for number, result in workers(partial(_numbered, function), list(left.items())):
+            for number, result in _calls(workers, function, list(left.items())):
                 del left[number]
                 yield number, result
         except WorkersLostError as error:
@@ -147,12 +150,20 @@ def complete(
             LOGGER.warning("a worker died; what is left (%d of %d) starts again (%s)", len(left), before, error)
     for number, argument in left.items():
         try:
-            for _, result in workers(partial(_numbered, function), [(number, argument)]):
-                yield number, result
+            yield from _calls(workers, function, [(number, argument)])
         except WorkersLostError:
             yield number, None
 
 
-def _numbered(function: Callable[[Any], Result], numbered: tuple[int, Any]) -> tuple[int, Result]:
+def _calls(
+    workers: Workers, function: Callable[[Argument], Result], numbered: Sequence[tuple[int, Argument]]
+) -> Iterator[tuple[int, Result]]:
+    for version, number, result in workers(partial(_numbered, function), numbered):
+        if version != stereophd.__version__:
+            raise InputError(f"workers: expected stereophd {stereophd.__version__}, found {version}")
+        yield number, result
+
+
+def _numbered(function: Callable[[Any], Result], numbered: tuple[int, Any]) -> tuple[str, int, Result]:
     number, argument = numbered
-    return number, function(argument)
+    return stereophd.__version__, number, function(argument)
