@@ -43,8 +43,7 @@ from stereophd.pipeline.cameras_covariance import in_world as uncertainty_in_wor
 from stereophd.pipeline.cameras_covariance import rows_of
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
-from stereophd.pipeline.checks.run_figures.losses import check_losses
-from stereophd.pipeline.checks.run_figures.tracking import check_noise, check_tracking
+from stereophd.pipeline.checks.run_figures import check_losses, check_noise, check_tracking
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun

@@ -19,7 +19,7 @@ from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OB
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
-from stereophd.io.logs.writing import LogWriter
+from stereophd.io.logs.rows import LogWriter
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.streams.messages import Message
@@ -111,7 +111,7 @@ def _simulate_runs(
 ) -> list[dict[str, int]]:
     tasks = [(loaded, run, files) for run, files in enumerate(paths)]
     # Only here: a single run starts without it.
-    from stereophd.pipeline.workers.processes import on_processes
+    from stereophd.pipeline.workers.places import on_processes
 
     counts = []
     for count in map(_simulate_run, tasks) if jobs == 1 else on_processes(_simulate_run, tasks, jobs):

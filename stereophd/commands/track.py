@@ -25,9 +25,14 @@ from stereophd.options import takes
 from stereophd.pipeline.cameras_covariance import stated_uncertainty
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
-from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
-from stereophd.pipeline.checks.run_figures.losses import check_losses
-from stereophd.pipeline.checks.run_figures.tracking import check_detections, check_knocks, check_noise, check_tracking
+from stereophd.pipeline.checks.run_figures import (
+    check_detections,
+    check_estimated_detectors,
+    check_knocks,
+    check_losses,
+    check_noise,
+    check_tracking,
+)
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun

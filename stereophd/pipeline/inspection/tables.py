@@ -15,6 +15,7 @@ from stereophd.io.tables.schemas import CONFIRMED, FLOAT, INTEGER, STRING
 
 #: Kind of table -> columns by which it is recognised, the most particular first.
 KINDS = (
+    ("associations", ("track_id", "probability")),
     ("detections", ("time_s", "camera", "frame", "u_px", "v_px")),
     ("tracks", ("time_s", "track_id", "x", "y", "z")),
     ("trajectory", COLUMNS),
@@ -27,11 +28,9 @@ KINDS = (
 
 
 def kind_of(path: Path) -> str:
-    """Return what a table is, by its columns; tables such as ``associations`` are of kind ``table``."""
+    """Return what a table is, by its columns; one of none of `KINDS` is of kind ``table``."""
     with open_parquet(path) as parquet:
         names = set(parquet.schema_arrow.names)
-    if {"track_id", "probability"} <= names:
-        return "associations"
     return next((kind for kind, columns in KINDS if names.issuperset(columns)), "table")
 
 

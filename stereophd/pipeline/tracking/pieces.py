@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.trajectories.joins import PROBABLE, join_probabilities
-from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.errors import StereophdError
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
@@ -28,8 +27,9 @@ from stereophd.pipeline.stream import EventStream, open_log
 from stereophd.pipeline.tracking.loop import Record, RunState
 from stereophd.pipeline.tracking.piece_plan import LogPiece
 from stereophd.pipeline.tracking.run import build_tracking
-from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
+from stereophd.pipeline.tracking.run_figures import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTrackerState
+from stereophd.pipeline.tracking.smoothed import trajectories_of
 from stereophd.pipeline.tracking.unfinished import RecordFile, RecordPart, read_records
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 
@@ -179,7 +179,9 @@ class JoinedPieces:
         keys = sorted({_key(record) for record in (*before, *after)})
         number = {key: k for k, key in enumerate(keys)}
         times = np.array([key[0] for key in keys])
-        left, right = _trajectories(before, number, times), _trajectories(after, number, times)
+        left, right = (
+            trajectories_of(records, (number[_key(record)] for record in records), times) for records in (before, after)
+        )
         pairs = join_probabilities(left, right, times, later.from_s, self.overlap_s / 4.0)
         found: dict[int, int] = {}
         rows = zip(pairs.before.tolist(), pairs.after.tolist(), pairs.probabilities.tolist(), strict=True)
@@ -223,27 +225,3 @@ class JoinedPieces:
 def _key(record: Record) -> tuple[float, str, bool]:
     """What an event or a time of the grid is called in both pieces."""
     return record.time_s, record.camera, record.is_event
-
-
-def _trajectories(
-    records: Sequence[Record], number: Mapping[tuple[float, str, bool], int], times: NDArray[np.float64]
-) -> list[Trajectory]:
-    """Return the tracks of records, in order of identity."""
-    places: dict[int, list[tuple[int, Record, int]]] = {}
-    for record in records:
-        for row, track_id in enumerate(record.estimates.track_ids.tolist()):
-            places.setdefault(track_id, []).append((number[_key(record)], record, row))
-    out = []
-    for track_id, found in sorted(places.items()):
-        events = np.array([event for event, _, _ in found], dtype=np.int64)
-        out.append(
-            Trajectory(
-                track_id,
-                events,
-                times[events],
-                np.array([record.estimates.states[row] for _, record, row in found]),
-                np.array([record.estimates.covariances[row] for _, record, row in found]),
-                np.array([record.estimates.existence[row] for _, record, row in found]),
-            )
-        )
-    return out
