@@ -28,7 +28,7 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size, size_of_simulation
-from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.simulation import build_scene, simulate_section
 
 DETECTIONS_FILE = "detections.parquet"
 TRUTH_FILE = "truth.parquet"
@@ -95,9 +95,7 @@ def check_simulation(loaded: LoadedConfig) -> SimulateConfig:
 
     Raises InputError if there is no such section or no camera, or the section ``calibration`` does not fit the cameras.
     """
-    settings = loaded.config.simulate
-    if settings is None:
-        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
+    settings = simulate_section(loaded)
     loaded.build_cameras()
     if loaded.config.calibration is not None:
         from stereophd.pipeline.calibration.unknowns import build_parameters  # only here, as in `_simulate_run`
