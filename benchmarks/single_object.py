@@ -28,7 +28,7 @@ from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import DisparitySettings, EstimatorSettings, ParticleSettings
-from stereophd.experiments.single_object.runs import TrackingProblem, draw_trajectory
+from stereophd.experiments.single_object import SingleObjectProblem, draw_trajectory
 
 STEPS = 300
 ESTIMATORS: dict[str, EstimatorSettings] = {
@@ -72,10 +72,10 @@ def main() -> int:
     return int(rows[OURS]["ratio"] > 1.0)
 
 
-def figure_eleven() -> TrackingProblem:
+def figure_eleven() -> SingleObjectProblem:
     """The scenario, as in configs/paper/single_object.yaml; lengths in cm."""
     cameras = [_camera("left", -20.0, -math.pi / 12), _camera("right", 20.0, math.pi / 12)]
-    return TrackingProblem(
+    return SingleObjectProblem(
         make_rig(cameras, 1.0, "horizontal"),
         np.array([0.0, 0.0, 100.0, 0.0, 0.0, 6.0]),
         ConstantVelocity([0.05, 0.05, 0.1]),
@@ -91,7 +91,7 @@ def _camera(name: str, x: float, yaw: float) -> Camera:
     return Camera(name, 800, 600, 8.0 / 8.9e-3, 8.0 / 9.0e-3, 400.0, 300.0, pose, Lens("none"), detector)
 
 
-def draw_events(scenario: TrackingProblem, rng: np.random.Generator) -> list[Event]:
+def draw_events(scenario: SingleObjectProblem, rng: np.random.Generator) -> list[Event]:
     """Detections of one trajectory."""
     events = []
     states = draw_trajectory(scenario, rng)

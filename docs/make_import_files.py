@@ -23,8 +23,8 @@ from stereophd.config.loading import load_config
 from stereophd.core.geometry.pose import rotation_to_vector
 from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.formats.dlt import write_cameras
+from stereophd.io.formats.opencv import write_yaml
 from stereophd.io.interchange.cameras import take_apart
-from stereophd.io.interchange.documents.opencv_storage import write_yaml
 
 OFFSETS_S = {"gopro1": 0.0, "gopro2": 0.0042, "gopro3": -0.0031}
 RATE_HZ = 60.0

@@ -15,23 +15,7 @@ from typing import Annotated, TextIO
 import typer
 
 import stereophd
-from stereophd.cli import (
-    align,
-    calibrate,
-    check,
-    compile,
-    config,
-    demo,
-    evaluate,
-    experiment,
-    finished,
-    importing,
-    init,
-    interrupts,
-    simulate,
-    track,
-    watch,
-)
+from stereophd.cli import calibrate, config, evaluate, finished, interrupts, preparing, scenes, track
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import PlainCommand, PlainGroup, Session
 from stereophd.cli.parameters import command
@@ -65,23 +49,23 @@ Documentation: {SITE}""",
 )
 # In the order of the work: the command, one line short enough for a terminal of 80 columns, and examples.
 for _name, _command, _purpose, *_examples in (
-    ("demo", demo.demo_command, "Simulate, track and score a small scene: start here.", "demo out"),
+    ("demo", scenes.demo_command, "Simulate, track and score a small scene: start here.", "demo out"),
     (
-        "import", importing.import_command, "Convert detections and cameras of another program.",
+        "import", preparing.import_command, "Convert detections and cameras of another program.",
         "import csv points.csv --cameras calib.yml --fps 60 --out rec",
         "import dltdv xy.csv dlt.csv --fps 60 --image-size 1280x720 --out rec",
     ),
     (
-        "init", init.init_command, "Write a configuration with values estimated from a log.",
+        "init", preparing.init_command, "Write a configuration with values estimated from a log.",
         "init study --log rec/detections.parquet",
     ),
     ("info", finished.info_command, "Describe a log, a table, cameras or an output folder.", "info study/tracks"),
     (
-        "check", check.check_command, "Check whether a log fits cameras and settings.",
+        "check", preparing.check_command, "Check whether a log fits cameras and settings.",
         "check study/config.yaml rec/detections.parquet --strict",
     ),
     (
-        "simulate", simulate.simulate_command, "Simulate scenes and their detection logs.",
+        "simulate", scenes.simulate_command, "Simulate scenes and their detection logs.",
         "simulate out/config.yaml --seed 3 --out scene",
     ),
     (
@@ -90,14 +74,17 @@ for _name, _command, _purpose, *_examples in (
         "track study/config.yaml 'day1/*.parquet' --jobs 4 --out tracks",
     ),
     (
-        "watch", watch.watch_command, "Show a run that is still going on in a browser.",
+        "watch", track.watch_command, "Show a run that is still going on in a browser.",
         "watch tcp://127.0.0.1:5556",
     ),
     (
         "calibrate", calibrate.calibrate_command, "Estimate cameras from the log of moving objects.",
         "calibrate config.yaml log.parquet --cameras guess.yaml --out found",
     ),
-    ("align", align.align_command, "Bring cameras and tracks into a world frame.", "align found --to floor --out up"),
+    (
+        "align", finished.align_command, "Bring cameras and tracks into a world frame.",
+        "align found --to floor --out up",
+    ),
     (
         "evaluate", evaluate.evaluate_command, "Score tracks against the truth.",
         "evaluate tracks/tracks.parquet truth.parquet --cutoff 1 --out scores",
@@ -116,11 +103,11 @@ for _name, _command, _purpose, *_examples in (
         "export trc tracks --rate 60 --out tracks.trc",
     ),
     (
-        "experiment", experiment.experiment_command, "Compare methods over many runs of a scenario.",
+        "experiment", scenes.experiment_command, "Compare methods over many runs of a scenario.",
         "experiment sweep.yaml --jobs 4 --out sweep",
     ),
     (
-        "compile", compile.compile_command, "Compile the kernels ahead, for containers and CI jobs.",
+        "compile", track.compile_command, "Compile the kernels ahead, for containers and CI jobs.",
         "compile --jobs 2",
     ),
 ):  # fmt: skip

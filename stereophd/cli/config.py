@@ -45,7 +45,7 @@ def check_command(
     Each fault is printed with its file, line and key; a configuration without a fault is ok.
     """
     loaded = load(words)
-    from stereophd.commands.check_config import check_config
+    from stereophd.commands.check import check_config
 
     check_config(loaded, for_command)
     valid = {"ok": True, "cameras": list(loaded.cameras), "config_sha256": loaded.sha256}

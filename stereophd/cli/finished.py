@@ -1,17 +1,36 @@
-"""``stereophd info``, ``report`` and ``export``: commands about files that exist."""
+"""``stereophd info``, ``align``, ``report`` and ``export``: commands about files that exist."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Annotated
 
+import typer
+
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Form, Session, argument, option
 from stereophd.cli.terminal import print_report
-from stereophd.commands.options import Replacing, ReportOptions
+from stereophd.cli.unused_options import report as report_unused
+from stereophd.commands.options import AlignOptions, Replacing, ReportOptions
 from stereophd.io.interchange.options import ExportOptions
 
 Anything = Annotated[Path, argument("FILE|DIR", "Log, table, cameras, configuration or folder.")]
+CameraFiles = Annotated[
+    list[Path],
+    typer.Argument(
+        metavar="CAMERAS", help="cameras.yaml, or folders of calibrate or track that hold them.", show_default=False
+    ),
+]
+World = Annotated[
+    str,
+    option(
+        "--to",
+        "WORLD",
+        "Control track (time_s, x, y, z) or points (camera, u_px, v_px, x, y, z), Parquet or CSV; floor, gravity, "
+        "or a camera's name.",
+    ),
+]
+Moved = Annotated[Path | None, option("--out", "DIR", "Folder of the cameras and tables in the world.")]
 Folders = Annotated[list[Path], argument("DIR", "Output folders of track, calibrate, evaluate and simulate.")]
 Page = Annotated[Path, option("--out", "FILE", "The page (HTML).")]
 Source = Annotated[Path, argument("SOURCE", "Tracks (Parquet), cameras, or a folder of them.")]
@@ -25,6 +44,17 @@ def info_command(session: Session, path: Anything) -> None:
 
     described = info(path)
     print_report(session, described, lambda: info_text(described))
+
+
+def align_command(session: Session, cameras: CameraFiles, to: World, words: AlignOptions, out: Moved = None) -> None:
+    """Bring cameras and their tracks into a world frame: scale, rotation, place and clock, with uncertainties."""
+    if out is None:
+        report_unused(session, ("force",), "with --out DIR")
+    from stereophd.commands.align import align
+    from stereophd.report.camera_scores import alignments_text
+
+    found = align(cameras, to, out, options=words)
+    print_report(session, found, lambda: alignments_text(found))
 
 
 def report_command(session: Session, folders: Folders, out: Page, options: ReportOptions) -> None:

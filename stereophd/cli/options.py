@@ -8,6 +8,7 @@ from typing import Annotated, Any
 import typer
 import typer.core
 
+from stereophd.cli.completion import complete_set
 from stereophd.site import page
 
 
@@ -45,20 +46,23 @@ GROUPS = {
 }  # fmt: skip
 
 
-class PlainGroup(typer.core.TyperGroup):
-    """A group of commands whose help ends with examples, printed as they are."""
+class _Examples:
+    """The end of a help page: examples, printed as they are."""
+
+    epilog: str | None
 
     def format_epilog(self, ctx: Any, formatter: Any) -> None:
-        """Write the examples."""
-        write_examples(self.epilog, formatter)
+        """Write the examples: lines that must not be wrapped."""
+        if self.epilog:
+            formatter.write(f"\n{self.epilog}\n")
 
 
-class PlainCommand(typer.core.TyperCommand):
+class PlainGroup(_Examples, typer.core.TyperGroup):
+    """A group of commands whose help ends with examples."""
+
+
+class PlainCommand(_Examples, typer.core.TyperCommand):
     """A command whose help names arguments by their words alone, and options by groups."""
-
-    def format_epilog(self, ctx: Any, formatter: Any) -> None:
-        """Write the examples."""
-        write_examples(self.epilog, formatter)
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Keep the words, which --help would end before they are parsed."""
@@ -101,12 +105,6 @@ class PlainCommand(typer.core.TyperCommand):
                     formatter.write_dl(rows)
 
 
-def write_examples(examples: str | None, formatter: Any) -> None:
-    """Write the examples at the end of a help page: lines that must not be wrapped."""
-    if examples:
-        formatter.write(f"\n{examples}\n")
-
-
 def _is_argument(parameter: Any) -> bool:
     return bool(parameter.param_type_name == "argument")
 
@@ -147,21 +145,13 @@ Config = Annotated[Path, argument("CONFIG", "Configuration (YAML).")]
 Out = Annotated[Path, option("--out", "DIR", "Output folder; created if missing.")]
 Logs = Annotated[list[Path], argument("LOG", "Detection logs (Parquet), or patterns such as 'day1/*.parquet'.")]
 Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras (YAML) in place of the configuration's.")]
-
-
-def _complete_set(incomplete: str) -> list[str]:
-    from stereophd.cli.completion import complete_set  # only here: completion alone reads the schema
-
-    return complete_set(incomplete)
-
-
 Set = Annotated[
     list[str] | None,
     option(
         "--set",
         "KEY=VALUE",
         "Change a value of the configuration, such as --set filter.birth.per_s=0.2 (repeatable).",
-        autocompletion=_complete_set,
+        autocompletion=complete_set,
     ),
 ]
 Seed = Annotated[int | None, option("--seed", "N", "Seed of the random numbers, in place of the configuration's.")]

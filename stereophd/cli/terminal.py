@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from stereophd.cli import interrupts, memory
+from stereophd.cli import interrupts
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import ConfigWords, SceneWords, Session
-from stereophd.errors import GateError
+from stereophd.errors import GateError, InputError
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -25,6 +25,9 @@ EXIT_BROKEN_PIPE = 141
 
 # Seconds between two lines of progress where stderr is no terminal.
 PACE_S = 10.0
+
+# Upper bound on the memory of the libraries, the compiler of the kernels and the BLAS buffers of a few threads, bytes.
+LEAST_ADDRESS_SPACE = 3 << 29
 
 # Keys of a report that are for machines; the summary on the terminal leaves them out.
 _NOT_IN_SUMMARY = frozenset({"provenance", "report_version"})
@@ -46,8 +49,35 @@ def begin(context: typer.Context) -> Session:
     logger.handlers = [handler]
     logger.setLevel(level)
     logger.propagate = False
-    memory.prepare()
+    prepare_memory()
     return session
+
+
+def prepare_memory() -> None:
+    """Make too little address space (``ulimit -v``) an error at once, and no hang; InputError if it is too little.
+
+    OpenBLAS asks the system for its buffer again and again, without end, where there is no memory left for it. Its
+    buffers are therefore allocated before the work begins, and a limit below which they, and the libraries, do not fit
+    is refused.
+    """
+    try:
+        import resource
+    except ImportError:  # not a POSIX system
+        return
+    limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+    if limit == resource.RLIM_INFINITY:
+        return
+    if limit < LEAST_ADDRESS_SPACE:
+        raise InputError(
+            f"not enough memory: expected an address space of at least {LEAST_ADDRESS_SPACE >> 20} MiB, found a limit "
+            f"of {limit >> 20} MiB (ulimit -v)"
+        )
+    import numpy as np
+    from scipy.linalg.blas import dgemm
+
+    square = np.ones((256, 256))
+    square @ square
+    dgemm(1.0, square, square)
 
 
 def load(words: SceneWords, further: Sequence[str] = ()) -> LoadedConfig:

@@ -1,4 +1,4 @@
-"""``stereophd track``."""
+"""``stereophd track``, ``watch`` (of a live run) and ``compile`` (its kernels)."""
 
 from pathlib import Path
 from typing import Annotated
@@ -6,9 +6,9 @@ from typing import Annotated
 import typer
 
 from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
-from stereophd.cli.options import ConfigWords, Session, Strict
+from stereophd.cli.options import ConfigWords, Session, Strict, argument
 from stereophd.cli.options import option as shared_option
-from stereophd.cli.terminal import exit_if_strict, load, print_run, progress_bar
+from stereophd.cli.terminal import exit_if_strict, load, print_report, print_run, progress_bar
 from stereophd.cli.unused_options import refuse, report, report_jobs_beside_dask
 from stereophd.commands.options import LiveOptions, TrackOptions
 from stereophd.errors import InputError
@@ -28,6 +28,10 @@ Smooth = Annotated[bool, typer.Option("--smooth", help="Smooth every track over 
 Associations = Annotated[
     bool, typer.Option("--associations", help="Write which detection belongs to which track (report.associations).")
 ]
+Address = Annotated[str, argument("ADDRESS", "Where `track --publish` sends, such as tcp://127.0.0.1:5556.")]
+Host = Annotated[str, typer.Option("--host", metavar="HOST", help="Whose browsers may open the page.")]
+Port = Annotated[int, typer.Option("--port", metavar="N", min=0, max=65535, help="Port of the page; 0: any.")]
+Jobs = Annotated[int, typer.Option("--jobs", metavar="N", min=1, help="Processes; the results do not depend on it.")]
 
 
 def track_command(
@@ -96,3 +100,26 @@ def track_command(
     else:
         print_run(session, done)
         exit_if_strict(strict, done)
+
+
+def watch_command(session: Session, address: Address, host: Host = "127.0.0.1", port: Port = 0) -> None:
+    """Show a live run in a browser: cameras, tracks with tails, residuals, delay, frames that were too late.
+
+    The address of the page is printed. It holds a token: nobody else can open the page. Ctrl-C ends it.
+    """
+    from stereophd.commands.watch import Watch
+
+    watch = Watch(address, host, port)
+    typer.echo(watch.url)
+    try:
+        watch.run()
+    finally:
+        watch.close()
+
+
+def compile_command(session: Session, jobs: Jobs = 1) -> None:
+    """Compile the kernels of `track` and keep them: for images of containers and the cache of a CI job."""
+    from stereophd.commands.compile import compile_kernels
+
+    report = compile_kernels(jobs)
+    print_report(session, report, lambda: f"kernels of {', '.join(report['filters'])}: kept in {report['folder']}")

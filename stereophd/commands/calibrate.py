@@ -24,7 +24,6 @@ from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.io.tables.schemas import history_schema, posterior_schema
 from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
-from stereophd.pipeline.alignment.control import points_report
 from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.annealed import annealed_outcome
 from stereophd.pipeline.calibration.found_cameras import in_world, with_found_cameras
@@ -43,8 +42,8 @@ from stereophd.pipeline.cameras_covariance import in_world as uncertainty_in_wor
 from stereophd.pipeline.cameras_covariance import rows_of
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
-from stereophd.pipeline.checks.run_figures.losses import check_losses
-from stereophd.pipeline.checks.run_figures.tracking import check_noise, check_tracking
+from stereophd.pipeline.checks.run_figures import check_losses, check_noise, check_tracking
+from stereophd.pipeline.control import points_report
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun

@@ -6,7 +6,7 @@ from stereophd.core.multi.build import prepare, prepare_last_first
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.numerics.compilation.kernel_cache import place_to_keep
 from stereophd.errors import InputError
-from stereophd.pipeline.workers.processes import on_processes
+from stereophd.pipeline.workers.places import on_processes
 from stereophd.wording import LOGGER
 
 

@@ -10,8 +10,7 @@ from pathlib import Path
 from stereophd.commands.options import ExperimentOptions
 from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError
-from stereophd.experiments.engine.execution import execute
-from stereophd.experiments.engine.parts import PartStore
+from stereophd.experiments.engine.execution import execute, read_runs, unfinished_experiment
 from stereophd.experiments.engine.results import (
     RUNS_FILE,
     SUMMARY_FILE,
@@ -55,16 +54,16 @@ def experiment(
     out = Path(out_dir)
     size = size_of_experiment(loaded, settings.runs, len(parts), memory_of(parts))
     check_size(size, f"{loaded.path}: experiment", out)
-    store = PartStore(out, loaded)
+    store = unfinished_experiment(loaded, out)
     with output_lock(out):
         if is_finished(store, loaded, options.resume, options.force, FILES):
             return read_results(loaded, settings, out)
-        with store.unfinished.held(options.resume, options.force):
+        with store.held(options.resume, options.force):
             bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
             wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
             check = QuantityCheck(loaded, [(part.method, part.case) for part in parts if part.method != BOUND_METHOD])
             execute(wanted, store, options.jobs, options.dask, progress, check.see)
-            results, runs = gather_results(loaded, settings, parts, store.read())
+            results, runs = gather_results(loaded, settings, parts, read_runs(store))
             with OutputFolder(out, [*FILES, *UNFINISHED_FILES], force=True) as files:
                 write_results(results, runs, loaded, files)
                 _draw(results, files)
@@ -73,7 +72,7 @@ def experiment(
 
 def finished_runs(loaded: LoadedConfig, out_dir: Path | str) -> int:
     """Return the number of finished runs that wait in an output folder for ``resume``."""
-    return sum(result.method != BOUND_METHOD for result in PartStore(Path(out_dir), loaded).read())
+    return sum(result.method != BOUND_METHOD for result in read_runs(unfinished_experiment(loaded, Path(out_dir))))
 
 
 def _draw(results: Results, out: OutputFolder) -> None:

@@ -6,8 +6,7 @@ from typing import Any
 from stereophd.config.loading import read_camera_file
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import CSV, HDF5, PARQUET, kind_of_file
-from stereophd.io.interchange.base import ExportOptions, Format
-from stereophd.io.interchange.consulted import consulted, refuse_unread
+from stereophd.io.interchange.base import ExportOptions, Format, consulted, refuse_unread
 from stereophd.io.interchange.registry import find, names
 from stereophd.io.outputs.atomic import OutputFolder, atomic_write
 from stereophd.io.outputs.commit import refuse_unsettled

@@ -13,10 +13,16 @@ from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.interchange.assembly import CameraSummary, write_native_log
-from stereophd.io.interchange.base import ForeignRecording, ImportOptions, TruePoints
-from stereophd.io.interchange.consulted import consulted, refuse_other_cameras, refuse_unread, with_source_names
-from stereophd.io.interchange.reading import read_foreign
-from stereophd.io.interchange.registry import find
+from stereophd.io.interchange.base import (
+    ForeignRecording,
+    ImportOptions,
+    TruePoints,
+    consulted,
+    refuse_other_cameras,
+    refuse_unread,
+    with_source_names,
+)
+from stereophd.io.interchange.registry import find, read_foreign
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json

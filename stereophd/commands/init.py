@@ -17,8 +17,7 @@ from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.initial.draft import draft_from_log
-from stereophd.pipeline.initial.template import SCALES, Draft, Kind, template
-from stereophd.pipeline.initial.text import MARK, config_text
+from stereophd.pipeline.initial.template import MARK, SCALES, Draft, Kind, config_text, template
 from stereophd.pipeline.inspection.log import summarise_log
 from stereophd.site import page
 from stereophd.validated import METRES

@@ -19,7 +19,7 @@ from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OB
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
-from stereophd.io.logs.writing import LogWriter
+from stereophd.io.logs.rows import LogWriter
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.streams.messages import Message
@@ -28,7 +28,7 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size, size_of_simulation
-from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.simulation import build_scene, simulate_section
 
 DETECTIONS_FILE = "detections.parquet"
 TRUTH_FILE = "truth.parquet"
@@ -95,9 +95,7 @@ def check_simulation(loaded: LoadedConfig) -> SimulateConfig:
 
     Raises InputError if there is no such section or no camera, or the section ``calibration`` does not fit the cameras.
     """
-    settings = loaded.config.simulate
-    if settings is None:
-        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
+    settings = simulate_section(loaded)
     loaded.build_cameras()
     if loaded.config.calibration is not None:
         from stereophd.pipeline.calibration.unknowns import build_parameters  # only here, as in `_simulate_run`
@@ -111,7 +109,7 @@ def _simulate_runs(
 ) -> list[dict[str, int]]:
     tasks = [(loaded, run, files) for run, files in enumerate(paths)]
     # Only here: a single run starts without it.
-    from stereophd.pipeline.workers.processes import on_processes
+    from stereophd.pipeline.workers.places import on_processes
 
     counts = []
     for count in map(_simulate_run, tasks) if jobs == 1 else on_processes(_simulate_run, tasks, jobs):

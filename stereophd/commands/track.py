@@ -25,15 +25,19 @@ from stereophd.options import takes
 from stereophd.pipeline.cameras_covariance import stated_uncertainty
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
-from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
-from stereophd.pipeline.checks.run_figures.losses import check_losses
-from stereophd.pipeline.checks.run_figures.tracking import check_detections, check_knocks, check_noise, check_tracking
+from stereophd.pipeline.checks.run_figures import (
+    check_detections,
+    check_estimated_detectors,
+    check_knocks,
+    check_losses,
+    check_noise,
+    check_tracking,
+)
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces
 from stereophd.pipeline.tracking.run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
@@ -79,6 +83,8 @@ def track(
     stream = open_stream(loaded.config, tracking.cameras, log_path, progress)
     record = provenance("track", loaded.record, inputs={"detections": log_path})
     if options.pieces_s is not None:
+        from stereophd.pipeline.tracking.pieces import overlap_of  # only here, as in `_Outputs.in_pieces`
+
         options = replace(options, overlap_s=overlap_of(options.pieces_s, options.overlap_s))
         record["pieces"] = {"length_s": options.pieces_s, "overlap_s": options.overlap_s}
     unfinished = UnfinishedRun(Path(out_dir), sha256_of(record))
@@ -120,7 +126,7 @@ class _Outputs:
     def in_pieces(self, options: TrackOptions, progress: Progress | None) -> JoinedPieces:
         """Track the log in pieces."""
         # Only here: a run in one piece begins sooner without what joins pieces.
-        from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, track_pieces
+        from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, plan_pieces, track_pieces
 
         length_s, overlap_s = options.pieces_s or 0.0, options.overlap_s or 0.0
         log = Path(os.path.abspath(self.stream.source))

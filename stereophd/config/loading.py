@@ -266,7 +266,7 @@ def _read_camera_tree(path: Path) -> _CameraTree:
     if native is not None and isinstance(native.tree.data, dict) and {"units", "cameras"} <= native.tree.data.keys():
         return native
     # Imported here: native files do not need the other formats.
-    from stereophd.io.interchange.reading import read_foreign_cameras
+    from stereophd.io.interchange.registry import read_foreign_cameras
 
     foreign = read_foreign_cameras(path)
     if foreign is None:
@@ -305,7 +305,7 @@ def read_camera_file(
     Raises InputError as `load_cameras`, or of the foreign format.
     """
     # Imported here: configurations with native cameras do not need the other formats.
-    from stereophd.io.interchange.reading import read_foreign_cameras
+    from stereophd.io.interchange.registry import read_foreign_cameras
 
     foreign = read_foreign_cameras(path, options)
     if foreign is not None:

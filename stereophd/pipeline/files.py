@@ -13,8 +13,7 @@ from stereophd.errors import InputError
 from stereophd.io.cameras import writing as camera_files
 from stereophd.io.cameras.writing import camera_config
 from stereophd.io.logs.reading import LogReader
-from stereophd.io.logs.rows import OPTIONAL, REQUIRED
-from stereophd.io.logs.writing import log_schema
+from stereophd.io.logs.rows import OPTIONAL, REQUIRED, log_schema
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.io.tables.writing import TableWriter
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from stereophd.config.loading import LoadedConfig
 from stereophd.config.model import Config
 from stereophd.config.simulate import SimulateConfig
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
@@ -22,6 +23,13 @@ from stereophd.core.simulation.objects import MovingObject, SceneObject
 from stereophd.core.simulation.timing import Schedule, TimeGrid
 from stereophd.core.simulation.walkers import Crowd, Walker
 from stereophd.errors import InputError
+
+
+def simulate_section(loaded: LoadedConfig) -> SimulateConfig:
+    """Return the section ``simulate``; InputError if there is none."""
+    if loaded.config.simulate is None:
+        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
+    return loaded.config.simulate
 
 
 def scene_motion(config: Config) -> Motion:

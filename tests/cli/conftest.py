@@ -14,7 +14,7 @@ import pytest
 import yaml
 
 from stereophd.cli.app import run
-from stereophd.io.logs.writing import LogWriter
+from stereophd.io.logs.rows import LogWriter
 
 CONFIG: dict[str, Any] = {
     "units": {"length": "cm"},

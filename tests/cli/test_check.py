@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from stereophd.io.logs.writing import LogWriter
+from stereophd.io.logs.rows import LogWriter
 from tests.cli.conftest import Outcome
 
 

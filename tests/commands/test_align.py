@@ -20,7 +20,7 @@ from stereophd.core.metrics.truth.registration import Freedom
 from stereophd.io.outputs.provenance import to_metadata
 from stereophd.io.tables.schemas import TRACKS
 from stereophd.io.tables.writing import TableWriter
-from stereophd.pipeline.alignment.control import local_places, read_control
+from stereophd.pipeline.control import local_places, read_control
 from tests.scenes import build_camera
 
 TURN, SCALE, MOVE = rotation_from_vector([0.3, -1.2, 2.0]), 12.3, np.array([100.0, -50.0, 20.0])

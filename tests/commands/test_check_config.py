@@ -8,7 +8,7 @@ from typing import get_args, get_type_hints
 import pytest
 
 from stereophd.cli.config import check_command
-from stereophd.commands.check_config import COMMANDS, check_config
+from stereophd.commands.check import COMMANDS, check_config
 from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 

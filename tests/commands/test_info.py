@@ -13,7 +13,7 @@ import pytest
 from stereophd.cli.app import run
 from stereophd.commands.info import info
 from stereophd.errors import InputError
-from stereophd.io.logs.writing import LogWriter
+from stereophd.io.logs.rows import LogWriter
 from stereophd.report.inspection import info_text
 
 CAMERAS = """units: {length: cm}

@@ -16,11 +16,12 @@ from stereophd.commands.experiment import experiment, finished_runs
 from stereophd.errors import InputError, StereophdError
 from stereophd.experiments.engine import work
 from stereophd.experiments.engine.base import Kind, Series, method_clock
-from stereophd.experiments.engine.parts import experiment_hash
+from stereophd.experiments.engine.execution import unfinished_experiment
 from stereophd.experiments.engine.work import cases_of
 from stereophd.experiments.kinds import multi_object
 from stereophd.io.outputs.provenance import METADATA_KEY
 from stereophd.io.outputs.saved import MARK
+from stereophd.pipeline.workers import places
 
 from .conftest import Load
 
@@ -156,7 +157,7 @@ class TestResults:
 
         monkeypatch.setattr(multi_object, "KIND", Kind(run, lambda loaded: [], lambda loaded: None))
         part = work.Part("a", "all", "multi_object", load())
-        whole, method = (outcome.result for outcome in work.run_chunk(work.Chunk(part, (0, 1))).outcomes)
+        whole, method = (outcome.result for outcome in work.run_chunk(work.Chunk(part, (0, 1))))
         assert whole.cpu_s >= 0.2
         assert 0.04 <= method.cpu_s < 0.2
 
@@ -228,7 +229,7 @@ class TestResume:
 
         with pytest.raises(KeyboardInterrupt):
             experiment(loaded, out, progress=interrupt)
-        assert [p.name for p in out.iterdir()] == [f"partial-{experiment_hash(loaded)[:16]}"]
+        assert [p.name for p in out.iterdir()] == [unfinished_experiment(loaded, out).folder.name]
         assert finished_runs(loaded, out) == 5  # and the bounds of both cases
         with pytest.raises(InputError, match="unfinished run; use `resume=True` to continue it, or `force=True`"):
             experiment(loaded, out)
@@ -307,17 +308,14 @@ class TestFailures:
     def test_workers_of_another_version_are_refused(
         self, load: Load, tmp_path: Path, fake: FakeKind, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        class Other:
-            __version__ = "9.9"
-
-        monkeypatch.setattr(work, "stereophd", Other)
+        monkeypatch.setattr(places, "_numbered", lambda function, numbered: ("9.9", numbered[0], function(numbered[1])))
         with pytest.raises(InputError, match=r"expected stereophd .*, found 9\.9"):
             experiment(load(), tmp_path / "out")
 
 
 def test_a_damaged_part_is_an_error_that_names_it(load: Load, tmp_path: Path) -> None:
     loaded, out = load(), tmp_path / "out"
-    part = out / f"partial-{experiment_hash(loaded)[:16]}" / "a.saved"
+    part = unfinished_experiment(loaded, out).folder / "a.saved"
     part.parent.mkdir(parents=True)
     part.write_bytes(MARK + b"no more")
     with pytest.raises(InputError, match=r"a\.saved: expected an unfinished run of this configuration"):

@@ -9,7 +9,7 @@ import pytest
 
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.constant_velocity import ConstantVelocity
-from stereophd.experiments.single_object.move_comparison import (
+from stereophd.experiments.kinds.move import (
     MoveCase,
     compare_move,
     gaussian_divergence,

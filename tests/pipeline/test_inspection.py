@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from stereophd.errors import InputError
+from stereophd.io.interchange.assembly import Spool, _append
 from stereophd.io.interchange.base import Piece
-from stereophd.io.interchange.spool import Spool, _append
 from stereophd.io.tables.schemas import history_schema
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.inspection.runs import read_run

@@ -108,8 +108,7 @@ def test_plots_are_made_for_short_and_long_runs(tmp_path, scans):
 
 def test_what_is_drawn():
     data = pictures(50)
-    from stereophd.report.plots.scene_plots import draw_views
-    from stereophd.report.plots.time_plots import draw_cardinality, draw_ospa
+    from stereophd.report.plots.scene_plots import draw_cardinality, draw_ospa, draw_views
 
     whole, parts = draw_ospa(data).axes
     assert whole.lines[0].get_ydata() == pytest.approx(data.columns["ospa"])
@@ -127,7 +126,7 @@ def test_what_is_drawn():
 def test_lines_break_where_nothing_was_scored():
     from dataclasses import replace
 
-    from stereophd.report.plots.time_plots import draw_ospa
+    from stereophd.report.plots.scene_plots import draw_ospa
 
     data = pictures(60)
     columns = {**data.columns, "time_s": data.columns["time_s"] + np.where(np.arange(60) < 20, 0, 100)}
@@ -137,7 +136,7 @@ def test_lines_break_where_nothing_was_scored():
 
 
 def test_long_runs_are_drawn_as_means_and_ranges():
-    from stereophd.report.plots.time_plots import MOST_SCANS_DRAWN, draw_ospa
+    from stereophd.report.plots.scene_plots import MOST_SCANS_DRAWN, draw_ospa
 
     data = pictures(10 * MOST_SCANS_DRAWN)
     whole = draw_ospa(data).axes[0]
@@ -233,7 +232,7 @@ def test_the_table_of_a_run_without_identities_or_covariances():
 def test_spikes_do_not_hide_the_rest():
     from dataclasses import replace
 
-    from stereophd.report.plots.time_plots import draw_ospa
+    from stereophd.report.plots.scene_plots import draw_ospa
 
     data = pictures(60)
     flat = np.full(60, 0.2)

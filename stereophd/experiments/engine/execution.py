@@ -1,15 +1,25 @@
-"""Do all runs that are wanted and not there yet; a failed run is reported and tried again."""
+"""Do all runs that are wanted and not there yet; a failed run is reported and tried again.
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+Finished runs are kept on the disk, so that an interrupted experiment continues where it stopped: every chunk is a file
+in ``DIR/partial-HASH`` (`stereophd.pipeline.runs.unfinished`). The hash covers everything that the values of a run
+depend on (not the number of runs, nor the selection of results), so runs of another configuration are never used.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import stereophd
+from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError, StereophdError
 from stereophd.experiments.engine.base import Series
-from stereophd.experiments.engine.parts import PartStore
-from stereophd.experiments.engine.work import Chunk, ChunkResult, Part, run_chunk
+from stereophd.experiments.engine.work import Chunk, Part, RunOutcome, RunResult, run_chunk
+from stereophd.io.outputs.provenance import sha256_of
 from stereophd.pipeline.runs.progress import Progress
-from stereophd.pipeline.workers.places import ATTEMPTS, Workers, WorkersLostError, open_workers
+from stereophd.pipeline.runs.unfinished import UnfinishedRun
+from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 from stereophd.wording import LOGGER
 
 # Called with method, case and series of a run.
@@ -20,35 +30,28 @@ See = Callable[[str, str, Sequence[Series]], None]
 CHUNKS_PER_WORKER = 40
 MOST_RUNS_IN_CHUNK = 200
 
+# Characters of the name of a chunk.
+NAME_LENGTH = 24
 
-@dataclass
-class _Ledger:
-    """Finished and missing runs, and how often each run failed."""
+# Keys of the experiment that do not change a run.
+NOT_IN_HASH = ("runs", "windows", "table", "figure")
 
-    parts: Mapping[tuple[str, str], Part]
-    missing: dict[tuple[str, str], list[int]]
-    total: int
-    failures: dict[tuple[str, str, int], int] = field(default_factory=dict)
 
-    @property
-    def left(self) -> int:
-        """Number of runs that are missing."""
-        return sum(map(len, self.missing.values()))
+def unfinished_experiment(loaded: LoadedConfig, out: Path) -> UnfinishedRun:
+    """Return the place of the finished runs of an experiment in its output folder."""
+    values: dict[str, Any] = dict(loaded.resolved)
+    values["experiment"] = {k: v for k, v in values["experiment"].items() if k not in NOT_IN_HASH}
+    return UnfinishedRun(out, sha256_of([stereophd.__version__, values]))
 
-    def chunks(self, workers: int) -> list[Chunk]:
-        """Return the missing runs in chunks: the same run of all parts early, so that the work is even."""
-        size = min(max(self.left // (CHUNKS_PER_WORKER * workers), 1), MOST_RUNS_IN_CHUNK)
-        pieces = [
-            (start, order, Chunk(self.parts[key], tuple(runs[start : start + size])))
-            for order, (key, runs) in enumerate(self.missing.items())
-            for start in range(0, len(runs), size)
-        ]
-        return [chunk for _, _, chunk in sorted(pieces, key=lambda piece: piece[:2])]
+
+def read_runs(store: UnfinishedRun) -> list[RunResult]:
+    """Return all finished runs, or raise InputError when a file is damaged."""
+    return [run for name in store.names() for run in store.read(name, list[RunResult])]
 
 
 def execute(
     wanted: Sequence[tuple[Part, range]],
-    store: PartStore,
+    store: UnfinishedRun,
     jobs: int,
     dask: str | None,
     progress: Progress | None,
@@ -62,65 +65,62 @@ def execute(
     `ATTEMPTS` times, or workers die without finishing a run.
     """
     done = set()
-    for result in store.read():
+    for result in read_runs(store):
         see(result.method, result.case, result.series)
         done.add((result.method, result.case, result.run))
-    parts = {(part.method, part.case): part for part, _ in wanted}
-    missing = {
-        (part.method, part.case): [run for run in runs if (part.method, part.case, run) not in done]
-        for part, runs in wanted
-    }
-    ledger = _Ledger(parts, missing, sum(len(runs) for _, runs in wanted))
-    if ledger.left == 0:
+    missing = [(part, [run for run in runs if (part.method, part.case, run) not in done]) for part, runs in wanted]
+    total, left = sum(len(runs) for _, runs in wanted), sum(len(runs) for _, runs in missing)
+    if left == 0:
         return
-    if ledger.left < ledger.total:
-        LOGGER.info("resuming: %d of %d runs are there", ledger.total - ledger.left, ledger.total)
+    if left < total:
+        LOGGER.info("resuming: %d of %d runs are there", total - left, total)
+    kept = f"finished runs are in {store.folder}, `resume=True` continues"
     with open_workers(jobs, dask) as workers:
-        _work(ledger, store, workers, progress, see)
-
-
-def _work(ledger: _Ledger, store: PartStore, workers: Workers, progress: Progress | None, see: See) -> None:
-    fruitless = 0
-    while ledger.left:
-        before = ledger.left
-        try:
-            for result in workers(run_chunk, ledger.chunks(workers.count)):
-                _take(ledger, store, result)
-                for outcome in result.outcomes:
-                    if outcome.error is None:
-                        see(outcome.result.method, outcome.result.case, outcome.result.series)
+        chunks = _chunks(missing, workers.count)
+        for attempt in range(1, ATTEMPTS + 1):
+            again = []
+            for number, outcomes in complete(workers, run_chunk, chunks):
+                if outcomes is None:
+                    raise StereophdError(f"workers died {ATTEMPTS} times without finishing a run; {kept}")
+                good = [outcome.result for outcome in outcomes if outcome.error is None]
+                if good:
+                    _store(store, good)
+                failed = [outcome for outcome in outcomes if outcome.error is not None]
+                _report(failed, attempt, kept)
+                for result in good:
+                    see(result.method, result.case, result.series)
+                left -= len(good)
                 if progress is not None:
-                    progress(ledger.total - ledger.left, ledger.total)
-        except WorkersLostError as error:
-            fruitless = 0 if ledger.left < before else fruitless + 1
-            if fruitless == ATTEMPTS:
-                raise StereophdError(
-                    f"workers died {ATTEMPTS} times without finishing a run: {error}; finished runs are in "
-                    f"{store.unfinished.folder}, `resume=True` continues"
-                ) from error
-            LOGGER.warning("a worker died; the %d runs that are left go to new ones (%s)", ledger.left, error)
+                    progress(total - left, total)
+                if failed:
+                    again.append(Chunk(chunks[number].part, tuple(outcome.result.run for outcome in failed)))
+            chunks = again
 
 
-def _take(ledger: _Ledger, store: PartStore, result: ChunkResult) -> None:
-    """Store the results of a chunk, report what failed, and do not repeat what fails again and again."""
-    if result.version != stereophd.__version__:
-        raise InputError(f"workers: expected stereophd {stereophd.__version__}, found {result.version}")
-    good = [outcome.result for outcome in result.outcomes if outcome.error is None]
-    if good:
-        store.add(good)
-        missing = ledger.missing[good[0].method, good[0].case]
-        missing[:] = sorted(set(missing) - {run.run for run in good})
-    for outcome in result.outcomes:
-        if outcome.error is None:
-            continue
-        method, case, run = key = outcome.result.method, outcome.result.case, outcome.result.run
-        name = f"{method or 'bounds'}, {case}, run {run}"
+def _chunks(missing: Sequence[tuple[Part, list[int]]], workers: int) -> list[Chunk]:
+    """Return the missing runs in chunks: the same run of all parts early, so that the work is even."""
+    left = sum(len(runs) for _, runs in missing)
+    size = min(max(left // (CHUNKS_PER_WORKER * workers), 1), MOST_RUNS_IN_CHUNK)
+    pieces = [
+        (start, order, Chunk(part, tuple(runs[start : start + size])))
+        for order, (part, runs) in enumerate(missing)
+        for start in range(0, len(runs), size)
+    ]
+    return [chunk for _, _, chunk in sorted(pieces, key=lambda piece: piece[:2])]
+
+
+def _store(store: UnfinishedRun, runs: Sequence[RunResult]) -> None:
+    """Store the runs of a chunk that came without an error."""
+    key = json.dumps([runs[0].method, runs[0].case, [run.run for run in runs]])
+    store.write(hashlib.sha256(key.encode()).hexdigest()[:NAME_LENGTH], runs)
+
+
+def _report(failed: Sequence[RunOutcome], attempt: int, kept: str) -> None:
+    """Report what failed; raise an error where it is the user's, or there is no further attempt."""
+    for outcome in failed:
+        name = f"{outcome.result.method or 'bounds'}, {outcome.result.case}, run {outcome.result.run}"
         if outcome.users:
             raise InputError(f"{name}: {outcome.error}")
-        count = ledger.failures[key] = ledger.failures.get(key, 0) + 1
-        if count == ATTEMPTS:
-            raise StereophdError(
-                f"{name}: failed {ATTEMPTS} times: {outcome.error}; finished runs are in {store.unfinished.folder}, "
-                "`resume=True` continues"
-            )
+        if attempt == ATTEMPTS:
+            raise StereophdError(f"{name}: failed {ATTEMPTS} times: {outcome.error}; {kept}")
         LOGGER.warning("%s: failed, will be tried again: %s", name, outcome.error)

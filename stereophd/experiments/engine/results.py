@@ -13,16 +13,15 @@ from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series
-from stereophd.experiments.engine.parts import PartStore, parquet_metadata
 from stereophd.experiments.engine.summary import Summary, summarise, with_windows
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part, RunResult, cases_of
 from stereophd.io.outputs.atomic import OutputFolder, output_folder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import from_metadata, provenance, to_metadata
-from stereophd.io.tables.reading import read_table
+from stereophd.io.tables.reading import read_metadata, read_table
 from stereophd.io.tables.schemas import FLOAT, INTEGER, RUNS, STRING, SUMMARY
 from stereophd.io.tables.writing import TableWriter
-from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
+from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.wording import LOGGER
 
 STATISTICS = ("mean", "std", "ci_low", "ci_high", "bound")
@@ -141,16 +140,16 @@ def read_results(loaded: LoadedConfig, settings: ExperimentConfig, out: Path) ->
     return Results(experiment_name(loaded), settings, cells, timing)
 
 
-def is_finished(store: PartStore, loaded: LoadedConfig, resume: bool, force: bool, files: Sequence[str]) -> bool:
+def is_finished(store: UnfinishedRun, loaded: LoadedConfig, resume: bool, force: bool, files: Sequence[str]) -> bool:
     """Return whether the results are there already; otherwise remove what is in the way, where that is allowed.
 
     `files` are the names that an experiment writes. Raises InputError when the folder holds results or runs, and
     neither `resume` nor `force` (as in `stereophd.commands.experiment.experiment`) allows continuing.
     """
-    out = store.unfinished.out
+    out = store.out
     output_folder(out, True, [*files, *UNFINISHED_FILES])
     if (out / RUNS_FILE).exists() and not force:
-        record = from_metadata(parquet_metadata(out / RUNS_FILE)) or {}
+        record = from_metadata(read_metadata(out / RUNS_FILE)) or {}
         if not resume:
             raise InputError(f"output folder {out} already holds {RUNS_FILE}; use `force=True` to replace it")
         if record.get("config_sha256") != loaded.sha256:

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
 
-import stereophd
 from stereophd.config.experiment import ExperimentConfig, Settings
 from stereophd.config.loading import LoadedConfig, variant
 from stereophd.core.numerics.random_streams import run_number
@@ -57,17 +56,9 @@ class RunOutcome:
     users: bool  # Whether the error is one of the configuration: the run would fail again
 
 
-@dataclass(frozen=True)
-class ChunkResult:
-    """Outcomes of a chunk, and the version of the package that made them."""
-
-    outcomes: tuple[RunOutcome, ...]
-    version: str
-
-
-def run_chunk(chunk: Chunk) -> ChunkResult:
+def run_chunk(chunk: Chunk) -> list[RunOutcome]:
     """Do the runs of a chunk; an error of one run leaves the others."""
-    return ChunkResult(tuple(_run(chunk.part, run) for run in chunk.runs), stereophd.__version__)
+    return [_run(chunk.part, run) for run in chunk.runs]
 
 
 def _run(part: Part, run: int) -> RunOutcome:

@@ -26,7 +26,6 @@ from stereophd.core.metrics.calibration import normalised_error_squared, pose_er
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_METHOD, RUN_OBJECTS
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.core.simulation.detections import Scene, simulate_frames
-from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Kind, Series, frames_in_order, method_clock, scenario_of
 from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.annealed import annealed_outcome
@@ -43,7 +42,7 @@ from stereophd.pipeline.calibration.unknowns import build_parameters, calibratio
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.runs.sizes import counts_of_scene
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
-from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.simulation import build_scene, simulate_section
 
 # Half of the interval that holds 90 % of a Gaussian, in standard deviations.
 INTERVAL_90 = 1.6448536269514722
@@ -55,8 +54,7 @@ TIME_BYTES = 5e3
 
 def check(loaded: LoadedConfig) -> None:
     """Raise `InputError` unless there are cameras, a filter, a scene and a calibration."""
-    if loaded.config.simulate is None:
-        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
+    simulate_section(loaded)
     parameters, _ = build_parameters(loaded)
     pmb_filter(loaded, parameters.cameras)  # the configuration must name births
 

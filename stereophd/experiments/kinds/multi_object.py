@@ -11,8 +11,8 @@ import numpy as np
 
 from stereophd.config.experiment import MultiObjectScenario
 from stereophd.config.loading import LoadedConfig
-from stereophd.core.arrays import Array
-from stereophd.core.bounds.known_association import noiseless_paths, sight
+from stereophd.core.arrays import Array, Integers
+from stereophd.core.bounds.known_association import AssociatedDetections, noiseless_paths, sight
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.distances.ospa import score_scans
@@ -26,7 +26,7 @@ from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Kind, Series, frames_in_order, method_clock, scenario_of
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_filter
-from stereophd.pipeline.simulation import build_scene, scene_motion
+from stereophd.pipeline.simulation import build_scene, scene_motion, simulate_section
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.run import reported_records
 
@@ -35,8 +35,7 @@ def check(loaded: LoadedConfig) -> None:
     """Raise `InputError` unless the configuration has cameras, a filter and a scene to simulate."""
     config = loaded.config
     cameras = loaded.build_cameras()
-    if config.simulate is None:
-        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
+    simulate_section(loaded)
     build_filter(config, cameras, loaded.path)
     if scenario_of(loaded.config, MultiObjectScenario).tracker == "known_association" and scene_motion(config).noisy:
         raise InputError(
@@ -48,10 +47,8 @@ def check(loaded: LoadedConfig) -> None:
 def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return OSPA and the error of the number of objects over time, of one run."""
     config = loaded.config
-    cameras = loaded.build_cameras()
-    scene = build_scene(config, cameras, RUN_OBJECTS.seed(config.seed, number))
-    frames = frames_in_order(cameras, simulate_frames(scene, RUN_FRAMES.seed(config.seed, number)))
-    truth = scene_truth(scene)
+    scene, frames = simulated(loaded, number)
+    cameras, truth = scene.cameras, scene_truth(scene)
     event_times = np.array([frame.time_s for frame in frames])
     last = last_event_of_each_time(event_times)
     aligned = align_truth(truth, event_times[last], DEFAULT_GAP_STEPS * truth.step_s)
@@ -63,6 +60,13 @@ def run(loaded: LoadedConfig, number: int) -> list[Series]:
             estimates = _known(loaded, cameras, frames, event_times[last], aligned.points, scene.motion)
     usable = ~(aligned.outside | aligned.gap)
     return _scores(loaded, event_times[last][usable], estimates.keep_scans(usable), aligned.points.keep_scans(usable))
+
+
+def simulated(loaded: LoadedConfig, number: int) -> tuple[Scene, list[Frame]]:
+    """Return the scene of a run, and its frames in order of time."""
+    seed = loaded.config.seed
+    scene = build_scene(loaded.config, loaded.build_cameras(), RUN_OBJECTS.seed(seed, number))
+    return scene, frames_in_order(scene.cameras, simulate_frames(scene, RUN_FRAMES.seed(seed, number)))
 
 
 def scene_truth(scene: Scene) -> Truth:
@@ -101,18 +105,11 @@ def points_of_estimates(estimates: Sequence[Estimates]) -> PointSets:
     return PointSets(start, states[:, :3], states[:, 3:], labels, covariances[:, :3, :3])
 
 
-def _known(
-    loaded: LoadedConfig,
-    cameras: Sequence[Camera],
-    frames: Sequence[Frame],
-    times_s: Array,
-    truth: PointSets,
-    motion: Motion,
-) -> PointSets:
-    """Fit paths without noise to the detections of every object; those that exist and were seen are reported."""
-    multi_filter = build_filter(loaded.config, tuple(cameras), loaded.path)
+def associated(
+    loaded: LoadedConfig, cameras: Sequence[Camera], frames: Sequence[Frame], labels: Integers
+) -> tuple[AssociatedDetections, list[tuple[DisparitySpace, float, Array] | None]]:
+    """Return the true detections of objects with these labels, and what saw each first, when, and where."""
     baseline, rectification = loaded.config.disparity.baseline, loaded.config.disparity.rectification
-    labels = np.unique(truth.label)
     parts = []
     first: list[tuple[DisparitySpace, float, Array] | None] = [None] * len(labels)
     for frame in frames:
@@ -123,7 +120,21 @@ def _known(
         for row, point in zip(parts[-1].row.tolist(), parts[-1].points, strict=True):
             if first[row] is None:
                 first[row] = DisparitySpace(camera.at(time_s), baseline, rectification), time_s, point
-    detections = parts[0].join(*parts[1:])
+    return parts[0].join(*parts[1:]), first
+
+
+def _known(
+    loaded: LoadedConfig,
+    cameras: Sequence[Camera],
+    frames: Sequence[Frame],
+    times_s: Array,
+    truth: PointSets,
+    motion: Motion,
+) -> PointSets:
+    """Fit paths without noise to the detections of every object; those that exist and were seen are reported."""
+    multi_filter = build_filter(loaded.config, tuple(cameras), loaded.path)
+    labels = np.unique(truth.label)
+    detections, first = associated(loaded, cameras, frames, labels)
     states, covariances, seen = noiseless_paths(detections, first, multi_filter.settings.birth, times_s, motion)
     exists = np.zeros(seen.shape, dtype=bool)
     exists[truth.scan, np.searchsorted(labels, truth.label)] = True

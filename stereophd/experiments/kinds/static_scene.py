@@ -17,19 +17,17 @@ from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.core.bounds.cramer_rao import static_point_information
 from stereophd.core.bounds.known_association import AssociatedDetections, sight
-from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
 from stereophd.core.metrics.distances.ospa import score_scans
 from stereophd.core.metrics.scans import PointSets
-from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
-from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames
+from stereophd.core.simulation.detections import CLUTTER_ID
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, frames_in_order, method_clock, scenario_of
-from stereophd.experiments.kinds.multi_object import filtered_points, scene_truth
+from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
+from stereophd.experiments.kinds.multi_object import associated, filtered_points, scene_truth, simulated
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_filter
-from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.simulation import simulate_section
 
 # Squared Mahalanobis distance beyond which a detection is not that of a landmark: 99.99 % of a pixel's.
 GATE = 18.4
@@ -38,8 +36,7 @@ GATE = 18.4
 def check(loaded: LoadedConfig) -> None:
     """Raise `InputError` unless there are cameras, a filter, a scene, and a static motion model."""
     config = loaded.config
-    if config.simulate is None:
-        raise InputError(f"{loaded.path}: simulate: expected a section `simulate`, found none")
+    simulate_section(loaded)
     if build_filter(config, loaded.build_cameras(), loaded.path).motion.moves:
         raise InputError(f"{loaded.path}: motion.model: expected static, found {config.motion.model}")
 
@@ -146,27 +143,15 @@ def _assigned(camera: Camera, frame: Frame, positions: Array, covariances: Array
 
 def _views(loaded: LoadedConfig, number: int) -> _Views:
     """Make the views of a run, and the information that they hold of the points."""
-    config, cameras = loaded.config, loaded.build_cameras()
-    scene: Scene = build_scene(config, cameras, RUN_OBJECTS.seed(config.seed, number))
-    frames = frames_in_order(cameras, simulate_frames(scene, RUN_FRAMES.seed(config.seed, number)))
+    scene, frames = simulated(loaded, number)
     truth = scene_truth(scene)
     labels, at = np.unique(truth.object_id, return_index=True)
     positions = truth.position[at]
-    parts = []
-    first: list[DisparitySpace | None] = [None] * len(labels)
-    for frame in frames:
-        assert frame.object_id is not None
-        true = frame.object_id != CLUTTER_ID
-        camera = cameras[frame.camera]
-        parts.append(sight(camera, frame.time_s, frame.pixels[true], np.searchsorted(labels, frame.object_id[true])))
-        for row in parts[-1].row.tolist():
-            if first[row] is None:
-                frozen = camera.at(frame.time_s)
-                first[row] = DisparitySpace(frozen, config.disparity.baseline, config.disparity.rectification)
-    detections = parts[0].join(*parts[1:])
-    prior = build_filter(config, cameras, loaded.path).settings.birth
-    information = static_point_information(detections, positions, first, prior)
-    return _Views(cameras, frames, labels, positions, detections, information)
+    detections, first = associated(loaded, scene.cameras, frames, labels)
+    prior = build_filter(loaded.config, scene.cameras, loaded.path).settings.birth
+    spaces = [None if sighted is None else sighted[0] for sighted in first]
+    information = static_point_information(detections, positions, spaces, prior)
+    return _Views(scene.cameras, frames, labels, positions, detections, information)
 
 
 def bounds(loaded: LoadedConfig) -> list[Series]:

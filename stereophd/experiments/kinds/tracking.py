@@ -4,19 +4,19 @@ import numpy as np
 
 from stereophd.config.experiment import TrackingScenario
 from stereophd.config.loading import LoadedConfig
-from stereophd.core.numerics.random_streams import BOUND_TRAJECTORIES, RUN_SINGLE_OBJECT
+from stereophd.core.numerics.random_streams import BOUND_TRAJECTORIES
 from stereophd.errors import InputError
-from stereophd.experiments.engine.base import Kind, Series, method_clock, scenario_of
-from stereophd.experiments.single_object.runs import TrackingProblem, tracking_bound, tracking_run
-from stereophd.experiments.single_object.series import (
+from stereophd.experiments.engine.base import Kind, Series, scenario_of
+from stereophd.experiments.single_object import (
     OBSERVATION_BYTES,
+    SingleObjectProblem,
     bounds_of,
     rig_of,
     series_of_errors,
     single_config,
+    tracking_bound,
 )
 from stereophd.pipeline.build import build_motion
-from stereophd.pipeline.tracking.single import estimator_settings
 
 
 def check(loaded: LoadedConfig) -> None:
@@ -33,40 +33,22 @@ def check(loaded: LoadedConfig) -> None:
 
 def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return the errors of position and velocity over time."""
-    rng = np.random.default_rng(RUN_SINGLE_OBJECT.seed(loaded.config.seed, number))
-    result = tracking_run(_scenario(loaded), estimator_settings(loaded.config), rng, method_clock())
-    reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
-    series = []
-    for name, unit, part in _parts(loaded):
-        stated = result.covariances[:, part, part]
-        series += series_of_errors(name, unit, result.times, reported[:, part], stated, result.mean_errors[:, part])
-    return series
+    return series_of_errors(loaded, number, _scenario(loaded))
 
 
 def bounds(loaded: LoadedConfig) -> list[Series]:
     """Return the posterior Cramer-Rao bound of position and velocity over time."""
     settings, scenario = scenario_of(loaded.config, TrackingScenario), _scenario(loaded)
-    seed = BOUND_TRAJECTORIES.seed(loaded.config.seed)
-    covariances = tracking_bound(scenario, np.random.default_rng(seed), settings.bound_trajectories)
-    times = np.unique(scenario.times)
-    return [
-        series
-        for name, unit, part in _parts(loaded)
-        for series in bounds_of(name, unit, times, covariances[:, part, part])
-    ]
+    rng = np.random.default_rng(BOUND_TRAJECTORIES.seed(loaded.config.seed))
+    return bounds_of(loaded, np.unique(scenario.times), tracking_bound(scenario, rng, settings.bound_trajectories))
 
 
-def _parts(loaded: LoadedConfig) -> list[tuple[str, str, slice]]:
-    unit = loaded.config.units.length
-    return [("position", unit, slice(0, 3)), ("velocity", f"{unit}/s", slice(3, 6))]
-
-
-def _scenario(loaded: LoadedConfig) -> TrackingProblem:
+def _scenario(loaded: LoadedConfig) -> SingleObjectProblem:
     settings = scenario_of(loaded.config, TrackingScenario)
     rig = rig_of(loaded)
     count = len(rig.cameras)
     times = np.repeat(settings.interval_s * np.arange(settings.steps), count)
-    return TrackingProblem(
+    return SingleObjectProblem(
         rig,
         np.array([*settings.position, *settings.velocity]),
         build_motion(loaded.config, loaded.path),

@@ -12,7 +12,9 @@ import numpy as np
 
 from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.interchange.base import ExportOptions, Format, need_package
-from stereophd.io.interchange.tracks import metadata_of, trajectories
+from stereophd.io.interchange.tracks import trajectories
+from stereophd.io.outputs.provenance import from_metadata
+from stereophd.io.tables.reading import read_metadata
 
 TIMELINE = "time"
 
@@ -27,7 +29,7 @@ def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str
     stream = rr.RecordingStream("stereophd")
     stream.save(str(target))
     stream.log("world", rr.ViewCoordinates.RDF, static=True)
-    record = metadata_of(tracks)
+    record = from_metadata(read_metadata(tracks, "table of tracks"))
     cameras = ((record or {}).get("config") or {}).get("cameras") or {}
     for name, values in cameras.items():
         _log_camera(rr, stream, name, CameraConfig.model_validate(values))

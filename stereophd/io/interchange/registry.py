@@ -1,10 +1,18 @@
-"""Foreign formats by name: modules of `stereophd.io.formats` and of plug-ins, imported only when they are used."""
+"""Foreign formats by name: modules of `stereophd.io.formats` and of plug-ins, imported only when they are used.
+
+Every error of a reader in a malformed file becomes an `InputError`.
+"""
 
 import contextlib
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from stereophd.errors import InputError, did_you_mean
-from stereophd.io.interchange.base import Format
+from stereophd.io.documents import expecting
+from stereophd.io.file_kinds import PARQUET, kind_of_file
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.plugins import import_member, module_names
 
 PACKAGE = "stereophd.io.formats"
@@ -43,3 +51,58 @@ def recognises(form: Format, path: Path) -> bool:
     with contextlib.suppress(Exception):
         return form.recognises_cameras is not None and form.recognises_cameras(path)
     return False
+
+
+def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
+    """Read files or folders of a foreign format; the pieces of the recording are read as they are consumed.
+
+    Raises InputError for no such format, one for export only, or files that are not of it (also while the pieces are
+    consumed).
+    """
+    read = find(form, readable=True).read
+    if read is None:
+        raise InputError(f"format {form}: expected a format that can be imported, found one for export only")
+    for source in sources:
+        if kind_of_file(source) == PARQUET:
+            raise InputError(
+                f"{source}: expected a file of format {form}, found a Parquet file; a log needs no import (`stereophd "
+                "info` shows what a file holds)"
+            )
+    with _reading(form, sources):
+        recording = read(sources, options)
+    if recording.pieces is not None:
+        recording.pieces = _pieces(recording.pieces, form, sources)
+    return recording
+
+
+def _pieces(pieces: Iterable[Piece], form: str, sources: Sequence[Path]) -> Iterator[Piece]:
+    """Yield pieces; only errors of their reader are translated, not those of the consumer."""
+    with _reading(form, sources):
+        iterator = iter(pieces)
+    while True:
+        with _reading(form, sources):
+            piece = next(iterator, None)
+        if piece is None:
+            return
+        yield piece
+
+
+@contextlib.contextmanager
+def _reading(form: str, sources: Sequence[Path]) -> Iterator[None]:
+    # numbers are checked when they have arrived, whatever a reader makes of them
+    with np.errstate(all="ignore"), expecting(f"files of the format {form}", ", ".join(map(str, sources))):
+        yield
+
+
+def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tuple[str, ForeignRecording] | None:
+    """Read a camera file (or folder) of another program; None where the content is of no foreign format.
+
+    Returns the name of the format and the recording. Raises InputError when it is of a foreign format, and cannot be
+    read.
+    """
+    if not path.exists():
+        return None
+    name = recognise_cameras(path)
+    if name is None:
+        return None
+    return name, read_foreign(name, [path], options or ImportOptions())

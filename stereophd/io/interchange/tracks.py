@@ -12,9 +12,8 @@ from pyarrow.parquet import ParquetFile
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ExportOptions
-from stereophd.io.outputs.provenance import from_metadata
 from stereophd.io.outputs.provenance import length_unit as unit_of
-from stereophd.io.tables.reading import cast_column, check_columns, damaged_is_input_error, open_parquet
+from stereophd.io.tables.reading import cast_column, check_columns, damaged_is_input_error, open_parquet, read_metadata
 from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, STD, STRING, TRACKS
 
 TEXTS = ("camera", "status")
@@ -158,13 +157,6 @@ def _regular(every: Array, path: Path) -> tuple[float, Array]:
     )
 
 
-def metadata_of(path: Path) -> dict[str, Any] | None:
-    """Return the provenance of a table of tracks, or None."""
-    with open_parquet(path, "table of tracks") as parquet:
-        return from_metadata(parquet.schema_arrow.metadata)
-
-
 def length_unit(path: Path) -> str:
     """Return the unit of length of a table of tracks; metres where it names none."""
-    with open_parquet(path, "table of tracks") as parquet:
-        return unit_of(parquet.schema_arrow.metadata) or "m"
+    return unit_of(read_metadata(path, "table of tracks")) or "m"

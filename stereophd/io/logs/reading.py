@@ -1,4 +1,4 @@
-"""Detection logs, read frame by frame in the order of true time (written by `io.logs.writing`).
+"""Detection logs, read frame by frame in the order of true time (written by `io.logs.rows`).
 
 A log is a Parquet file with one row per detection (`docs/reference/formats.md`). It is read in pieces, so
 memory does not depend on its length; what is wrong with a row is an error or a counted, dropped row.

@@ -57,6 +57,12 @@ def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
     return parquet
 
 
+def read_metadata(path: Path | str, what: str = "table") -> Mapping[bytes, bytes]:
+    """Return the key-value metadata of a Parquet file; errors as `open_parquet`."""
+    with open_parquet(path, what) as parquet:
+        return parquet.schema_arrow.metadata or {}
+
+
 def _first_line(error: BaseException) -> str:
     return (str(error).splitlines() or ["no details"])[0].rstrip(".")
 
@@ -153,14 +159,10 @@ def _fits(found: pa.DataType, expected: pa.DataType) -> bool:
     return bool(found == expected)
 
 
-def _data_type(kind: pa.DataType | str) -> pa.DataType:
-    return pa.type_for_alias(kind) if isinstance(kind, str) else kind
-
-
 def check_columns(
     schema: pa.Schema,
-    required: Mapping[str, pa.DataType | str],
-    optional: Mapping[str, pa.DataType | str],
+    required: Mapping[str, pa.DataType],
+    optional: Mapping[str, pa.DataType],
     path: Path | str,
 ) -> list[str]:
     """Check the columns of a table, and return the names of those of `optional` that are there.
@@ -177,7 +179,7 @@ def check_columns(
     for name in [*required, *present]:
         if schema.names.count(name) > 1:
             raise InputError(f"{path}: column {name}: expected one column of this name, found several")
-        expected = _data_type(required[name] if name in required else optional[name])
+        expected = required[name] if name in required else optional[name]
         found = schema.field(name).type
         # pandas keeps whole numbers with gaps as floats
         is_whole = name in present and pa.types.is_integer(expected) and pa.types.is_floating(found)
@@ -224,11 +226,11 @@ def arrays_of(table: pa.Table | pa.RecordBatch) -> dict[str, NDArray[Any]]:
 
 def read_table(
     path: Path | str,
-    required: Mapping[str, pa.DataType | str],
-    optional: Mapping[str, pa.DataType | str] | None = None,
+    required: Mapping[str, pa.DataType],
+    optional: Mapping[str, pa.DataType] | None = None,
     what: str = "table",
 ) -> pa.Table:
-    """Read columns (name -> type, or its name such as ``"float64"``) of a Parquet table, checked and in these types.
+    """Read columns (name -> type) of a Parquet table, checked and in these types.
 
     Narrower numbers are widened, any kind of text becomes a string, and other columns are not read. Returns the
     required columns in their order, then the optional ones that are there; the file's key-value metadata are its
@@ -245,14 +247,14 @@ def read_table(
 
 def checked_table(
     table: pa.Table,
-    required: Mapping[str, pa.DataType | str],
-    optional: Mapping[str, pa.DataType | str],
+    required: Mapping[str, pa.DataType],
+    optional: Mapping[str, pa.DataType],
     path: Path | str,
 ) -> pa.Table:
     """Return a table of the required columns and of some optional ones in their types; see `read_table`."""
     fields = []
     for name in table.column_names:
-        kind = _data_type(required[name] if name in required else optional[name])
+        kind = required[name] if name in required else optional[name]
         fields.append(pa.field(name, kind))
         nulls = table.column(name).null_count
         if nulls and name in required:

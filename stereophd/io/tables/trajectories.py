@@ -45,8 +45,9 @@ def read_trajectory(path: Path | str, unit: str | None = None) -> BodyTrajectory
 def _read_table(file: Path, unit: str | None) -> Array:
     from stereophd.io.outputs.provenance import length_unit
     from stereophd.io.tables.reading import read_table
+    from stereophd.io.tables.schemas import FLOAT
 
-    table = read_table(file, dict.fromkeys(COLUMNS, "float64"), what="trajectory")
+    table = read_table(file, dict.fromkeys(COLUMNS, FLOAT), what="trajectory")
     stated = length_unit(table.schema.metadata)
     if unit is not None and stated is not None and stated != unit:
         raise InputError(f"{file}: expected lengths in {unit}, the unit of the cameras, found {stated}")

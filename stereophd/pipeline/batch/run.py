@@ -16,7 +16,6 @@ from typing import Any
 
 import pyarrow as pa
 
-import stereophd
 from stereophd.errors import GateError, InputError, StereophdError
 from stereophd.io.outputs.atomic import TEMPORARY_PREFIX, atomic_write, output_folder, output_lock
 from stereophd.io.outputs.provenance import to_metadata
@@ -77,7 +76,6 @@ class _Outcome:
     exit_code: int = 0
     logged: tuple[tuple[int, str], ...] = ()
     inputs: Mapping[str, str] = field(default_factory=dict)
-    version: str = stereophd.__version__
 
 
 def run_batch(
@@ -143,8 +141,6 @@ def _outcomes(batch: Batch, out: Path, workers: Workers, progress: Progress | No
         if outcome is None:
             why = f"{item.source}: the worker process died {ATTEMPTS} times, or once alone: is there enough memory?"
             outcome = _Outcome(_row(item, FAILED, why), InputError.exit_code)
-        if outcome.version != stereophd.__version__:
-            raise InputError(f"workers: expected stereophd {stereophd.__version__}, found {outcome.version}")
         for level, text in outcome.logged:
             LOGGER.log(level, "%s", text)
         if outcome.row["status"] == FAILED:

@@ -33,7 +33,7 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
 from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task
 from stereophd.pipeline.calibration.sampled import smc_outcome
-from stereophd.pipeline.workers.processes import on_processes
+from stereophd.pipeline.workers.places import on_processes
 
 # Draws that represent a Laplace posterior.
 LAPLACE_DRAWS = 1000

@@ -32,9 +32,9 @@ from stereophd.core.multi.pmb.filter import PmbFilter
 from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError, unknown_camera
-from stereophd.pipeline.alignment.control import read_control
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
+from stereophd.pipeline.control import read_control
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import Size
 from stereophd.pipeline.runs.unfinished import UnfinishedRun

@@ -1,6 +1,5 @@
 """Run all checks of a log, a configuration and cameras that need no filter."""
 
-import logging
 from pathlib import Path
 from typing import Any
 
@@ -11,18 +10,17 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.checks.finding import Finding, warnings_of
 from stereophd.pipeline.checks.geometry.findings import check_geometry
-from stereophd.pipeline.checks.geometry.measure import measure
+from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import MOST_FRAMES, CameraSample, sample_log
-from stereophd.pipeline.checks.residuals.findings import check_residuals
-from stereophd.pipeline.checks.run_figures.losses import check_rows
+from stereophd.pipeline.checks.residuals import check_residuals
+from stereophd.pipeline.checks.run_figures import check_rows
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
 from stereophd.pipeline.stream import covered
+from stereophd.wording import LOGGER
 
 # Frames of each camera that a check inside another command looks at.
 QUICK_FRAMES = 400
-
-LOGGER = logging.getLogger("stereophd")
 
 
 def check_log(

@@ -14,8 +14,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.geometry.measure import Geometry
-from stereophd.pipeline.checks.geometry.rays import TOLERANCES, distances
+from stereophd.pipeline.checks.geometry.rays import TOLERANCES, Geometry, distances
 from stereophd.pipeline.checks.log.sample import LEAST_LENGTH, MOST_BY_CHANCE, CameraSample
 from stereophd.validated import METRES
 from stereophd.wording import number

@@ -22,12 +22,12 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera, Detector
-from stereophd.pipeline.checks.geometry.measure import pairs_of
 from stereophd.pipeline.checks.geometry.rays import (
     Candidates,
     Reading,
     candidates,
     distances,
+    pairs_of,
     pixels_at,
     pixels_near,
     rays_of,

@@ -1,7 +1,6 @@
 """The report of `stereophd.commands.evaluate`: ``report.json``, and ``per_scan.parquet``."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,28 +8,15 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from stereophd.core.metrics.scans import PointSets
-from stereophd.core.metrics.truth.registration import Registration
 from stereophd.io.outputs.json_text import plain
 from stereophd.io.tables.schemas import FLOAT, INTEGER
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.evaluation.gates import Limits, gates
 from stereophd.pipeline.evaluation.options import ScoreOptions
-from stereophd.pipeline.evaluation.registering import registration_report
+from stereophd.pipeline.evaluation.scoring import Scored, registration_report
 
 REPORT_VERSION = 1
 INTEGER_COLUMNS = frozenset({"n_truth", "n_estimates", "n_matched", "identity_switches"})
-
-
-@dataclass(frozen=True)
-class Scored:
-    """The scored scans and their scores."""
-
-    figures: dict[str, Any]  # Figures of the run, nested
-    scans: dict[str, int]  # How many scans were scored, and why others were not
-    columns: dict[str, NDArray[Any]]  # Columns of ``per_scan.parquet``
-    estimates: PointSets  # The estimates of the scored scans
-    registration: Registration | None = None  # How the tracks were brought to the frame and clock of the truth before
 
 
 def build_report(

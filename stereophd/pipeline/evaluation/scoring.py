@@ -1,8 +1,8 @@
-"""Score tracks against the truth: both brought to the same scans, then all metrics."""
+"""Score tracks against the truth: both brought to the same scans and, if wanted, frame and clock; then metrics."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from stereophd.config.tracking import RegionConfig
 from stereophd.core.arrays import Array, Booleans
+from stereophd.core.geometry.pose import rotation_to_vector
 from stereophd.core.geometry.region import box_half_spaces
 from stereophd.core.metrics.distances.ospa import score_scans
 from stereophd.core.metrics.distances.tgospa import trajectory_gospa
@@ -26,7 +27,7 @@ from stereophd.core.metrics.truth.interpolation import (
     in_window,
     last_event_of_each_time,
 )
-from stereophd.core.metrics.truth.registration import Registration
+from stereophd.core.metrics.truth.registration import Freedom, Registration, register
 from stereophd.core.metrics.truth.scored import (
     Sightings,
     cameras_that_saw,
@@ -38,9 +39,19 @@ from stereophd.core.numerics.covariance_factors import is_positive_definite
 from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks, rows_of
 from stereophd.pipeline.evaluation.options import ScoreOptions
-from stereophd.pipeline.evaluation.registering import registered_sightings, registered_tracks, registration_of
-from stereophd.pipeline.evaluation.report import Scored
 from stereophd.pipeline.evaluation.scale import warn_of_wrong_matches
+from stereophd.wording import LOGGER
+
+
+@dataclass(frozen=True)
+class Scored:
+    """The scored scans and their scores."""
+
+    figures: dict[str, Any]  # Figures of the run, nested
+    scans: dict[str, int]  # How many scans were scored, and why others were not
+    columns: dict[str, NDArray[Any]]  # Columns of ``per_scan.parquet``
+    estimates: PointSets  # The estimates of the scored scans
+    registration: Registration | None = None  # How the tracks were brought to the frame and clock of the truth before
 
 
 def score_tracks(
@@ -192,3 +203,54 @@ def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], optio
     return f"{path}: nothing to score: events {span(tracks.events.time_s)}, truth {span(truth.time_s)}{limits}" + (
         f", not scored: {why}" if why else ""
     )
+
+
+def registration_of(
+    tracks: Tracks, truth: Truth, options: ScoreOptions, max_gap_s: float, path: Path
+) -> Registration | None:
+    """Return the motion and the map of time from tracks to truth that the options state; None without one.
+
+    Raises InputError when too few estimates have a true object at their time.
+    """
+    freedom = Freedom(options.align != "none", options.align == "similarity", options.align_clock)
+    if not len(freedom.columns):
+        return None
+    time_s, rows = tracks.confirmed_rows()
+    used = in_window(time_s, options.from_s, options.to_s)
+    try:
+        with np.errstate(over="ignore", invalid="ignore"):  # a motion that is none is refused
+            found = register(time_s[used], tracks.position[rows[used]], truth, max_gap_s, freedom)
+    except ValueError as error:
+        raise InputError(f"{path}: `align`: {error}") from None
+    LOGGER.info("tracks aligned with the truth: %s", registration_report(found))
+    return found
+
+
+def registered_tracks(tracks: Tracks, found: Registration) -> Tracks:
+    """Return tracks in the frame and on the clock of the truth."""
+    return replace(
+        tracks,
+        events=replace(tracks.events, time_s=found.times(tracks.events.time_s)),
+        position=found.positions(tracks.position),
+        velocity=found.velocities(tracks.velocity),
+        covariance=found.covariances(tracks.covariance),
+        cameras_part=None if tracks.cameras_part is None else found.covariances(tracks.cameras_part),
+    )
+
+
+def registered_sightings(sightings: Sightings | None, found: Registration) -> Sightings | None:
+    """Return sightings on the clock of the truth."""
+    return None if sightings is None else replace(sightings, time_s=found.times(sightings.time_s))
+
+
+def registration_report(found: Registration | None) -> dict[str, Any] | None:
+    """Return what was found, for ``report.json``."""
+    if found is None:
+        return None
+    return {
+        "rotation_deg": np.rad2deg(rotation_to_vector(found.rotation)).tolist(),
+        "translation": found.translation.tolist(),
+        "scale": found.scale,
+        "clock": {"at_s": found.at_s, "shift_s": found.shift_s, "rate": found.rate},
+        "estimates": found.estimates,
+    }

@@ -9,7 +9,6 @@ of a mixing distribution", JASA 73, 1978). The value is large enough for nearly 
 not vary, the population is one value, and chance in single windows moves it little.
 """
 
-import logging
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,6 +28,7 @@ from stereophd.pipeline.detectors.passes import stretches
 from stereophd.pipeline.initial.template import rounded
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.loop import run_estimator
+from stereophd.wording import LOGGER
 
 # Fewest events that show an acceleration.
 LEAST_EVENTS = 20
@@ -41,8 +41,6 @@ LEAST_GAIN = 2.0
 WINDOW, LEFT_OUT, STEPS = 25, 0.02, 500
 # Acceleration to start from over the spread of the velocity, 1/s.
 USUAL_RATIO = 0.3
-
-LOGGER = logging.getLogger("stereophd")
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.cameras.models import CameraConfig, DetectorConfig
 from stereophd.pipeline.build import build_labelled_filter
-from stereophd.pipeline.checks.geometry.measure import measure
+from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
-from stereophd.pipeline.checks.run_figures.estimated_detectors import LASTING, check_estimated_detectors
+from stereophd.pipeline.checks.run_figures import LASTING, check_estimated_detectors
 from stereophd.pipeline.checks.settings import expected_depths, measure_motion, measure_scene
 from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors

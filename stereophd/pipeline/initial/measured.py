@@ -13,6 +13,7 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.tracking.loop import Estimator, run_estimator
+from stereophd.pipeline.tracking.smoothed import trajectories_of
 
 # Largest standard deviation of a position, over its depth, that counts.
 CERTAIN = 0.05
@@ -79,21 +80,14 @@ def measure_with_filter(
 
 def _tracks(estimator: Estimator[Any], part: Sequence[Event], centers: Array, least: int) -> list[tuple[Array, Array]]:
     """Return states (n, 6) and times (n,) of every track of certain estimates."""
-    states: dict[int, list[Array]] = {}
-    times: dict[int, list[float]] = {}
-    for record in run_estimator(estimator, part):
-        found = record.estimates
-        spread = np.sqrt(np.trace(found.covariances[:, :3, :3], axis1=1, axis2=2))
-        for track, state, std in zip(found.track_ids.tolist(), found.states, spread.tolist(), strict=True):
-            states.setdefault(track, []).append(np.append(state, std))
-            times.setdefault(track, []).append(record.time_s)
+    records = list(run_estimator(estimator, part))
     tracks = []
-    for track, rows in states.items():
-        table = np.array(rows)
-        distance = np.linalg.norm(table[:, None, :3] - centers, axis=2).min(axis=1)
-        certain = table[:, 6] < CERTAIN * distance
+    for track in trajectories_of(records, range(len(records)), np.array([record.time_s for record in records])):
+        spread = np.sqrt(np.trace(track.covariances[:, :3, :3], axis1=1, axis2=2))
+        distance = np.linalg.norm(track.states[:, None, :3] - centers, axis=2).min(axis=1)
+        certain = spread < CERTAIN * distance
         if certain.sum() >= least:
-            tracks.append((table[certain, :6], np.array(times[track])[certain]))
+            tracks.append((track.states[certain], track.times[certain]))
     return tracks
 
 

@@ -10,11 +10,12 @@ import pyarrow.compute as pc
 from stereophd.core.geometry.trajectory import COLUMNS
 from stereophd.errors import InputError
 from stereophd.io.outputs.provenance import from_metadata, length_unit
-from stereophd.io.tables.reading import open_parquet, read_table
+from stereophd.io.tables.reading import open_parquet, read_metadata, read_table
 from stereophd.io.tables.schemas import CONFIRMED, FLOAT, INTEGER, STRING
 
 #: Kind of table -> columns by which it is recognised, the most particular first.
 KINDS = (
+    ("associations", ("track_id", "probability")),
     ("detections", ("time_s", "camera", "frame", "u_px", "v_px")),
     ("tracks", ("time_s", "track_id", "x", "y", "z")),
     ("trajectory", COLUMNS),
@@ -27,11 +28,9 @@ KINDS = (
 
 
 def kind_of(path: Path) -> str:
-    """Return what a table is, by its columns; tables such as ``associations`` are of kind ``table``."""
+    """Return what a table is, by its columns; one of none of `KINDS` is of kind ``table``."""
     with open_parquet(path) as parquet:
         names = set(parquet.schema_arrow.names)
-    if {"track_id", "probability"} <= names:
-        return "associations"
     return next((kind for kind, columns in KINDS if names.issuperset(columns)), "table")
 
 
@@ -105,7 +104,6 @@ def _column(table: pa.Table, name: str) -> Any:
 def provenance_of(path: Path) -> dict[str, Any] | None:
     """Return the origin of a table according to its metadata."""
     try:
-        with open_parquet(path) as parquet:
-            return from_metadata(parquet.schema_arrow.metadata)
+        return from_metadata(read_metadata(path))
     except InputError:
         return None

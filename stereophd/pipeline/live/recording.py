@@ -8,8 +8,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stereophd.io.logs.rows import OPTIONAL
-from stereophd.io.logs.writing import LogWriter
+from stereophd.io.logs.rows import OPTIONAL, LogWriter
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.streams.messages import Message, parse_line
 

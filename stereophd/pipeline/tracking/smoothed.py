@@ -6,9 +6,11 @@ probability 1, and all other claims of a track at an event at which its detectio
 of others to that detection, if the track is written. All other claims stay those of the filter.
 """
 
+from __future__ import annotations
+
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence, Set
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,13 +19,15 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.state.estimates import Estimates
+from stereophd.core.numerics.rows import ArrayRows
 from stereophd.core.trajectories.chain import NONE, Chain, WholeRun, make_chain, make_run
 from stereophd.core.trajectories.joins import stitch
 from stereophd.core.trajectories.reaching_back import Extended, reach_back
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smooth
 from stereophd.core.trajectories.swaps import choose_anew
+from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.run_claims import RunClaims, claims_of_run
+from stereophd.pipeline.tracking.run_figures import PROBABLE
 from stereophd.wording import LOGGER, percent
 
 # A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
@@ -193,28 +197,32 @@ def _reach_back(trajectories: Sequence[Trajectory], run: WholeRun, max_gap_s: fl
     return out
 
 
-def _trajectories(records: Sequence[Record], times: Array) -> list[tuple[Trajectory, int]]:
-    """Filtered states of every track, in order of identity, with the label of its first report."""
-    events: dict[int, list[tuple[int, int]]] = {}
-    for number, record in enumerate(records):
+def trajectories_of(records: Sequence[Record], events: Iterable[int], times: Array) -> list[Trajectory]:
+    """Return the states of every track of records, whose events have these numbers, in order of identity."""
+    places: dict[int, list[tuple[int, Estimates, int]]] = {}
+    for event, record in zip(events, records, strict=True):
         for row, track_id in enumerate(record.estimates.track_ids.tolist()):
-            events.setdefault(track_id, []).append((number, row))
+            places.setdefault(track_id, []).append((event, record.estimates, row))
     out = []
-    for track_id, places in sorted(events.items()):
-        parts = [(records[number].estimates, row) for number, row in places]
-        existence = np.array([estimates.existence[row] for estimates, row in parts])
-        seen = np.flatnonzero(existence >= min(SEEN_EXISTENCE, existence.max()))
-        last = int(seen[-1]) + 1
-        numbers = np.array([number for number, _ in places[:last]])
-        trajectory = Trajectory(
-            track_id,
-            numbers,
-            times[numbers],
-            np.array([estimates.states[row] for estimates, row in parts[:last]]),
-            np.array([estimates.covariances[row] for estimates, row in parts[:last]]),
-            existence[:last],
+    for track_id, found in sorted(places.items()):
+        numbers = np.array([event for event, _, _ in found], dtype=np.int64)
+        states, covariances, existence = (
+            np.array([getattr(estimates, name)[row] for _, estimates, row in found])
+            for name in ("states", "covariances", "existence")
         )
-        out.append((trajectory, int(parts[0][0].labels[parts[0][1]])))
+        out.append(Trajectory(track_id, numbers, times[numbers], states, covariances, existence))
+    return out
+
+
+def _trajectories(records: Sequence[Record], times: Array) -> list[tuple[Trajectory, int]]:
+    """Filtered states of every track until it was last seen, with the label of its first report."""
+    labels: dict[int, int] = {}
+    for estimates in (record.estimates for record in reversed(records)):
+        labels |= zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True)
+    out = []
+    for one in trajectories_of(records, range(len(records)), times):
+        seen = np.flatnonzero(one.existence >= min(SEEN_EXISTENCE, one.existence.max()))
+        out.append((one.take(slice(seen[-1] + 1)), labels[one.track_id]))
     return out
 
 
@@ -277,4 +285,79 @@ def _estimates(rows: list[tuple[int, Trajectory, int]], extents: dict[int, Array
         np.array([t.existence[k] for _, t, k in rows]),
         np.full(len(rows), -1),
         extents=np.array([extents[t.track_id] for _, t, _ in rows]).reshape(-1, 4) if extents else None,
+    )
+
+
+@dataclass(frozen=True)
+class RunClaims(ArrayRows):
+    """Detections of a run that tracks claim; one row a detection and track."""
+
+    detections: Integers  # (k,), their numbers in the run
+    track_ids: Integers  # (k,)
+    probabilities: Array  # (k,)
+
+    def renamed(self, name: Callable[[int], int]) -> RunClaims:
+        """Return the rows with other names of their tracks."""
+        ids, places = np.unique(self.track_ids, return_inverse=True)
+        names = np.array([name(one) for one in ids.tolist()], dtype=np.int64)
+        return replace(self, track_ids=names[places])
+
+    def without(self, track_ids: Integers, events: Integers, run: WholeRun) -> RunClaims:
+        """Return the rows without those of tracks (n,) at events (n,)."""
+        pairs = set(zip(track_ids.tolist(), events.tolist(), strict=True))
+        own = zip(self.track_ids.tolist(), run.event_of(self.detections).tolist(), strict=True)
+        return self.take(np.array([pair not in pairs for pair in own], dtype=np.bool_))
+
+    def reduced(self, sure: RunClaims) -> RunClaims:
+        """Return the rows reduced so that all rows of a detection, with others that are sure, add up to at most 1.
+
+        They share what the others leave; the negligible ones are left out.
+        """
+        count = 1 + int(max(sure.detections.max(initial=NONE), self.detections.max(initial=NONE)))
+        taken, wanted = (np.bincount(one.detections, one.probabilities, count) for one in (sure, self))
+        room = np.maximum(1.0 - taken, 0.0) / np.maximum(wanted, LEAST_PROBABILITY)
+        reduced = replace(self, probabilities=self.probabilities * np.minimum(room[self.detections], 1.0))
+        return reduced.take(reduced.probabilities >= LEAST_PROBABILITY)
+
+    def detections_of(self, track: Trajectory, run: WholeRun) -> Integers:
+        """Return the detection (k,) that a track has at each of its events, or `NONE`."""
+        out = np.full(len(track.events), NONE)
+        own = self.detections[(self.track_ids == track.track_id) & (self.probabilities > PROBABLE)]
+        events = run.event_of(own)
+        places = np.minimum(np.searchsorted(track.events, events), len(track.events) - 1)
+        there = track.events[places] == events
+        out[places[there]] = own[there]
+        return out
+
+    def by_record(self, whole: Sequence[Record], run: WholeRun) -> list[tuple[Associated, ...]]:
+        """Return the rows of each record, in order of detection, then of track; those of one pair are added up."""
+        order = np.lexsort((self.track_ids, self.detections))
+        detections, ids = self.detections[order], self.track_ids[order]
+        firsts = np.flatnonzero((np.diff(detections, prepend=NONE) != 0) | (np.diff(ids, prepend=NONE) != 0))
+        sums = np.add.reduceat(self.probabilities[order], firsts) if len(firsts) else np.empty(0)
+        detections, ids = detections[firsts], ids[firsts]
+        bounds = np.searchsorted(detections, run.starts).tolist()
+        out: list[tuple[Associated, ...]] = []
+        for number, record in enumerate(whole):
+            rows, event = slice(bounds[number], bounds[number + 1]), record.event
+            if rows.start == rows.stop or event is None or event.pixels is None:
+                out.append(())
+                continue
+            own = detections[rows]
+            pixels = event.pixels[own - run.starts[number]]
+            out.append(
+                (Associated(record.time_s, record.camera, record.frame, pixels, run.rows[own], ids[rows], sums[rows]),)
+            )
+        return out
+
+
+def claims_of_run(whole: Sequence[Record], run: WholeRun) -> RunClaims:
+    """Return what the records of a run claim."""
+    parts = [one for record in whole for one in record.associations]
+    rows = np.concatenate([np.empty(0, dtype=np.int64), *(one.rows for one in parts)])
+    order = np.argsort(run.rows, kind="stable")
+    return RunClaims(
+        order[np.searchsorted(run.rows[order], rows)],
+        np.concatenate([np.empty(0, dtype=np.int64), *(one.track_ids for one in parts)]),
+        np.concatenate([np.empty(0), *(one.probabilities for one in parts)]),
     )

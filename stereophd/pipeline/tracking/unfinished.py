@@ -19,8 +19,7 @@ from stereophd.io.outputs.saved import GrowingFile, decode, decoder, encode
 from stereophd.io.tables.kept_tables import KeptTable
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes, RunState, State, run_estimator
-from stereophd.pipeline.tracking.run_figures.figures import RunFigures
-from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
+from stereophd.pipeline.tracking.run_figures import LastingTracks, RunFigures
 from stereophd.pipeline.tracking.single import SingleTrackerState
 
 STATE, RECORDS = "state", "records"
@@ -141,13 +140,9 @@ class UnfinishedTracking:
     def table(self, place: Path, schema: pa.Schema, metadata: Mapping[bytes, bytes]) -> KeptTable:
         """Return a table of this run, with the rows that were kept."""
         name = place.name
-        if self._saved is None:
-            earlier: Iterable[bytes] = ()
-            kept = self._unfinished.grow(name)
-        else:
-            earlier = self._unfinished.frames(name, self._saved.lengths[name])
-            kept = self._unfinished.grow(name, self._saved.lengths[name])
-        self._tables[name] = KeptTable(place, schema, metadata, kept, earlier)
+        length = None if self._saved is None else self._saved.lengths[name]
+        earlier = () if length is None else self._unfinished.frames(name, length)
+        self._tables[name] = KeptTable(place, schema, metadata, self._unfinished.grow(name, length), earlier)
         return self._tables[name]
 
     def records(self, events: Iterable[Event], times: ReportTimes, keep_events: bool) -> Iterator[Record]:

@@ -2,15 +2,25 @@
 
 All three call a function of a module for each of some arguments and yield the results in any order; what these hold
 does not depend on where they were made. `complete` continues when workers die.
+
+Processes of this machine end with the process that started them. They leave Ctrl-C to it, and watch it: when it is
+gone, killed or not, they end within a second. Each has two pipes to it. There is nothing with a name that could outlive
+them, such as shared memory or a semaphore: whoever is killed, and at whatever moment, nothing is left.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import partial
+from itertools import islice
+from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
 
+import stereophd
 from stereophd.errors import InputError
-from stereophd.pipeline.workers.processes import on_processes
+from stereophd.pipeline.workers.worker_process import WorkerProcess
 from stereophd.wording import LOGGER
 
 Argument = TypeVar("Argument")
@@ -69,6 +79,74 @@ class Cores:
             yield from on_processes(function, arguments, self.count, ordered=False)
         except BrokenProcessPool as error:
             raise WorkersLostError(str(error).split("\n")[0]) from error
+
+
+def on_processes(
+    function: Callable[[Argument], Result], arguments: Iterable[Argument], jobs: int, ordered: bool = True
+) -> Generator[Result]:
+    """Call a function of a module for each argument, on several processes (-1: as many as cores); yield the results.
+
+    They come in the order of the arguments, or as they are ready. A thread for each process waits for its call, and
+    only as many calls are taken ahead: what is not needed any more, when the iterator is closed, is not begun. Raises
+    BrokenProcessPool when a process died.
+    """
+    from joblib import cpu_count, effective_n_jobs
+
+    numbered = enumerate(arguments)
+    first = list(islice(numbered, effective_n_jobs(jobs)))
+    if not first:
+        return
+    workers: list[WorkerProcess] = []
+    idle: SimpleQueue[WorkerProcess] = SimpleQueue()
+
+    def call(argument: Argument) -> Any:
+        worker = idle.get()
+        try:
+            return worker.call(function, argument)
+        finally:
+            idle.put(worker)
+
+    pool = ThreadPoolExecutor(len(first))
+    try:
+        with _without_interrupts():
+            workers.extend(WorkerProcess(max(cpu_count() // len(first), 1)) for _ in first)
+        for worker in workers:
+            idle.put(worker)
+        # one call more for each worker waits for it
+        pending = {pool.submit(call, one): number for number, one in [*first, *islice(numbered, len(first))]}
+        ready: dict[int, Result] = {}
+        following = 0
+        while pending:
+            for future in wait(pending, return_when=FIRST_COMPLETED).done:
+                ready[pending.pop(future)] = future.result()
+                pending |= {pool.submit(call, one): number for number, one in islice(numbered, 1)}
+            while ready and (following in ready or not ordered):
+                yield ready.pop(following if ordered else next(iter(ready)))
+                following += 1
+    finally:
+        for worker in workers:
+            worker.kill()
+        pool.shutdown(cancel_futures=True)
+        for worker in workers:
+            worker.close()
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Ignore SIGINT for a while; the processes that are started meanwhile ignore it until they end.
+
+    A terminal sends Ctrl-C to all processes of a command. Workers are ended by the one that started them; one that
+    is interrupted by itself prints where it was.
+    """
+    handler = signal.getsignal(signal.SIGINT)
+    if handler is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)
 
 
 class DaskWorkers:
@@ -131,6 +209,8 @@ def complete(
 ) -> Iterator[tuple[int, Result | None]]:
     """Call a function of a module (or `functools.partial` of one) for each argument, again where a worker dies.
 
+    Raises InputError if workers have another version of the package.
+
     Yields the number of an argument and its result, in any order. The result is None where the worker died in each of
     several attempts, the last of which had nothing else to do.
     """
@@ -139,7 +219,7 @@ def complete(
     while left and fruitless < ATTEMPTS:
         before = len(left)
         try:
-            for number, result in workers(partial(_numbered, function), list(left.items())):
+            for number, result in _calls(workers, function, list(left.items())):
                 del left[number]
                 yield number, result
         except WorkersLostError as error:
@@ -147,12 +227,20 @@ def complete(
             LOGGER.warning("a worker died; what is left (%d of %d) starts again (%s)", len(left), before, error)
     for number, argument in left.items():
         try:
-            for _, result in workers(partial(_numbered, function), [(number, argument)]):
-                yield number, result
+            yield from _calls(workers, function, [(number, argument)])
         except WorkersLostError:
             yield number, None
 
 
-def _numbered(function: Callable[[Any], Result], numbered: tuple[int, Any]) -> tuple[int, Result]:
+def _calls(
+    workers: Workers, function: Callable[[Argument], Result], numbered: Sequence[tuple[int, Argument]]
+) -> Iterator[tuple[int, Result]]:
+    for version, number, result in workers(partial(_numbered, function), numbered):
+        if version != stereophd.__version__:
+            raise InputError(f"workers: expected stereophd {stereophd.__version__}, found {version}")
+        yield number, result
+
+
+def _numbered(function: Callable[[Any], Result], numbered: tuple[int, Any]) -> tuple[str, int, Result]:
     number, argument = numbered
-    return number, function(argument)
+    return stereophd.__version__, number, function(argument)

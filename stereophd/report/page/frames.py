@@ -10,7 +10,7 @@ from stereophd.core.bodies.outline import LOG_AXES, POSITION, STATE_SIZE, outlin
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.inspection.runs import Run
-from stereophd.pipeline.tracking.run_figures.explained import PROBABLE, residuals_px
+from stereophd.pipeline.tracking.run_figures import PROBABLE, residuals_px
 from stereophd.report.page.columns import Paths, chosen, packed, paths_of
 
 # A reprojected track further outside the image than this share of its size is not drawn.

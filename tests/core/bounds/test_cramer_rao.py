@@ -67,7 +67,7 @@ def test_prior_counts_along_the_ray_only() -> None:
 def test_table_two(depth: float, rms: float, norm: float) -> None:
     """Values of an independent computation, of which the mean norm is by sampling (to 0.3 %)."""
     scenario = scenes.table_two(depth, 6.0, 4.0)
-    information = [bounds.detection_information(c, scenario.position[None])[0] for c in scenario.rig.cameras]
+    information = [bounds.detection_information(c, scenario.start[None, :3])[0] for c in scenario.rig.cameras]
     bound = bounds.localisation_bounds(information)[-1]
     assert math.sqrt(np.trace(bound)) == pytest.approx(rms, abs=0.002)
     assert bounds.mean_error_norm(bound) == pytest.approx(norm, rel=0.003)

@@ -12,7 +12,8 @@ from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.motion.constant_velocity import ConstantVelocity
-from stereophd.experiments.single_object.runs import LocalisationProblem, TrackingProblem
+from stereophd.core.motion.static import Static
+from stereophd.experiments.single_object import SingleObjectProblem
 
 SIGMA = math.sqrt(2.0)
 
@@ -29,27 +30,27 @@ def rig(*cameras: Camera) -> Rig:
     return make_rig(cameras, 1.0, "horizontal")
 
 
-def table_two(depth: float, mean: float, variance: float) -> LocalisationProblem:
+def table_two(depth: float, mean: float, variance: float) -> SingleObjectProblem:
     cameras = rig(camera("left", 0.0, 0.0), camera("right", 30.0, math.pi / 12))
-    return LocalisationProblem(
-        cameras,
-        np.array([0.0, 0.0, depth]),
-        InitialPrior(disparity=DisparityPrior(mean_px=mean, std_px=math.sqrt(variance))),
-        (0, 1),
+    return at_rest(cameras, depth, DisparityPrior(mean_px=mean, std_px=math.sqrt(variance)), 2)
+
+
+def at_rest(cameras: Rig, depth: float, prior: DisparityPrior, looks: int) -> SingleObjectProblem:
+    """An object straight ahead of the first of two cameras, which observe it by turns."""
+    start = np.array([0.0, 0.0, depth, 0.0, 0.0, 0.0])
+    return SingleObjectProblem(
+        cameras, start, Static(), InitialPrior(disparity=prior), np.zeros(looks), np.arange(looks) % 2
     )
 
 
-def figure_ten(steps: int = 20) -> LocalisationProblem:
+def figure_ten(steps: int = 20) -> SingleObjectProblem:
     cameras = rig(camera("left", 0.0, 0.0), camera("right", 80.0, math.pi / 4))
-    sequence = tuple(step % 2 for step in range(steps))
-    return LocalisationProblem(
-        cameras, np.array([0.0, 0.0, 150.0]), InitialPrior(disparity=DisparityPrior(mean_px=12.5, std_px=4.2)), sequence
-    )
+    return at_rest(cameras, 150.0, DisparityPrior(mean_px=12.5, std_px=4.2), steps)
 
 
-def figure_eleven(steps: int = 300) -> TrackingProblem:
+def figure_eleven(steps: int = 300) -> SingleObjectProblem:
     cameras = rig(camera("left", -20.0, -math.pi / 12), camera("right", 20.0, math.pi / 12))
-    return TrackingProblem(
+    return SingleObjectProblem(
         cameras,
         np.array([0.0, 0.0, 100.0, 0.0, 0.0, 6.0]),
         ConstantVelocity([0.05, 0.05, 0.1]),

@@ -97,7 +97,7 @@ def test_conventions_of_pixels(tmp_path: Path, imported: Import, stated: Any, ex
 def test_a_large_unsorted_table_is_merged_in_order(
     tmp_path: Path, imported: Import, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("stereophd.io.interchange.spool.PIECE_ROWS", 37)
+    monkeypatch.setattr("stereophd.io.interchange.assembly.PIECE_ROWS", 37)
     random = np.random.default_rng(1)
     rows = [(c, f, u) for c in "xyz" for f in range(150) for u in range(random.integers(0, 4))]
     for order in (np.arange(len(rows)), random.permutation(len(rows))):

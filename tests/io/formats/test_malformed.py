@@ -16,9 +16,9 @@ import pytest
 
 from stereophd.commands.importing import import_recording
 from stereophd.errors import InputError
+from stereophd.io.interchange.assembly import spool_pieces
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions, PerCamera, Piece
 from stereophd.io.interchange.registry import find, names, recognise_cameras
-from stereophd.io.interchange.spool import spool_pieces
 
 READERS = [name for name in names() if find(name).read is not None]
 OPTIONS = ImportOptions(rates=PerCamera(other=10.0), image_sizes=PerCamera(other=(100, 100)), length_unit="m")

@@ -21,8 +21,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
 from stereophd.io.logs.checks import KINDS
 from stereophd.io.logs.reading import Frame, LogReader
-from stereophd.io.logs.rows import decode
-from stereophd.io.logs.writing import LogWriter
+from stereophd.io.logs.rows import LogWriter, decode
 from stereophd.pipeline.inspection.log import summarise_log
 
 from .conftest import TYPES, make_camera, row

@@ -20,7 +20,7 @@ from stereophd.io.tables.reading import read_table
 from stereophd.io.tables.schemas import COVARIANCE, DETECTIONS, SCANS, TRACKS, TRUTH
 from stereophd.io.tables.writing import TableWriter
 
-POSITIONS = {"time_s": "float64", "object_id": "int64", "x": "float64"}
+POSITIONS = {"time_s": pa.float64(), "object_id": pa.int64(), "x": pa.float64()}
 
 
 def track_columns(n: int, start: int = 0) -> dict[str, Any]:
@@ -152,7 +152,7 @@ def test_read_widens_numbers_and_texts_and_keeps_metadata(tmp_path: Path) -> Non
         }
     ).replace_schema_metadata({b"length_unit": b"cm"})
     pq.write_table(table, tmp_path / "t.parquet")
-    found = read_table(tmp_path / "t.parquet", {**POSITIONS, "camera": "string"}, {"vx": "float64"})
+    found = read_table(tmp_path / "t.parquet", {**POSITIONS, "camera": pa.string()}, {"vx": pa.float64()})
     assert found.schema.names == ["time_s", "object_id", "x", "camera"]
     assert [str(field.type) for field in found.schema] == ["double", "int64", "double", "string"]
     assert found.schema.metadata[b"length_unit"] == b"cm"

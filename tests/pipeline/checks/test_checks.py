@@ -15,14 +15,17 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL
 from stereophd.pipeline.checks.geometry.causes import LEAST_CLOCK_FRAMES
 from stereophd.pipeline.checks.geometry.findings import check_geometry, left_out
-from stereophd.pipeline.checks.geometry.measure import MOST_PAIRS, Geometry, measure, pairs_of
-from stereophd.pipeline.checks.geometry.rays import Candidates, Meeting
+from stereophd.pipeline.checks.geometry.rays import MOST_PAIRS, Candidates, Geometry, Meeting, measure, pairs_of
 from stereophd.pipeline.checks.log import sample as sampling
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
-from stereophd.pipeline.checks.run_figures.estimated_detectors import check_estimated_detectors
-from stereophd.pipeline.checks.run_figures.losses import check_losses
-from stereophd.pipeline.checks.run_figures.tracking import check_detections, check_noise, check_tracking
+from stereophd.pipeline.checks.run_figures import (
+    check_detections,
+    check_estimated_detectors,
+    check_losses,
+    check_noise,
+    check_tracking,
+)
 from stereophd.pipeline.checks.settings import check_settings, measure_scene
 from tests.scenes import build_camera
 

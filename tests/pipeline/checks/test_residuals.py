@@ -14,9 +14,16 @@ from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, distances, signed_distances
 from stereophd.pipeline.checks.log.sample import sample_log
-from stereophd.pipeline.checks.residuals.causes import POSE_EXPLAINED, CauseFit, PairFits, _fit
-from stereophd.pipeline.checks.residuals.findings import _warning, check_residuals
-from stereophd.pipeline.checks.residuals.partners import Partners, _nearest_of_frame
+from stereophd.pipeline.checks.residuals import (
+    POSE_EXPLAINED,
+    CauseFit,
+    PairFits,
+    Partners,
+    _fit,
+    _nearest_of_frame,
+    _warning,
+    check_residuals,
+)
 from tests.scenes import build_camera
 
 FRAMES, RATE, OBJECTS = 90, 12.0, 4

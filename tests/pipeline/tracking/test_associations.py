@@ -24,9 +24,8 @@ from stereophd.pipeline.tracking.associations import (
     Associations,
 )
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.run_claims import RunClaims
-from stereophd.pipeline.tracking.run_figures.explained import residuals_px
-from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
+from stereophd.pipeline.tracking.run_figures import LastingTracks, residuals_px
+from stereophd.pipeline.tracking.smoothed import RunClaims
 from tests.commands.test_track import SCENE
 from tests.scenes import build_camera
 

@@ -15,11 +15,11 @@ from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.pipeline.build import build_filter
-from stereophd.pipeline.checks.run_figures.tracking import check_knocks
+from stereophd.pipeline.checks.run_figures import check_knocks
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import run_estimator
-from stereophd.pipeline.tracking.run_figures.figures import RunFigures
+from stereophd.pipeline.tracking.run_figures import RunFigures
 
 CONFIG = Path(__file__).resolve().parents[3] / "configs" / "quickstart.yaml"
 KNOCK_S = 5.0

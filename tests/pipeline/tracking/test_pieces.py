@@ -19,7 +19,7 @@ from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame, LogReader
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.tracking import pieces
-from stereophd.pipeline.tracking.piece_plan import overlap_of, plan_pieces
+from stereophd.pipeline.tracking.pieces import overlap_of, plan_pieces
 from tests.commands.test_batches import SCENE
 
 from .test_unfinished import Killed, files

@@ -16,8 +16,7 @@ from stereophd.io.tables.reading import open_parquet
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import run_estimator
-from stereophd.pipeline.tracking.run_claims import claims_of_run
-from stereophd.pipeline.tracking.smoothed import _is_worse, _smoothed, _trajectories
+from stereophd.pipeline.tracking.smoothed import _is_worse, _smoothed, _trajectories, claims_of_run
 from tests.commands.test_track import SCENE
 
 

@@ -16,7 +16,7 @@ from stereophd.config.loading import load_config
 from stereophd.core.disparity.events import Event
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.pipeline.tracking.loop import run_estimator
-from stereophd.pipeline.tracking.run_figures.lifetimes import LastingTracks
+from stereophd.pipeline.tracking.run_figures import LastingTracks
 from tests.commands.test_track import SCENE
 
 pytestmark = pytest.mark.usefixtures("without_checks")

@@ -7,16 +7,18 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.pipeline.checks.geometry.alternatives import Alternative, alternatives
-from stereophd.pipeline.checks.geometry.measure import LEAST_SCORE, Geometry, pairs_of
 from stereophd.pipeline.checks.geometry.rays import (
+    LEAST_SCORE,
     TOLERANCES,
     Candidates,
+    Geometry,
     Meeting,
     Rays,
     Reading,
     candidates,
     distances,
     meeting,
+    pairs_of,
     pixels_at,
 )
 from stereophd.pipeline.checks.log.sample import CameraSample

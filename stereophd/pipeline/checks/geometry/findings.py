@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.causes import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
-from stereophd.pipeline.checks.geometry.measure import (
+from stereophd.pipeline.checks.geometry.rays import (
     LEAST_EXPECTED,
     LEAST_SCORE,
     MOST_CHANCE,

@@ -18,7 +18,7 @@ from stereophd.io.interchange.documents.text_tables import first_lines, read_bat
 from stereophd.io.outputs.provenance import length_unit
 from stereophd.io.tables.reading import check_columns, checked_table, open_parquet, read_table
 from stereophd.io.tables.schemas import FLOAT
-from stereophd.pipeline.evaluation.registering import registration_report
+from stereophd.pipeline.evaluation.scoring import registration_report
 from stereophd.wording import LOGGER
 
 PLACE, GEOGRAPHIC = ("x", "y", "z"), ("latitude_deg", "longitude_deg", "altitude_m")

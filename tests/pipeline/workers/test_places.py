@@ -17,7 +17,7 @@ import numpy as np
 import psutil
 import pytest
 
-from stereophd.pipeline.workers.processes import on_processes
+from stereophd.pipeline.workers.places import on_processes
 
 GIVE_UP_S = 20
 
@@ -28,7 +28,7 @@ import sys, time
 from pathlib import Path
 sys.path.insert(0, {folder!r})
 from slow import slow
-from stereophd.pipeline.workers.processes import on_processes
+from stereophd.pipeline.workers.places import on_processes
 if __name__ == "__main__":
     list(on_processes(slow, [({folder!r}, k) for k in range(4)], 2))
 """

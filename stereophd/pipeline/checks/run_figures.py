@@ -1,4 +1,4 @@
-"""Checks of a finished tracking run: is the log explained, and by more than one camera?"""
+"""Checks of a finished tracking run: is the log explained, by more than one camera; what was left out; detectors."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.geometry.camera import Camera
+from stereophd.io.logs.checks import KINDS
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.wording import percent
 
@@ -142,3 +143,133 @@ def check_noise(summary: Mapping[str, Any], cameras: tuple[Camera, ...], noise_i
             f"set cameras.{name}.detector.sigma_px near {seen}, or let track estimate it (detector: estimate)", "sigma",
             f"cameras.{name}.detector.sigma_px=[{seen}, {seen}]",
         )  # fmt: skip
+
+
+def check_rows(counts: Mapping[str, int]) -> Iterator[Finding]:
+    """Yield a warning if rows of a log are bad, so that a run refuses the log unless it drops them.
+
+    The counts are those of the rows that were read: ``rows`` and the kinds of bad rows.
+    """
+    if bad := _bad_rows(counts):
+        text = f"{_rows(bad, counts)} that were read are bad ({_each(bad)}): a run refuses the log, or drops them"
+        missing = "add the camera to the cameras" if "unknown_camera" in bad else "correct the rows"
+        remedy = f"{missing}, or drop them (input.on_bad_row: drop)"
+        yield Finding("input.rows", "warning", text, sum(bad.values()), 0, None, remedy, "bad_rows")
+
+
+def _bad_rows(counts: Mapping[str, int]) -> dict[str, int]:
+    return {kind: counts[kind] for kind in KINDS if counts.get(kind)}
+
+
+def _rows(bad: Mapping[str, int], counts: Mapping[str, int]) -> str:
+    return f"{sum(bad.values())} of {counts['rows']} rows"
+
+
+def _each(bad: Mapping[str, int]) -> str:
+    return ", ".join(f"{kind} {count}" for kind, count in bad.items())
+
+
+def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Iterator[Finding]:
+    """Yield a warning for each kind of data that a run left out.
+
+    Of the figures of the run, as in ``report.json``, ``events`` and ``left_out`` are used. The counts are those of the
+    log: ``rows``, the kinds of bad rows, ``not_invertible``.
+    """
+    if dropped := _bad_rows(counts):
+        text = f"{_rows(dropped, counts)} dropped ({_each(dropped)})"
+        yield Finding("input.rows", "warning", text, sum(dropped.values()), 0, cause="rows_dropped")
+    if count := counts["not_invertible"]:
+        text = f"{count} detections lie where the lens model cannot be inverted: left out"
+        yield Finding("input.lens", "warning", text, count, 0, None, "check the coefficients of the lens", "lens")
+    left_out, events = summary["left_out"], summary["events"]
+    if cut := left_out["events"]:
+        text = (
+            f"after {cut} of {events} events the least probable tracks or components were left out, up to "
+            f"{left_out['most']} at once"
+        )
+        remedy = "raise filter.max_components, or leave it to the memory (null)"
+        yield Finding("filter.max_components", "warning", text, cut, 0, None, remedy, "filter_full")
+    if crowded := left_out["hypothesis_events"]:
+        text = (
+            f"after {crowded} of {events} events the tracks had more hypotheses than filter.max_hypotheses: up to "
+            f"{left_out['most_hypotheses']} of the least probable at once remain undecided, so that tracks take more "
+            "events to settle"
+        )
+        remedy = "raise filter.max_hypotheses for fewer events, which take longer"
+        yield Finding("filter.max_hypotheses", "warning", text, crowded, 0, None, remedy, "hypotheses_full")
+    if bursts := left_out["burst_frames"]:
+        text = (
+            f"{bursts} of {events} frames have more detections beyond those of known objects than "
+            f"filter.birth.max_per_frame: these {left_out['burst_detections']} count as clutter, and start no track"
+        )
+        remedy = "raise filter.birth.max_per_frame if they are objects"
+        yield Finding("filter.bursts", "warning", text, bursts, 0, None, remedy, "burst")
+
+
+# Correlation of successive residuals from which errors cannot pass for white noise.
+LASTING = 0.3
+# Relative standard error from which an estimated noise is unsure: two of them are a factor of 1.5.
+UNSURE = 0.2
+# Standard error of the clutter, over it and in detections of a frame, from which it is unsure.
+UNSURE_CLUTTER, LEAST_UNSURE = 0.5, 0.5
+
+
+def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Finding]:
+    """Yield a warning for each estimate that must be used with care.
+
+    The report is that of `stereophd.pipeline.detectors.passes.estimate_detectors`; None: nothing was estimated.
+    """
+    if report is None:
+        return
+    if not report["converged"]:
+        text = f"the estimated detectors still change after {report['passes']} passes"
+        yield Finding("detector.estimate", "warning", text, cause="not_converged")
+    for name, estimate in report["cameras"].items():
+        correlation, points = estimate["residual_correlation"], "sigma_px" in estimate
+        # beyond two standard errors; the errors of boxes last as poses of bodies do: their filter allows for that
+        lasts = correlation is not None and max(correlation) - 2.0 / np.sqrt(estimate["residuals"]) > LASTING
+        if points and lasts:
+            text = (
+                f"{name}: errors last from frame to frame (correlation {correlation[0]:.2f}, {correlation[1]:.2f} "
+                "along u, v): of pose, clock or lens, or of smoothed labels; with noise estimated from them tracks "
+                "will be overconfident"
+            )
+            yield Finding(
+                "detector.estimate", "warning", text, round(max(correlation), 2), LASTING, name, cause="errors_last"
+            )
+        if report["noise_in_log"]:
+            continue
+        key, unit = ("sigma_px", " px") if points else ("box_noise", "")
+        noise = " x ".join(f"{value:.3g}" for value in estimate[key]) + unit
+        if not estimate["confirmed"]:
+            ratio = estimate["residual_ratio"]
+            seen = "no track gave residuals" if ratio is None else f"the residuals of tracks are {ratio:.2g} times it"
+            text = (
+                f"{name}: tracks do not confirm the estimated noise ({seen}): it stays at {noise}, what the rays and "
+                "the usual noise of detectors say"
+            )
+            remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
+            yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")
+        elif (error := _unsure(estimate, key)) > UNSURE:
+            text = (
+                f"{name}: the estimated noise of {noise} is known to a factor of {np.exp(2.0 * error):.1f} only, from "
+                f"{estimate['residuals']:.0f} detections of tracks that two cameras saw"
+            )
+            remedy = f"state cameras.{name}.detector.{key} if you know it, or take a longer log"
+            yield Finding(
+                "detector.estimate", "warning", text, round(error, 2), UNSURE, name, remedy, "too_few_detections"
+            )
+        clutter, error = estimate["clutter_per_frame"], estimate["clutter_per_frame_standard_error"]
+        if error is not None and error > max(UNSURE_CLUTTER * clutter, LEAST_UNSURE):
+            text = (
+                f"{name}: the estimated clutter of {clutter:.2g} detections of a frame is known to {error:.2g} only: "
+                "few frames, or objects that tracks do not settle"
+            )
+            remedy = f"state cameras.{name}.detector.clutter_per_frame if you know it, or take a longer log"
+            yield Finding("detector.estimate", "warning", text, round(error, 2), None, name, remedy, "clutter_unsure")
+
+
+def _unsure(estimate: Mapping[str, Any], key: str) -> float:
+    """Return the relative standard error of an estimated noise."""
+    pairs = zip(estimate[f"{key}_standard_error"], estimate[key], strict=True)
+    return float(max(error / sigma for error, sigma in pairs))

@@ -1,0 +1,308 @@
+"""Figures of a run of `stereophd.commands.track`: of all of it, of each camera and of each identity.
+
+Those of a camera state how well tracks explain its detections: the share that belongs to tracks, and the residuals.
+Tracks that are too short are left out (``report.min_track_length``).
+"""
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from stereophd.core.arrays import Array
+from stereophd.core.calibration.unknowns.considered import CommonPart
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.state.estimates import Estimates
+from stereophd.core.numerics.times import same_time
+from stereophd.io.outputs.json_text import finite_or_none
+from stereophd.pipeline.tracking.associations import Associated
+from stereophd.pipeline.tracking.knocked import Knock
+from stereophd.pipeline.tracking.loop import Record
+
+# A detection that belongs to a track more probably than not has a residual.
+PROBABLE = 0.5
+# Residuals computed at a time.
+BATCH = 2048
+# Residuals above this many times the median are those of wrong detections, and say nothing about the noise.
+OUTLIER = 8.0
+# Step of the derivatives of a projection, over the standard deviation of the position.
+DERIVATIVE_STEP = 0.1
+
+
+def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> Array:
+    """Return detections minus reprojected states (n, 2), in distorted pixels; NaN where a state is out of view.
+
+    Times of the frames are (n,), s; positions and velocities at these times (n, 6); pixels (n, 2) as in the log. A
+    rolling shutter reads a row later: the detection shows the object at its position at that later time.
+    """
+    delays = camera.row_delays(pixels[:, 1])
+    if delays is None:
+        return np.asarray(pixels - camera.project_at(states[:, :3], times))
+    return np.asarray(pixels - camera.project_at(states[:, :3] + delays[:, None] * states[:, 3:], times + delays))
+
+
+def expected_squares(camera: Camera, times: Array, states: Array, covariances: Array) -> Array:
+    """Return the squares (n,) of residuals, both axes together, that noise and uncertainty lead to expect, px^2.
+
+    An estimate that has taken in a detection of noise R has residuals of the covariance R - H P H^T, with its own
+    covariance P: less than the noise, as the estimate has moved towards the detection. Times and states are those of
+    `residuals_px`; the covariances (n, 3, 3) are those of the positions.
+    """
+    steps = DERIVATIVE_STEP * np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2) / 3.0, 1e-24))
+    moved = states[:, None, :3] + np.eye(3) * steps[:, None, None]
+    there = camera.project_at(moved.reshape(-1, 3), np.repeat(times, 3)).reshape(-1, 3, 2)
+    jacobian = np.swapaxes((there - camera.project_at(states[:, :3], times)[:, None]) / steps[:, None, None], 1, 2)
+    explained = np.einsum("nij,njk,nik->ni", jacobian, covariances, jacobian)
+    return np.asarray(np.maximum(np.asarray(camera.detector.sigma) ** 2 - explained, 0.0).sum(axis=1))
+
+
+@dataclass
+class CameraSums:
+    """Sums over what one camera reported, and the states and detections whose residuals are still to be computed."""
+
+    frames: int = 0
+    detections: int = 0
+    outside: int = 0  # Those that see nothing of the region, or are of tracks beside it
+    explained: float = 0.0
+    residuals: int = 0
+    total: Array = field(default_factory=lambda: np.zeros(2))
+    squares: float = 0.0
+    # Squares of the residuals without outliers, and those that are expected. They are compared for points alone: the
+    # middle of a box is not the image of the middle of a body, and its noise is a part of its size.
+    usual: float = 0.0
+    expected: float = 0.0
+    of_points: bool = True
+    times: list[float] = field(default_factory=list)
+    states: list[Array] = field(default_factory=list)
+    covariances: list[Array] = field(default_factory=list)
+    pixels: list[Array] = field(default_factory=list)
+
+    def add(self, record: Record, sightings: Associated, camera: Camera) -> None:
+        """Take in detections of this camera that tracks claim; those of the record's event have residuals."""
+        self.explained += float(sightings.probabilities.sum())
+        if sightings.time_s != record.time_s or not record.is_event or sightings.camera != record.camera:
+            return
+        self.of_points = record.estimates.extents is None
+        place = {track: row for row, track in enumerate(record.estimates.track_ids.tolist())}
+        ids = sightings.track_ids.tolist()
+        for row in np.flatnonzero(sightings.probabilities > PROBABLE).tolist():
+            if ids[row] in place:
+                self.times.append(record.time_s)
+                self.states.append(record.estimates.states[place[ids[row]]])
+                self.covariances.append(record.estimates.covariances[place[ids[row]], :3, :3])
+                self.pixels.append(sightings.pixels[row])
+        if len(self.times) >= BATCH:
+            self._compute(camera)
+
+    def _compute(self, camera: Camera) -> None:
+        """Compute the residuals that wait."""
+        if not self.times:
+            return
+        times, states = np.array(self.times), np.array(self.states)
+        found = residuals_px(camera, times, states, np.array(self.pixels))
+        expected = expected_squares(camera, times, states, np.array(self.covariances))
+        usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
+        found = found[usable]
+        squares = (found**2).sum(axis=1)
+        usual = squares <= OUTLIER**2 * np.median(squares) if len(squares) else squares > 0.0
+        self.expected += float(expected[usable][usual].sum())
+        self.usual += float(squares[usual].sum())
+        self.residuals += len(found)
+        self.total = self.total + found.sum(axis=0)
+        self.squares += float(squares.sum())
+        self.times, self.states, self.covariances, self.pixels = [], [], [], []
+
+    def report(self, camera: Camera) -> dict[str, Any]:
+        """Return the figures for ``report.json``."""
+        self._compute(camera)
+        count, compared = self.residuals, self.of_points and self.expected > 0.0
+        return {
+            "frames": self.frames,
+            "detections": self.detections,
+            "outside_region": self.outside,
+            "explained_detections": self.explained,
+            "explained_share": finite_or_none(self.explained / self.detections) if self.detections else None,
+            "residuals": count,
+            # Root mean square of one axis.
+            "residual_rms_px": float(np.sqrt(self.squares / (2 * count))) if count else None,
+            # Over what the stated noise leads to expect of an estimate that has taken in the detection.
+            "residual_ratio": float(np.sqrt(self.usual / self.expected)) if compared else None,
+            "residual_mean_px": (self.total / count).tolist() if count else None,
+        }
+
+
+@dataclass
+class Losses:
+    """Events after which a bound left something out, and the most that it left out at once."""
+
+    events: int = 0
+    most: int = 0
+    burst_frames: int = 0
+    burst_detections: int = 0
+    hypothesis_events: int = 0
+    most_hypotheses: int = 0
+
+    def add(self, record: Record) -> None:
+        """Take in a record."""
+        if not record.is_event:
+            return
+        info = record.info
+        self.events += info.left_out > 0
+        self.most = max(self.most, info.left_out)
+        self.burst_frames += info.burst > 0
+        self.burst_detections += info.burst
+        self.hypothesis_events += info.hypotheses_left_out > 0
+        self.most_hypotheses = max(self.most_hypotheses, info.hypotheses_left_out)
+
+
+@dataclass
+class IdentitySums:
+    """Running figures of one track."""
+
+    first_s: float
+    last_s: float
+    n_estimates: int = 0
+    existence: float = 0.0
+    speed: float = 0.0
+    position_std: float = 0.0
+
+
+@dataclass
+class RunFigures:
+    """Figures of a run so far, and what waits for the next row of the table of events: all that is kept of them."""
+
+    events: int = 0
+    confirmed: int = 0
+    log_likelihood: float = 0.0
+    first_s: float = math.nan
+    last_s: float = math.nan
+    losses: Losses = field(default_factory=Losses)
+    cameras: dict[str, CameraSums] = field(default_factory=dict)
+    identities: dict[int, IdentitySums] = field(default_factory=dict)
+    detections: dict[int, dict[str, int]] = field(default_factory=dict)  # Track -> camera -> number
+    knocks: list[Knock] = field(default_factory=list)
+    # Since the last row of the table of events: what happened between two reports belongs to the second.
+    new_detections: int = 0
+    new_log_likelihood: float = 0.0
+    cameras_part: CommonPart | None = None  # Of what uncertain cameras add
+
+    def add(self, record: Record, cameras: Mapping[str, Camera]) -> None:
+        """Count a record, reported or not, of a run of these cameras."""
+        self.losses.add(record)
+        if record.knock is not None:
+            self.knocks.append(record.knock)
+        if record.is_event:
+            self.events += 1
+            self.first_s, self.last_s = (record.time_s if self.events == 1 else self.first_s), record.time_s
+            sums = self.cameras.setdefault(record.camera, CameraSums())
+            sums.frames += 1
+            sums.detections += record.n_detections
+            sums.outside += record.outside
+        self.log_likelihood += record.info.log_likelihood
+        self.new_detections += record.n_detections
+        self.new_log_likelihood += record.info.log_likelihood
+        for track_id, counts in record.attributed.items():
+            total = self.detections.setdefault(track_id, {})
+            for camera, count in counts.items():
+                total[camera] = total.get(camera, 0) + count
+        for sightings in record.associations:
+            sums = self.cameras.setdefault(sightings.camera, CameraSums())
+            sums.add(record, sightings, cameras[sightings.camera])
+
+    def add_estimates(self, estimates: Estimates, time_s: float) -> None:
+        """Count what is reported at a time, s."""
+        self.confirmed += len(estimates.track_ids)
+        if not len(estimates.track_ids):
+            return
+        speeds = np.sqrt(np.einsum("ni,ni->n", estimates.states[:, 3:], estimates.states[:, 3:]))
+        stds = np.sqrt(np.trace(estimates.covariances[:, :3, :3], axis1=1, axis2=2))
+        columns = (estimates.track_ids, estimates.existence, speeds, stds)
+        for track_id, existence, speed, std in zip(*(column.tolist() for column in columns), strict=True):
+            identity = self.identities.setdefault(track_id, IdentitySums(time_s, time_s))
+            identity.last_s = time_s
+            identity.n_estimates += 1
+            identity.existence += existence
+            identity.speed += speed
+            identity.position_std += std
+
+    def report(self, cameras: Mapping[str, Camera], reports: int, estimates: int) -> dict[str, Any]:
+        """Return the figures of a run that wrote so many reports and so many estimates, tentative ones included."""
+        common, other = (0.0, 0.0) if self.cameras_part is None else self.cameras_part.stds()
+        return {
+            "events": self.events,
+            "duration_s": self.last_s - self.first_s,
+            "reports": reports,
+            "estimates": self.confirmed,
+            "tentative_estimates": estimates - self.confirmed,
+            "log_likelihood": self.log_likelihood,
+            "left_out": asdict(self.losses),
+            "cameras": {name: self.cameras.get(name, CameraSums()).report(camera) for name, camera in cameras.items()},
+            "knocks": [asdict(knock) for knock in self.knocks],
+            "tracks": [
+                self._track(track_id, identity, cameras) for track_id, identity in sorted(self.identities.items())
+            ],
+            **({} if self.cameras_part is None else {"cameras_part": {"common_std": common, "other_std": other}}),
+        }
+
+    def _track(self, track_id: int, identity: IdentitySums, cameras: Iterable[str]) -> dict[str, Any]:
+        detections = self.detections.get(track_id, {})
+        return {
+            "track_id": track_id,
+            "first_s": identity.first_s,
+            "last_s": identity.last_s,
+            "n_estimates": identity.n_estimates,
+            "n_detections": {camera: detections.get(camera, 0) for camera in cameras},
+            "mean_existence": identity.existence / identity.n_estimates,
+            "mean_speed": identity.speed / identity.n_estimates,
+            "mean_position_std": identity.position_std / identity.n_estimates,
+        }
+
+
+@dataclass
+class LastingTracks:
+    """Takes tracks out of records whose first and last reported estimates are less than a time apart; holds its state.
+
+    Every record waits until the records are `min_length_s` past it: a track is known then to last that long, or not to.
+    A track that is not reported at that time, but again later, is left out before the gap.
+    """
+
+    min_length_s: float
+    waiting: list[Record] = field(default_factory=list)
+    # Tracks so far -> times of their first and last reported estimate, s.
+    first: dict[int, float] = field(default_factory=dict)
+    last: dict[int, float] = field(default_factory=dict)
+
+    def records(self, records: Iterable[Record]) -> Iterator[Record]:
+        """Yield records, in order of time, without the short tracks."""
+        waiting = self.waiting
+        for record in records:
+            if record.reported:
+                for track_id in record.estimates.track_ids.tolist():
+                    self.first.setdefault(track_id, record.time_s)
+                    self.last[track_id] = record.time_s
+            waiting.append(record)
+            while record.time_s - waiting[0].time_s > self.min_length_s + same_time(record.time_s):
+                yield self._without_short(waiting.pop(0))
+        while waiting:
+            yield self._without_short(waiting.pop(0))
+
+    def _without_short(self, record: Record) -> Record:
+        least = self.min_length_s - same_time(record.time_s)
+
+        def lasts(track_ids: list[int]) -> list[bool]:
+            return [one in self.first and self.last[one] - self.first[one] >= least for one in track_ids]
+
+        estimates, tentative = record.estimates, record.estimates.tentative
+        kept = np.array(lasts(estimates.track_ids.tolist()), dtype=bool)
+        if tentative is not None:
+            tentative = tentative.take(np.array(lasts(tentative.track_ids.tolist()), dtype=bool))
+        rows = [(one, np.array(lasts(one.track_ids.tolist()), dtype=bool)) for one in record.associations]
+        if not kept.all() or tentative is not None:
+            estimates = replace(estimates.take(kept), tentative=tentative)
+        return replace(
+            record,
+            estimates=estimates,
+            associations=tuple(one if mask.all() else one.take(mask) for one, mask in rows if mask.any()),
+        )

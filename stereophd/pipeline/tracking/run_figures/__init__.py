@@ -1,1 +1,0 @@
-"""What is counted and measured while a run goes on, for its report and its checks."""
