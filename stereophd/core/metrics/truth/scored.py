@@ -97,6 +97,6 @@ def leave_out_outside(
         estimates, truth, are_inside(truth.position, region), order, cutoff, mahalanobis=False
     )
     kept = are_inside(estimates.position, region)
-    kept[score_scans(estimates, truth, order, cutoff).pair_estimate] = True
+    kept[score_scans(estimates, truth, order, cutoff).pairs.estimate] = True
     estimates = estimates.keep_points(kept)
     return estimates, truth, had & (estimates.counts + truth.counts == 0)
