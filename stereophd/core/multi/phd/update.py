@@ -62,7 +62,12 @@ def update_intensity(
         moved.means, moved.covariances, components, detections, points, noises, readings
     )
     begin, end = len(detected), len(detected) + len(kept)
-    out.weights[begin:end], out.means[begin:end], out.covariances[begin:end] = weights[kept], means, covariances[rows]
+    out.weights[begin:end], out.means[begin:end] = weights[kept], means
+    for i in range(len(rows)):
+        # an array of the rows would be made and copied
+        for a in range(means.shape[1]):
+            for b in range(means.shape[1]):
+                out.covariances[begin + i, a, b] = covariances[rows[i], a, b]
     out.weights[end:] = born * per_area / totals
     out.means[end:], out.covariances[end:] = birth_means, birth_covariances
     shares = out.weights
