@@ -8,6 +8,8 @@ import pyarrow as pa
 
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.numerics.compilation.compiled import compiled
+from stereophd.core.numerics.sorting import order_of_pairs
 from stereophd.core.settings import LARGEST_TIME_S
 from stereophd.errors import InputError
 from stereophd.io.logs.checks import KINDS, duplicate_fault, point_faults, raise_first
@@ -32,6 +34,7 @@ class FrameChecks:
         self._cameras = tuple(cameras)
         self._index = {camera.name: i for i, camera in enumerate(cameras)}
         self._sizes = np.array([(c.width, c.height) for c in cameras], dtype=float)
+        self._limits = (self._sizes - 0.5 + image_margin_px).tolist()
         self._drop, self._margin = on_bad_row == "drop", image_margin_px
         self._recent: list[dict[int, None]] = [{} for _ in cameras]
         self.counts = dict.fromkeys(("frames", "empty_frames", "detections", *KINDS, *FRAME_KINDS), 0)
@@ -45,7 +48,7 @@ class FrameChecks:
         sigma = _pairs(message, "sigma_u_px", "sigma_v_px")
         sizes = _pairs(message, "width_px", "height_px")
         pixels = message.pixels
-        if sigma is not None or sizes is not None or not self._is_faultless(message, camera):
+        if not self._is_faultless(message, camera) or sigma is not None or sizes is not None:
             good = self._good(message, camera, sigma, sizes, where)
             if not good.any():
                 return None
@@ -68,11 +71,8 @@ class FrameChecks:
         """Whether a frame of points is all good: a short answer for nearly all of them, by the rules of `_good`."""
         if camera < 0 or not abs(message.time_s) <= LARGEST_TIME_S:
             return False
-        pixels, limits = message.pixels, self._sizes[camera] - 0.5 + self._margin
-        if not ((pixels >= -0.5 - self._margin) & (pixels <= limits)).all():
-            return False
-        ordered = np.sort(pixels.view(np.complex128), axis=0)  # by u, then by v
-        return not (ordered[1:] == ordered[:-1]).any()
+        width, height = self._limits[camera]
+        return are_faultless(message.pixels, -0.5 - self._margin, width, height)
 
     def _good(self, message: Message, camera: int, sigma: Array | None, sizes: Array | None, where: str) -> Booleans:
         """Return which detections of a frame, or whether one without any, can be used; count the others, or raise."""
@@ -107,6 +107,19 @@ class FrameChecks:
         if not self._drop:
             raise InputError(reason)
         self.counts[kind] += 1
+
+
+@compiled
+def are_faultless(pixels: Array, least: float, most_u: float, most_v: float) -> bool:
+    """Whether detections (m, 2) are all within these limits, and none is there twice."""
+    order = order_of_pairs(pixels)
+    for i in range(len(order)):
+        u, v = pixels[order[i]]
+        if not (least <= u <= most_u and least <= v <= most_v):
+            return False
+        if i > 0 and u == pixels[order[i - 1], 0] and v == pixels[order[i - 1], 1]:
+            return False
+    return True
 
 
 def _rows(values: Array | None, kept: Booleans) -> Array | None:

@@ -49,7 +49,7 @@ class Histogram:
     """Numbers of durations, in classes of `CLASS_RATIO`: memory does not grow with them."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros(CLASSES, dtype=np.int64)
+        self._counts = [0] * CLASSES
 
     def add(self, duration_s: float) -> None:
         """Count a duration."""
@@ -58,7 +58,7 @@ class Histogram:
 
     def percentiles_ms(self) -> dict[str, float]:
         """Return `PERCENTILES` of the durations by name, ms, rounded up to a class; NaN without durations."""
-        total = self._counts.sum()
+        total = sum(self._counts)
         places = np.searchsorted(np.cumsum(self._counts), np.ceil(total * np.asarray(PERCENTILES) / 100.0))
         values = [1e3 * SHORTEST_S * CLASS_RATIO ** (k + 1) if total else math.nan for k in places.tolist()]
         return {f"p{p:g}": value for p, value in zip(PERCENTILES, values, strict=True)}
