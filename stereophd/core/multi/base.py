@@ -221,10 +221,7 @@ class DisparityFilter(ABC):
         estimates = Estimates(
             mixture.tracks[index], chosen.means, chosen.covariances, chosen.existence, mixture.labels[index]
         )
-        confirmed = chosen.confirmed
-        if confirmed == len(index):
-            return state, estimates
-        return state, estimates.divided(confirmed)
+        return state, estimates.divided(chosen.confirmed)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""

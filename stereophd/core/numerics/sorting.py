@@ -51,16 +51,6 @@ def stable_order(keys: NDArray[Any]) -> Integers:
 
 
 @compiled
-def order_of_pairs(pairs: Array) -> Integers:
-    """Return the indices that sort pairs (n, 2) by the first number and then by the second, NaN last."""
-    first, second = np.empty(len(pairs)), np.empty(len(pairs))
-    for i in range(len(pairs)):
-        first[i], second[i] = pairs[i, 0], pairs[i, 1]
-    order = stable_order(second)
-    return picked(order, stable_order(picked(first, order)))
-
-
-@compiled
 def _find_runs(keys: NDArray[Any], order: Integers, starts: Integers) -> int:
     """Sort runs of at least `RUN` keys, but for the last one; return how many, and fill in starts and the end."""
     count, runs, start = len(keys), 0, 0

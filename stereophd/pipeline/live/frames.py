@@ -9,7 +9,7 @@ import pyarrow as pa
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import order_of_pairs
+from stereophd.core.numerics.sorting import stable_order
 from stereophd.core.settings import LARGEST_TIME_S
 from stereophd.errors import InputError
 from stereophd.io.logs.checks import KINDS, duplicate_fault, point_faults, raise_first
@@ -48,7 +48,10 @@ class FrameChecks:
         sigma = _pairs(message, "sigma_u_px", "sigma_v_px")
         sizes = _pairs(message, "width_px", "height_px")
         pixels = message.pixels
-        if not self._is_faultless(message, camera) or sigma is not None or sizes is not None:
+        # a short answer for nearly all frames of points, by the rules of `_good`
+        is_faultless = camera >= 0 and abs(message.time_s) <= LARGEST_TIME_S
+        is_faultless = is_faultless and are_faultless(pixels, -0.5 - self._margin, *self._limits[camera])
+        if not is_faultless or sigma is not None or sizes is not None:
             good = self._good(message, camera, sigma, sizes, where)
             if not good.any():
                 return None
@@ -66,13 +69,6 @@ class FrameChecks:
         self.counts["detections"] += len(pixels)
         time_s = self._cameras[camera].clock.to_true(message.time_s)
         return Frame(time_s, camera, message.frame, pixels, sigma, sizes=sizes)
-
-    def _is_faultless(self, message: Message, camera: int) -> bool:
-        """Whether a frame of points is all good: a short answer for nearly all of them, by the rules of `_good`."""
-        if camera < 0 or not abs(message.time_s) <= LARGEST_TIME_S:
-            return False
-        width, height = self._limits[camera]
-        return are_faultless(message.pixels, -0.5 - self._margin, width, height)
 
     def _good(self, message: Message, camera: int, sigma: Array | None, sizes: Array | None, where: str) -> Booleans:
         """Return which detections of a frame, or whether one without any, can be used; count the others, or raise."""
@@ -112,13 +108,18 @@ class FrameChecks:
 @compiled
 def are_faultless(pixels: Array, least: float, most_u: float, most_v: float) -> bool:
     """Whether detections (m, 2) are all within these limits, and none is there twice."""
-    order = order_of_pairs(pixels)
+    first = np.empty(len(pixels))
+    for i in range(len(pixels)):
+        first[i] = pixels[i, 0]
+        if not (least <= pixels[i, 0] <= most_u and least <= pixels[i, 1] <= most_v):
+            return False
+    order = stable_order(first)
     for i in range(len(order)):
-        u, v = pixels[order[i]]
-        if not (least <= u <= most_u and least <= v <= most_v):
-            return False
-        if i > 0 and u == pixels[order[i - 1], 0] and v == pixels[order[i - 1], 1]:
-            return False
+        k = i + 1
+        while k < len(order) and first[order[k]] == first[order[i]]:
+            if pixels[order[k], 1] == pixels[order[i], 1]:
+                return False
+            k += 1
     return True
 
 

@@ -47,7 +47,9 @@ class Estimates:
         return Estimates(**joined)
 
     def divided(self, confirmed: int) -> Estimates:
-        """Return the first estimates, so many of them, with the others as the tentative ones."""
+        """Return the first estimates, so many of them, with the others, if there are any, as the tentative ones."""
+        if confirmed == len(self.track_ids):
+            return self
         return self.take(slice(confirmed), self.take(slice(confirmed, None)))
 
     def take(self, kept: NDArray[np.bool_] | slice, tentative: Estimates | None = None) -> Estimates:
