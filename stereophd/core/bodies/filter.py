@@ -386,5 +386,4 @@ class BodyFilter:
             identities[order], means[:, :6], covariances[:, :6, :6], existence[order], state.labels[order],
             extents=np.column_stack([extents, spread]),
         )  # fmt: skip
-        confirmed = int(shown[chosen].sum())
-        return state, info, estimates if confirmed == len(order) else estimates.divided(confirmed)
+        return state, info, estimates.divided(int(shown[chosen].sum()))

@@ -171,11 +171,13 @@ def make_event(
     good = np.isfinite(points).all(axis=1) & (areas > 0.0)
     if not good.all():
         order = order[good[order]]
-    rows = np.arange(len(pixels)) if rows is None else rows
+    # `take` is faster than an index
     return Event(
-        time_s, index, points, covariances, areas, delays, frame, len(pixels) - len(order), sigma is not None, pixels,
-        moved, sizes, rows
-    ).take(order)  # fmt: skip
+        time_s, index, points.take(order, axis=0), covariances.take(order, axis=0), areas.take(order),
+        None if delays is None else delays[order], frame, len(pixels) - len(order), sigma is not None,
+        pixels.take(order, axis=0), None if moved is None else moved[order], None if sizes is None else sizes[order],
+        order if rows is None else rows[order]
+    )  # fmt: skip
 
 
 def framed_detections(

@@ -214,7 +214,7 @@ class DisparityFilter(ABC):
         estimates = Estimates(
             mixture.tracks[index], chosen.means, chosen.covariances, chosen.existence, mixture.labels[index]
         )
-        return state, estimates if chosen.confirmed == len(index) else estimates.divided(chosen.confirmed)
+        return state, estimates.divided(chosen.confirmed)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans
+from stereophd.core.geometry.pose import Pose
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Sizes of the turns (rad), how many sides each is to, and the standard deviation that a turn lends to each point, as a
@@ -55,8 +56,9 @@ def prepare_turns() -> None:
     )
     frame_ratios(ratios, 0.0)
     tracks = np.empty((0, 6)), np.empty((0, 6, 6)), np.empty(0, dtype=np.bool_), 0.0
-    pose, detections = (np.eye(3), np.zeros(3)), (none, np.empty((0, 2, 2)))
-    nearest_detections(tracks, pose, (1.0, 1.0, 0.0, 0.0), detections, (0, 0), 1.0)
+    pose, detections = Pose(np.eye(3), np.zeros(3)), (none, np.empty((0, 2, 2)))
+    # the arrays of a pose are read-only: those of others would load another form of the kernel
+    nearest_detections(tracks, (pose.rotation, pose.center), (1.0, 1.0, 0.0, 0.0), detections, (0, 0), 1.0)
 
 
 @compiled

@@ -77,7 +77,8 @@ def parse_line(line: bytes | str, where: str, arrived_s: float | None = None) ->
             f"found {_shown(rows)}"
         ) from error
     further = {name: values[:, 2 + k] for k, name in enumerate(names) if name in FURTHER}
-    return Message(frame.camera, frame.frame, frame.time_s, values[:, :2], further, arrived_s)
+    # kernels have a form for each layout
+    return Message(frame.camera, frame.frame, frame.time_s, np.ascontiguousarray(values[:, :2]), further, arrived_s)
 
 
 def _decoded(line: bytes | str) -> FrameDocument:

@@ -4,9 +4,11 @@ import io
 import math
 import time
 from dataclasses import dataclass
-from typing import Any, BinaryIO, Protocol, TextIO
+from itertools import repeat
+from typing import BinaryIO, Protocol, TextIO
 
 import msgspec
+import numpy as np
 import pyarrow as pa
 
 from stereophd.core.multi.state.estimates import Estimates
@@ -29,6 +31,8 @@ ROWS = pa.schema(
         *((field.name, pa.float64()) for field in EXTENTS),
     ]
 )
+# Places of xx, xy, xz, yy, yz and zz among the 36 of a covariance.
+UPPER = np.array([0, 1, 2, 7, 8, 14])
 # Time between two repetitions of where the cameras are, s.
 READY_EVERY_S = 5.0
 # An eighth of the time of the standard library's, with fifty tracks.
@@ -38,17 +42,13 @@ _encode = msgspec.json.Encoder().encode
 def document_of(time_s: float, camera: str, frame: int, estimates: Estimates, is_revised: bool) -> RecordDocument:
     """Return the document of a record."""
     tracks: list[ReportedTrack] = []
-    make: Any = ReportedTrack  # (of positions whose number a type checker does not know)
     for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
         if level is None:
             continue
-        upper = level.covariances.reshape(-1, 36)[:, (0, 1, 2, 7, 8, 14)].tolist()
-        extents = [()] * len(upper) if level.extents is None else level.extents.tolist()
-        rows = (level.track_ids.tolist(), level.states.tolist(), upper, level.existence.tolist(), extents)
-        tracks += [
-            make(track_id, *state, covariance, existence, status, *extent)
-            for track_id, state, covariance, existence, extent in zip(*rows, strict=True)
-        ]
+        upper = level.covariances.reshape(-1, 36).take(UPPER, axis=1).tolist()
+        extents = () if level.extents is None else level.extents.T.tolist()
+        columns = (level.track_ids.tolist(), *level.states.T.tolist(), upper, level.existence.tolist())
+        tracks += map(ReportedTrack, *columns, repeat(status), *extents)
     return RecordDocument(time_s, camera, frame, is_revised, tracks)
 
 

@@ -49,7 +49,7 @@ class Histogram:
     """Numbers of durations, in classes of `CLASS_RATIO`: memory does not grow with them."""
 
     def __init__(self) -> None:
-        self._counts = np.zeros(CLASSES, dtype=np.int64)
+        self._counts = [0] * CLASSES
 
     def add(self, duration_s: float) -> None:
         """Count a duration."""
@@ -58,7 +58,7 @@ class Histogram:
 
     def percentiles_ms(self) -> dict[str, float]:
         """Return `PERCENTILES` of the durations by name, ms, rounded up to a class; NaN without durations."""
-        total = self._counts.sum()
+        total = sum(self._counts)
         places = np.searchsorted(np.cumsum(self._counts), np.ceil(total * np.asarray(PERCENTILES) / 100.0))
         values = [1e3 * SHORTEST_S * CLASS_RATIO ** (k + 1) if total else math.nan for k in places.tolist()]
         return {f"p{p:g}": value for p, value in zip(PERCENTILES, values, strict=True)}
@@ -101,7 +101,7 @@ class LiveRun:
         span_s = settings.span_s if lagged is None else max(settings.span_s, lagged.span_s)
         self._run = RewindingRun(estimator, times, span_s)
         self._waiting: list[tuple[float, int, int, Frame, float]] = []
-        self._newest = np.full(len(self._cameras), -np.inf)
+        self._newest = [-math.inf] * len(self._cameras)  # Of each camera; an array takes longer
         self._newest_arrived_s, self._on_grid = 0.0, times.grid_s is not None
         self._passed_over: set[int] = set()
 
@@ -144,13 +144,13 @@ class LiveRun:
 
     def late_records(self, is_over: bool = False) -> Iterator[Record]:
         """Yield smoothed records that are due; at the end all that are left."""
-        newest_s = math.inf if is_over else float(self._newest.max())
+        newest_s = math.inf if is_over else max(self._newest)
         if self._lagged is not None and self._lagged.is_due(newest_s):
             yield from self._lagged.take(self._run.records, newest_s)
 
     def _predict(self) -> Iterator[LiveRecord]:
         """Yield predictions to the times of a grid that have come: now is as long after the newest frame as it came."""
-        newest_s, now = float(self._newest.max()), time.perf_counter()
+        newest_s, now = max(self._newest), time.perf_counter()
         if math.isfinite(newest_s):
             for record in self._run.forecasts(newest_s + min(now - self._newest_arrived_s, self._settings.span_s)):
                 yield LiveRecord(record, False, now)
@@ -159,7 +159,7 @@ class LiveRun:
         frame = self._checks.frame(message, where)
         if frame is not None:
             self._keep(message)
-            if frame.time_s > self._newest.max():
+            if frame.time_s > max(self._newest):
                 self._newest_arrived_s = message.arrived_s
             self._newest[frame.camera] = max(self._newest[frame.camera], frame.time_s)
             heapq.heappush(self._waiting, (frame.time_s, frame.camera, frame.frame, frame, message.arrived_s))
@@ -169,8 +169,8 @@ class LiveRun:
         wait_s = self._settings.wait_s
         while self._waiting:
             time_s, _, _, frame, arrived_s = self._waiting[0]
-            is_complete = time_s <= self._newest.min()
-            has_waited = time_s <= self._newest.max() - wait_s or now - arrived_s >= wait_s
+            is_complete = time_s <= min(self._newest)
+            has_waited = time_s <= max(self._newest) - wait_s or now - arrived_s >= wait_s
             if not (is_complete or has_waited):
                 return
             heapq.heappop(self._waiting)

@@ -31,7 +31,7 @@ from stereophd.core.two_views.turns import all_turns, frame_ratios, nearest_dete
 # Mean time between two false alarms, s, if the model holds: ten days.
 FALSE_ALARM_S = 864_000.0
 # Most looks a second at all cameras; tracks of a look, the most certain ones; the fewest that must agree.
-MOST_LOOKS, MOST_TRACKS, FEWEST_TRACKS = 80.0, 10, 2
+MOST_LOOKS, MOST_TRACKS, FEWEST_TRACKS = 80.0, 10, 2.0
 # Pairs of a track and a detection of a look: in a crowd fewer tracks are predicted.
 MOST_PAIRS = 20_000
 # Age from which a track counts, s: a new one may be wrong.

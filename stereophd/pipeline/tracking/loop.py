@@ -122,14 +122,12 @@ class Attribution:
 
     def update(self, camera: str, detected: Iterable[int], estimates: Estimates) -> dict[int, dict[str, int]]:
         """Count the labels that an event of a camera detected; return what falls to the reported tracks."""
+        pending, once = self.pending, {camera: 1}  # one for all: most labels have been reported, and wait for nothing
         for label in detected:
-            counts = self.pending.get(label)
-            if counts is None:
-                self.pending[label] = {camera: 1}
-            else:
-                self.pending[label] = counts | {camera: counts.get(camera, 0) + 1}
+            counts = pending.get(label)
+            pending[label] = once if counts is None else counts | {camera: counts.get(camera, 0) + 1}
         tracks = zip(estimates.track_ids.tolist(), estimates.labels.tolist(), strict=True)
-        return {track_id: self.pending.pop(label) for track_id, label in tracks if label in self.pending}
+        return {track_id: pending.pop(label) for track_id, label in tracks if label in pending}
 
     def keep(self, labels: NDArray[np.int64]) -> None:
         """Forget all labels but these: memory does not grow with the log."""

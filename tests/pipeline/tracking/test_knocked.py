@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import numba
 import numpy as np
 import pytest
 
@@ -14,9 +15,11 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene, simulate_frames
+from stereophd.core.two_views import turns
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.checks.run_figures import check_knocks
 from stereophd.pipeline.simulation import build_scene
+from stereophd.pipeline.tracking import knocked as test_of_knocks
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import run_estimator
 from stereophd.pipeline.tracking.run_figures import RunFigures
@@ -25,10 +28,14 @@ CONFIG = Path(__file__).resolve().parents[3] / "configs" / "quickstart.yaml"
 KNOCK_S = 5.0
 
 
+def of_objects(count: int) -> LoadedConfig:
+    alone = [f"simulate.objects.{each}" for each in (f"count={count}", "births_per_s=0", "mean_lifetime_s=null")]
+    return load_config(CONFIG, ["simulate.duration_s=8", *alone])
+
+
 @pytest.fixture(scope="module")
 def loaded() -> LoadedConfig:
-    alone = ["simulate.objects.count=6", "simulate.objects.births_per_s=0", "simulate.objects.mean_lifetime_s=null"]
-    return load_config(CONFIG, ["simulate.duration_s=8", *alone])
+    return of_objects(6)
 
 
 def turned(camera: Camera, turn_deg: tuple[float, float, float], shift: tuple[float, float, float]) -> Camera:
@@ -93,3 +100,22 @@ def test_cameras_that_stay_raise_no_alarm(loaded: LoadedConfig) -> None:
     found, figures = knocks(loaded, events(loaded, "left", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     assert found == []
     assert not list(check_knocks(figures.report({}, 0, 0)))
+
+
+@pytest.mark.parametrize("name", ["nearest_detections", "turn_ratios", "frame_ratios"])
+def test_the_kernels_of_the_test_are_loaded_before_the_first_frame(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A form for other types of arguments would be loaded, or compiled, while frames wait."""
+    kinds, kernel = [], getattr(turns, name)
+
+    def spy(*arguments: object) -> object:
+        kinds.append(tuple(map(numba.typeof, arguments)))
+        return kernel(*arguments)
+
+    for module in (turns, test_of_knocks):
+        monkeypatch.setattr(module, name, spy)
+    turns.prepare_turns()
+    prepared = len(kinds)
+    few = of_objects(3)
+    knocks(few, events(few, "right", (0.0, 0.0, 0.9), (0.0, 0.0, 0.0)))
+    assert prepared == 1 < len(kinds)
+    assert len(set(kinds)) == 1

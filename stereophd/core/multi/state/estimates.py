@@ -41,7 +41,9 @@ class Estimates(ArrayRows):
         return self if self.tentative is None else replace(self.join(self.tentative), tentative=None)
 
     def divided(self, confirmed: int) -> Estimates:
-        """Return the first estimates, so many of them, with the others as the tentative ones."""
+        """Return the first estimates, so many of them, with the others, if there are any, as the tentative ones."""
+        if confirmed == len(self.track_ids):
+            return self
         return replace(self.take(slice(confirmed)), tentative=self.take(slice(confirmed, None)))
 
 
