@@ -93,7 +93,7 @@ class FoundCameras:
 
     def _left_open(self, problem: CalibrationProblem, outcome: Outcome) -> list[str]:
         """Values whose absolute deviations are too large."""
-        parameters, out = problem.parameters, []
+        parameters, out = outcome.parameters, []
         stds = dict(zip(parameters.names, np.sqrt(np.diag(outcome.covariance)).tolist(), strict=True))
         for name in posed_cameras(parameters):
             spread = pose_spread(parameters, problem.reference, outcome.values, outcome.covariance, name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,8 @@ import yaml
 
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
-from stereophd.pipeline.calibration.found_cameras import with_found_cameras
+from stereophd.pipeline.calibration import found_cameras
+from stereophd.pipeline.calibration.found_cameras import FoundCameras, with_found_cameras
 
 PAPER = Path(__file__).parents[3] / "configs" / "paper" / "calibration.yaml"
 
@@ -98,3 +100,12 @@ def test_a_known_distance_gives_the_scale(tmp_path: Path, log: Path) -> None:
     left, right = loaded.build_cameras()
     assert loaded.config.units.length == "cm"
     assert np.linalg.norm(right.pose.center - left.pose.center) == pytest.approx(40.0)
+
+
+def test_unknowns_that_were_freed_are_judged_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(found_cameras, "posed_cameras", lambda _: ())
+    found = FoundCameras(("right",), None, "", has_scale=True, intervals={"right": 0.1})
+    problem = SimpleNamespace(parameters=SimpleNamespace(names=("right.clock_offset",)), reference="left")
+    freed = SimpleNamespace(names=("right.clock_offset", "right.focal"))
+    outcome = SimpleNamespace(parameters=freed, values=np.zeros(2), covariance=np.diag([0.05, 0.1]) ** 2)
+    assert found._left_open(problem, outcome) == ["the focal length of right is known to 10 %"]

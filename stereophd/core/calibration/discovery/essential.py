@@ -78,7 +78,7 @@ def five_point(spaces: Array) -> tuple[Array, Integers]:
     cubic -= np.einsum("bkkpq,bril->bilpqr", products, e)
     determinant = np.einsum("bpi,bqri->bpqr", e[:, :, 0], np.cross(e[:, :, None, 1], e[:, None, :, 2]))
     equations = np.concatenate([cubic.reshape(-1, 9, 64), determinant.reshape(-1, 1, 64)], axis=1) @ MONOMIALS
-    usable = np.linalg.cond(equations[:, :, :10]) < 1e12
+    usable = np.linalg.det(equations[:, :, :10]) != 0.0
     e, equations, of_space = e[usable], equations[usable], np.flatnonzero(usable)
     if not len(e):
         return np.empty((0, 3, 3)), of_space

@@ -20,8 +20,10 @@ from stereophd.core.calibration.discovery.tracks import SlopeTracks
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.core.two_views.epipolar import nearest_depths
 
-# Tolerances, px, and Gauss-Newton steps at each; the first ones alone rank the hypotheses.
-TOLERANCES, QUICK, STEPS = (40.0, 20.0, 10.0, 5.0, 2.5, 1.25), 3, 10
+# Gauss-Newton steps at a tolerance, at most, and squared length of a step, in deviations, after which there is none.
+STEPS, CONVERGED = 10, 1e-3
+# Choices of pairs at a tolerance, at most: an optimum is one only if it pairs the tracks whose distances are least.
+CHOICES = 5
 # Samples of all tracks of a camera together and of one track at least, and least of them that make a pair.
 ALL_SAMPLES, SAMPLES, LEAST_SAMPLES = 1200, 48, 6
 # Independent distances of a quadratic piece, at least.
@@ -78,6 +80,12 @@ class PairState:
             self.lenses + step[LENS:],
         )  # fmt: skip
 
+    def essential_derivatives(self) -> Array:
+        """Derivatives (5, 9) of the essential matrix, row by row, by rotation and direction."""
+        across = np.linalg.svd(self.direction[None])[2][1:]
+        turns = [essential_of(essential_of(self.rotation, axis), self.direction) for axis in np.eye(3)]
+        return np.reshape(turns + [essential_of(self.rotation, axis) for axis in across], (5, 9))
+
     def times_of_second(self, times: Array) -> Array:
         """Times on the clock of b of times on the clock of a."""
         return np.asarray(self.pivot_s + (times - self.pivot_s - self.offset_s) / self.rate)
@@ -94,7 +102,8 @@ class PairFit:
     """Two cameras that tracks fit."""
 
     state: PairState
-    gain: float  # at the tolerance where it is greatest
+    tolerance: float  # px, where the gain is greatest
+    gain: float
     pieces: float  # quadratic pieces of the paired tracks
     front: float  # share of the samples of the paired tracks that lie in front of both cameras
     stds: Array  # (11,): deviations of the components, 0 of what is held
@@ -103,6 +112,16 @@ class PairFit:
     samples: Array  # (n, 3): track of a, time of a, track of b of these
     residual: float  # median distance of the paired samples over their noise
     parallax: float  # median angle between their rays, rad
+
+    @property
+    def rotation_std(self) -> float:
+        """Largest deviation of the rotation, rad."""
+        return float(self.stds[:3].max())
+
+    @property
+    def direction_std(self) -> float:
+        """Larger deviation of the direction, rad."""
+        return float(self.stds[3:OFFSET].max())
 
 
 def straightened(slopes: Array, coefficient: float) -> Array:
@@ -142,18 +161,22 @@ class PairProblem:
         """Mean noise of a distance, px."""
         return float(np.sqrt((self.found.sigma[list(self.cameras)] ** 2).mean()))
 
-    def fitted(self, state: PairState, tolerances: tuple[float, ...] = TOLERANCES) -> PairFit | None:
+    def fitted(self, state: PairState, tolerances: tuple[float, ...]) -> PairFit | None:
         """Refine a state at tolerances that fall; the fit of the greatest gain, None where nothing pairs in front."""
         best: PairFit | None = None
         start = state
         for tolerance in tolerances:
             paired = self._paired(state, tolerance)
-            if not len(paired.pairs):
-                break
-            state, covariance = self._minimised(state, start, paired, tolerance)
-            judged = self._paired(state, tolerance)
-            if len(judged.pairs) and (best is None or judged.gain >= best.gain):
-                fit = self._judged(state, judged, covariance, tolerance)
+            for _ in range(CHOICES):
+                if not len(paired.pairs):
+                    break
+                former = paired.pairs
+                state, covariance = self._minimised(state, start, paired, tolerance)
+                paired = self._paired(state, tolerance)
+                if np.array_equal(paired.pairs, former):
+                    break
+            if len(paired.pairs) and (best is None or paired.gain >= best.gain):
+                fit = self._judged(state, paired, covariance, tolerance)
                 best = fit if len(fit.depths) else best
         return best
 
@@ -179,12 +202,20 @@ class PairProblem:
 
     def _distances(self, state: PairState, a: Array, b: Array) -> Array:
         """Signed distances (n,), px, of rays (n, 3) of both cameras."""
+        return self._sampson(state, a, b)[0]
+
+    def _sampson(self, state: PairState, a: Array, b: Array) -> tuple[Array, Array, Array, Array, Array]:
+        """Signed distances (n,), px, of rays (n, 3), what they are products of: value, 1 / its deviation, lines.
+
+        The lines (n, 3) are those of the rays of one camera in the image of the other.
+        """
         matrix = essential_of(state.rotation, state.direction)
         line_b, line_a = a @ matrix.T, b @ matrix
         focal_a, focal_b = self.focal_px * state.focal
         variance = ((line_b[:, :2] / focal_b) ** 2).sum(axis=1) + ((line_a[:, :2] / focal_a) ** 2).sum(axis=1)
         # both pixels are off: the distance is that of one of them
-        return np.asarray((b * line_b).sum(axis=1) / np.sqrt(np.maximum(variance, 1e-300)))
+        scale = 1.0 / np.sqrt(np.maximum(variance, 1e-300))
+        return (b * line_b).sum(axis=1) * scale, matrix, scale, line_a, line_b
 
     def _paired(self, state: PairState, tolerance: float) -> _Paired:
         """Pair tracks at a state: those that are each other's best partner."""
@@ -229,9 +260,9 @@ class PairProblem:
             size = float(np.linalg.norm(step[:5]))
             step *= min(1.0, 0.3 / max(size, 1e-12))
             state = state.moved(step)
-            covariance[np.ix_(free, free)] = np.linalg.inv(precision)
-            if size < 1e-5:
+            if step[free] @ precision @ step[free] < CONVERGED:
                 break
+        covariance[np.ix_(free, free)] = np.linalg.inv(precision)
         return state, covariance
 
     def _offsets(self, state: PairState, start: PairState) -> Array:
@@ -250,32 +281,37 @@ class PairProblem:
     def _linearised(self, state: PairState, rows: _Rows, free: Integers) -> tuple[Array, Array]:
         """Distances (n,) and their derivatives (n, f); those by the clock from the velocities of the tracks of b."""
         rays = [state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)]
-        distances = self._distances(state, *rays)
-        jacobian = np.empty((len(distances), len(free)))
-        times = self.found.tracks.log_times[rows.entry]
-        interval = VELOCITY_FRAMES * float(self.found.intervals[self.cameras[1]])
-        clock = np.zeros(len(distances))
+        distances, matrix, scale, line_a, line_b = self._sampson(state, *rays)
+        inner = [line[:, :2] / f**2 for line, f in zip((line_a, line_b), self.focal_px * state.focal, strict=True)]
+        part = (distances * scale**2)[:, None]  # of the derivatives, by the distance's deviation
+        jacobian = np.zeros((len(distances), SIZE))
+        by_matrix = rays[1][:, :, None] * (scale[:, None] * rays[0])[:, None]
+        by_matrix[:, :2] -= (part * inner[1])[:, :, None] * rays[0][:, None]
+        by_matrix[:, :, :2] -= rays[1][:, :, None] * (part * inner[0])[:, None]
+        jacobian[:, :OFFSET] = by_matrix.reshape(-1, 9) @ state.essential_derivatives().T
+        by_ray = [
+            scale[:, None] * line_a[:, :2] - part * (inner[1] @ matrix[:2, :2]),
+            scale[:, None] * line_b[:, :2] - part * (inner[0] @ matrix[:2, :2].T),
+        ]
         if (free == OFFSET).any() or (free == RATE).any():
+            interval = VELOCITY_FRAMES * float(self.found.intervals[self.cameras[1]])
+            times = self.found.tracks.log_times[rows.entry]
             at = state.times_of_second(times)
             later, seen_later = self.found.tracks.at(rows.track_b, at + interval)
             sooner, seen_sooner = self.found.tracks.at(rows.track_b, at - interval)
-            change = self._distances(state, rays[0], state.rays(later, 1))
-            change -= self._distances(state, rays[0], state.rays(sooner, 1))
+            change = (by_ray[1] * (state.rays(later, 1) - state.rays(sooner, 1))[:, :2]).sum(axis=1)
             clock = np.where(seen_later & seen_sooner, change / (2.0 * interval), 0.0) / state.rate
-        for column, k in enumerate(free.tolist()):
-            if k == OFFSET:
-                jacobian[:, column] = -clock
-            elif k == RATE:
-                jacobian[:, column] = -clock * (times - state.pivot_s - state.offset_s)
-            else:
-                step = np.zeros(SIZE)
-                step[k] = STEP
-                moved, changed = state.moved(step), list(rays)
-                if k >= FOCAL:
-                    side = (k - FOCAL) % 2
-                    changed[side] = moved.rays(rows.slopes_b if side else rows.slopes_a, side)
-                jacobian[:, column] = (self._distances(moved, *changed) - distances) / STEP
-        return distances, jacobian
+            jacobian[:, OFFSET] = -clock
+            jacobian[:, RATE] = -clock * (times - state.pivot_s - state.offset_s)
+        for k in free[free >= FOCAL].tolist():
+            side = (k - FOCAL) % 2
+            step = np.zeros(SIZE)
+            step[k] = STEP
+            moved = state.moved(step).rays(rows.slopes_b if side else rows.slopes_a, side)
+            jacobian[:, k] = (by_ray[side] * (moved - rays[side])[:, :2]).sum(axis=1) / STEP
+            if k < LENS:  # the deviation of the distance is in pixels of this focal length
+                jacobian[:, k] += part[:, 0] * (inner[side] * (line_a, line_b)[side][:, :2]).sum(axis=1)
+        return distances, jacobian[:, free]
 
     def _judged(self, state: PairState, paired: _Paired, covariance: Array, tolerance: float) -> PairFit:
         """Choose the pose with the most points in front of both cameras, and return how well the tracks fit it."""
@@ -295,7 +331,7 @@ class PairProblem:
         tracks = [self.found.of_camera(number) for number in self.cameras]
         samples = np.column_stack([tracks[0][rows.i], self.found.tracks.log_times[rows.entry], tracks[1][rows.j]])
         return PairFit(
-            replace(state, rotation=rotation, direction=direction), paired.gain, paired.pieces, front,
+            replace(state, rotation=rotation, direction=direction), tolerance, paired.gain, paired.pieces, front,
             np.sqrt(np.maximum(np.diag(covariance), 0.0)),
             depths[good], a[good] * depths[good, :1], samples[good],
             float(np.median(distances)) / (0.6745 * self.noise_px),

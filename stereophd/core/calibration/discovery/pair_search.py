@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.discovery.essential import constraint_rows, eight_point, five_point, nearest_essential
@@ -31,6 +32,8 @@ SAMPLES, LEAST_SAMPLES = 16, 4
 PAIR_SAMPLES, LEAST_ROWS, CURVED = 96, 10, 3.0
 # Eight-point hypotheses and five-point ones that are made at most, over all offsets, and pairs of tracks at one offset.
 MOST_EIGHT, MOST_FIVE, MOST_PAIRS = 6000, 20_000, 64
+# Right five-point hypotheses that an offset needs (its neighbours have them too); those of all offsets, at least.
+RIGHT_FIVE, LEAST_FIVE = 3.0, 4000
 # Solutions of the five-point method that are scored, those that fit their samples best; offsets, at most.
 SCORED, MOST_OFFSETS = 3, 1600
 # Hypotheses that are kept at offsets within some steps of one another.
@@ -94,10 +97,10 @@ def make_grid(found: SlopeTracks, cameras: tuple[int, int], reach: float) -> _Gr
     return _Grid(step, tables[0], tables[1], shifts.astype(np.int64) if len(shifts) else np.zeros(1, dtype=np.int64))
 
 
-def log_gains(squared: Array, tolerance: float) -> Array:
+def log_gains(squared: Array | NDArray[np.float32], tolerance: float) -> Array:
     """Gain of distances, px^2, by their logarithmic density over that by chance; that of an outlier where NaN."""
     density = np.exp(-0.5 * squared / tolerance**2) / (math.sqrt(2.0 * math.pi) * tolerance)
-    return np.log((1.0 - OUTLIERS) * CHANCE_RANGE_PX * np.nan_to_num(density) + OUTLIERS)
+    return np.asarray(np.log((1.0 - OUTLIERS) * CHANCE_RANGE_PX * np.nan_to_num(density) + OUTLIERS))
 
 
 def total_gain(table: Array) -> Array:
@@ -121,21 +124,23 @@ class PairSearch:
 
     def hypotheses(self, most: int, rng: np.random.Generator) -> list[Hypothesis]:
         """Return the hypotheses of the greatest scores, the best first."""
-        several = min(len(self.grid.first), len(self.grid.second)) > 1
-        five = max(MOST_FIVE // len(self.grid.shifts), 1) if several else 0
+        tracks = [len(self.grid.first), len(self.grid.second)]
+        # a track has one right partner among all of the other camera
+        every = max(LEAST_FIVE, int(RIGHT_FIVE * max(tracks) ** 2) * len(self.grid.shifts))
+        five = max(min(MOST_FIVE, every) // len(self.grid.shifts), 1) if min(tracks) > 1 else 0
         eight = self._eight_point(self._singles())
-        every: list[tuple[int, Hypothesis]] = []
+        scored: list[tuple[int, Hypothesis]] = []
         for place, shift in enumerate(self.grid.shifts.tolist()):
             parts = [np.empty((0, 3, 3)), eight[:, place], *([self._five_point(shift, five, rng)] if five else [])]
             essential = np.concatenate(parts)
             essential = essential[np.isfinite(essential).all(axis=(1, 2))]
             scores = self.scores(essential, shift)
-            every += [
+            scored += [
                 (shift, Hypothesis(essential[k], shift * self.grid.step, float(scores[k])))
                 for k in np.argsort(-scores, kind="stable")[:MOST_NEAR]
             ]
         kept: list[tuple[int, Hypothesis]] = []
-        for shift, hypothesis in sorted(every, key=lambda entry: -entry[1].score):
+        for shift, hypothesis in sorted(scored, key=lambda entry: -entry[1].score):
             if sum(abs(shift - other) <= NEAR for other, _ in kept) < MOST_NEAR:
                 kept.append((shift, hypothesis))
         return [hypothesis for _, hypothesis in kept[:most]]
@@ -215,18 +220,20 @@ class PairSearch:
         if not len(i) or not len(essential):
             return np.zeros(len(essential))
         count = np.bincount(i * valid.shape[1] + j, minlength=valid.shape[0] * valid.shape[1]).reshape(valid.shape[:2])
-        a = np.concatenate([self.grid.first[i, places[i, s]], np.ones((len(i), 1))], axis=1)
-        b = np.concatenate([slopes[j, i, s], np.ones((len(i), 1))], axis=1)
+        # single precision is enough for a tolerance of pixels
+        rows = constraint_rows(self.grid.first[i, places[i, s]], slopes[j, i, s]).astype(np.float32).T
+        a, b = rows[6:], rows[2::3]
         weight = self._weights(count)
         pair = i * valid.shape[1] + j
         begin = np.flatnonzero(np.diff(pair, prepend=-1))
         out = np.empty(len(essential))
-        chunk = max(1, 2_000_000 // len(i))
+        chunk = max(1, 500_000 // len(i))
         for low in range(0, len(essential), chunk):
-            part = essential[low : low + chunk]
-            line_b, line_a = a @ np.swapaxes(part, 1, 2), b @ part
-            squared = (line_b * b).sum(axis=-1) ** 2
-            squared *= self.focal**2 / ((line_a[..., :2] ** 2).sum(axis=-1) + (line_b[..., :2] ** 2).sum(axis=-1))
+            part = essential[low : low + chunk].astype(np.float32)
+            line_b = (part[:, :2].reshape(-1, 3) @ a).reshape(len(part), 2, -1)
+            line_a = (np.swapaxes(part[:, :, :2], 1, 2).reshape(-1, 3) @ b).reshape(len(part), 2, -1)
+            squared = (part.reshape(-1, 9) @ rows) ** 2
+            squared *= self.focal**2 / ((line_a**2).sum(axis=1) + (line_b**2).sum(axis=1))
             gains = np.add.reduceat(log_gains(squared, TOLERANCE), begin, axis=1) / count[i[begin], j[begin]]
             table = np.zeros((len(part), *count.shape))
             table[:, i[begin], j[begin]] = gains * weight[i[begin], j[begin]]

@@ -1,22 +1,30 @@
-"""Several cameras from nothing: two by two, joined along the pairs of the greatest gain.
+"""Several cameras from nothing: two by two, joined to the reference along pairs that are believed.
 
-The first baseline along the tree is the unit of length. That of any other pair follows from the depths of the same
-tracks at the same times before a camera that it shares with a pair already placed. A pair beside the tree whose optimum
-agrees with the poses confirms the pairs between its cameras.
+The baseline of the first pair is the unit of length. That of any other pair follows from the depths of the same tracks
+at the same times before a camera that it shares with a pair already placed. Cameras that are joined are not compared
+with one another: what all of them show together is adjusted, and judged, afterwards.
 """
+
+from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import product
 
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.discovery.pair_fit import PairFit, PairPrior
-from stereophd.core.calibration.discovery.tracks import SlopeTracks, slope_tracks
-from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, PairResult, find_pair
+from stereophd.core.calibration.discovery.tracks import slope_tracks
+from stereophd.core.calibration.discovery.two_cameras import (
+    LEAST_FRONT,
+    OTHER_ANGLE,
+    OTHER_STEPS,
+    Link,
+    PairResult,
+    find_pair,
+)
 from stereophd.core.calibration.discovery.verdict import doubts_of_pair, doubts_of_tracks
-from stereophd.core.calibration.pairing.hypotheses import spanning_tree
 from stereophd.core.calibration.time_limit import ENDLESS, TIME_OVER, TimeLimit
 from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.geometry.lens import Lens
@@ -25,8 +33,6 @@ from stereophd.core.two_views.track_rays import RawTracks
 
 # Depths of common samples that give the ratio of two baselines, at least.
 LEAST_COMMON = 6
-# Angles, rad, to which the optimum of a pair beside the tree agrees with the tree.
-LOOP_ANGLE = np.deg2rad(6.0)
 
 
 @dataclass(frozen=True)
@@ -56,12 +62,12 @@ class FoundRig:
 
     cameras: tuple[Camera, ...]  # in the order of the views; the reference at the origin
     spreads: tuple[Spread, ...]
-    pairs: tuple[PairResult, ...]  # those that join the cameras, the greatest gain first
+    pairs: tuple[Link, ...]  # those that join the cameras, each to the reference or to one of those before it
     doubts: tuple[str, ...]  # why the cameras may be wrong; empty if they are believed
 
     def depth(self, reference: int) -> float:
         """Return the median depth of the objects before the reference, in units of the first baseline."""
-        pair = next(pair for pair in self.pairs if reference in pair.cameras)
+        pair = self.pairs[0]
         return float(np.median(pair.best.depths[:, pair.cameras.index(reference)]))
 
 
@@ -84,30 +90,141 @@ def discover(
     found = slope_tracks([view.camera for view in views], raw)
     if (reason := doubts_of_tracks(found, names)) is not None:
         return Discovery(None, reason)
-    results = {}
-    every = list(combinations(range(len(views)), 2))
-    for number, two in enumerate(every):
-        stage = f"{names[two[0]]} and {names[two[1]]} are found from their tracks, pair {number + 1} of {len(every)}"
-        if not limit.begin(stage):
-            break
-        prior, reach = _prior_of(views, two)
-        result = find_pair(found, two, prior, reach, rng)
-        if result is not None:
-            results[two] = result
-    tree = spanning_tree({two: result.best.gain for two, result in results.items()})
-    placed = {camera for two in tree for camera in two}
-    if missing := [name for number, name in enumerate(names) if number not in placed]:
-        if limit.is_over:
-            return Discovery(None, f"{TIME_OVER} before {', '.join(missing)} could be found")
-        return Discovery(None, f"no tracks of {', '.join(missing)} agree with those of another camera at any offset")
-    if len(tree) < len(views) - 1:
-        return Discovery(None, "the cameras fall into groups without common objects")
-    chosen = [results[two] for two in tree]
-    others = [results[two] for two in results if two not in tree]
-    rig = _rig(views, found, reference, chosen, others)
+    results: dict[tuple[int, int], PairResult | None] = {}
+    placed, links = {reference: _Place(np.eye(3), 0.0, 1.0, np.zeros(3), ())}, []
+    while waiting := [number for number in range(len(views)) if number not in placed]:
+        joined: tuple[int, list[str], Link, _Place] | None = None
+        for new, old in product(waiting, placed):
+            two = (min(new, old), max(new, old))
+            if two not in results:
+                if not limit.begin(f"{names[two[0]]} and {names[two[1]]} are found from their tracks"):
+                    break
+                results[two] = find_pair(found, two, *_prior_of(views, two), rng)
+            if (link := _link(results, placed, new, names)) is not None:
+                joined = min(joined or (new, *link), (new, *link), key=lambda e: (len(e[1]), -e[2].agreeing))
+                if not joined[1] and (joined[2].agreeing > 1 or len(placed) == 1):
+                    break
+        if joined is None:
+            missing = ", ".join(names[number] for number in waiting)
+            if limit.is_over:
+                return Discovery(None, f"{TIME_OVER} before {missing} could be found")
+            known = ", ".join(names[number] for number in placed)
+            return Discovery(None, f"no tracks of {missing} agree with those of {known} at any offset")
+        new, _, pair, placed[new] = joined
+        links.append(pair)
+    doubts: list[str] = []
+    for number, place in list(placed.items())[1:]:
+        # judged by all others, but for those that were placed by it
+        others = {other: at for other, at in placed.items() if other != number and number not in at.chain}
+        last = _link(results, others, number, names)
+        if last is not None:
+            doubts += last[0]
+            if place.distance(last[2])[0] > OTHER_ANGLE:
+                doubts.append(f"the cameras do not agree where {names[number]} is: record more objects that all see")
+    rig = _rig(views, placed, links, doubts)
     if rig is None:
-        return Discovery(None, "no object is seen by three cameras at one time: the baselines cannot be compared")
+        few = "no object is seen by three cameras at one time: the baselines cannot be compared"
+        return Discovery(None, "; ".join(doubts or [few]))
     return Discovery(rig, "; ".join(rig.doubts))
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A camera that is placed, or where a pair would place it, but for its centre."""
+
+    rotation: Array  # (3, 3), from the axes of the reference
+    later: float  # the reference's time less that by its clock, in the middle of the log, s
+    rate: float
+    variances: Array  # (3,): of rotation, direction and offset, as they add up along the chain of pairs
+    chain: tuple[int, ...]  # the cameras by which it is placed
+
+    def of_other(self, fit: PairFit, number: int, is_second: bool) -> _Place:
+        """Place the other camera of a pair, its second or its first, by this one, whose number is given."""
+        state = fit.state
+        variances = self.variances + np.array([fit.rotation_std, fit.direction_std, fit.stds[5]]) ** 2
+        later, chain = self.rate * state.offset_s, (*self.chain, number)
+        if is_second:
+            return _Place(state.rotation @ self.rotation, self.later + later, self.rate * state.rate, variances, chain)
+        rate = self.rate / state.rate
+        return _Place(state.rotation.T @ self.rotation, self.later - later / state.rate, rate, variances, chain)
+
+    def distance(self, other: _Place) -> tuple[float, float]:
+        """Return how far another place is turned, rad, and how much later its clock is, s."""
+        return float(np.linalg.norm(rotation_to_vector(other.rotation @ self.rotation.T))), other.later - self.later
+
+
+@dataclass(frozen=True, eq=False)
+class _Option:
+    """An optimum of a camera and one that is placed, and where it places the camera."""
+
+    cameras: tuple[int, int]
+    fit: PairFit
+    place: _Place
+    step: float  # of the offsets that were searched, s
+
+    @property
+    def is_in_front(self) -> bool:
+        """Whether the points lie in front of both cameras."""
+        return self.fit.front >= LEAST_FRONT
+
+    def agrees(self, other: _Option) -> bool:
+        """Whether it turns the camera and its clock as another does."""
+        turn, later = self.place.distance(other.place)
+        return turn <= OTHER_ANGLE and abs(later) <= OTHER_STEPS * max(self.step, other.step)
+
+    def group(self, options: Sequence[_Option]) -> dict[tuple[int, int], _Option]:
+        """Return it and, of each other pair, the option of the greatest gain that agrees with it."""
+        out = {self.cameras: self}
+        for option in sorted(options, key=lambda option: -option.fit.gain):
+            if option.is_in_front and option.agrees(self):
+                out.setdefault(option.cameras, option)
+        return out
+
+
+def _link(
+    results: Mapping[tuple[int, int], PairResult | None],
+    placed: Mapping[int, _Place],
+    new: int,
+    names: Sequence[str],
+) -> tuple[list[str], Link, _Place] | None:
+    """Join a camera to those that are placed, where all pairs with them gain most: doubts, pair and place.
+
+    None if none of them pairs. An optimum of one pair gains what the optima of the others gain that turn the camera and
+    its clock as it does. It is compared with optima that turn them otherwise, and with those of the same pairs that
+    move the camera otherwise. The pair that joins the camera is the one by which its direction is known best.
+    """
+    options = [
+        _Option(two, fit, place.of_other(fit, old, new == two[1]), pair.step)
+        for old, place in placed.items()
+        if (pair := results.get(two := (min(new, old), max(new, old)))) is not None
+        for fit in pair.fits
+    ]
+    if not options:
+        return None
+
+    def gain(group: Mapping[tuple[int, int], _Option]) -> float:
+        return sum(option.fit.gain for option in group.values())
+
+    groups = [option.group(options) for option in options]
+    best = max(groups, key=lambda group: (next(iter(group.values())).is_in_front, gain(group)))
+    first = next(iter(best.values()))
+    rest = [option for option in options if option.is_in_front and option not in best.values()]
+    moved = [option for option in rest if option.agrees(first)]
+    others = [
+        {option.cameras: option for option in sorted(moved, key=lambda option: option.fit.gain)},
+        *(option.group(options) for option in rest if option not in moved),
+    ]
+    other = max(others, key=gain)
+    apart = first.place.distance(next(iter(other.values())).place) if other else (0.0, 0.0)
+    gap = gain(best) / max(gain(other), 1e-9)
+    opposed = len({option.cameras for option in options}) - len(best)
+    links = [
+        (Link(option.cameras, option.fit, gap, apart, len(best), opposed), option.place) for option in best.values()
+    ]
+    return min(
+        ((doubts_of_pair(link, names), link, place) for link, place in links),
+        key=lambda entry: (len(entry[0]) > 0, entry[2].variances[1]),
+    )
 
 
 def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, float]:
@@ -122,90 +239,33 @@ def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, f
 
 
 def _rig(
-    views: Sequence[View], found: SlopeTracks, reference: int, pairs: Sequence[PairResult], others: Sequence[PairResult]
+    views: Sequence[View], placed: Mapping[int, _Place], pairs: Sequence[Link], doubts: Sequence[str]
 ) -> FoundRig | None:
-    """Place cameras along the tree of pairs, the reference first; None if the baselines cannot be compared."""
-    scales = _scales(found, reference, pairs)
+    """Give cameras that are placed their centres, along the pairs; None if the baselines cannot be compared."""
+    scales = _scales(pairs)
     if scales is None:
         return None
-    poses = {reference: Pose(np.eye(3), np.zeros(3))}
-    clocks = {reference: (0.0, 1.0)}  # true time by the prior mean clock of each camera: offset and rate
-    variances = {reference: np.zeros(3)}  # rotation, direction, offset
-    while len(poses) < len(views):
-        for pair, scale in zip(pairs, scales, strict=True):
-            a, b = pair.cameras
-            if (a in poses) == (b in poses):
-                continue
-            state, fit = pair.best.state, pair.best
-            offset = state.pivot_s * (1.0 - state.rate) + state.offset_s  # of b by a
-            if a in poses:
-                turn, step, known, new = state.rotation, -scale * state.direction @ state.rotation, a, b
-                relation = (offset, state.rate)
-            else:
-                turn, step, known, new = state.rotation.T, scale * state.direction, b, a
-                relation = (-offset / state.rate, 1.0 / state.rate)
-            pose = poses[known]
-            poses[new] = Pose(turn @ pose.rotation, pose.center + step @ pose.rotation)
-            clocks[new] = (clocks[known][0] + clocks[known][1] * relation[0], clocks[known][1] * relation[1])
-            stds = np.array([fit.stds[:3].max(), fit.stds[3:5].max(), fit.stds[5]])
-            variances[new] = variances[known] + stds**2
+    centers = {next(iter(placed)): np.zeros(3)}
+    for (a, b), state, scale in ((pair.cameras, pair.best.state, s) for pair, s in zip(pairs, scales, strict=True)):
+        step = scale * state.direction @ placed[b].rotation  # from b's centre to a's
+        centers |= {b: centers[a] - step} if a in centers else {a: centers[b] + step}
     cameras, spreads = [], []
     for number, view in enumerate(views):
         focal, focal_std = _averaged(pairs, number, 7)
         lens, _ = _averaged(pairs, number, 9)
-        camera, clock = view.camera, clocks[number]
+        camera, place, middle = view.camera, placed[number], pairs[0].best.state.pivot_s
+        offset = middle + place.later - place.rate * middle  # of the true time by the prior mean clock
         cameras.append(replace(
-            camera, pose=poses[number], fx=camera.fx * float(np.exp(focal)), fy=camera.fy * float(np.exp(focal)),
-            lens=Lens("radial", k1=lens) if view.lens_is_unknown else camera.lens,
-            clock=Clock(clock[0] + clock[1] * camera.clock.offset_s, clock[1] * camera.clock.rate),
+            camera, pose=Pose(place.rotation, centers[number]), fx=camera.fx * float(np.exp(focal)),
+            fy=camera.fy * float(np.exp(focal)), lens=Lens("radial", k1=lens) if view.lens_is_unknown else camera.lens,
+            clock=Clock(offset + place.rate * camera.clock.offset_s, place.rate * camera.clock.rate),
         ))  # fmt: skip
-        rotation, direction, offset = np.sqrt(variances[number]).tolist()
-        spreads.append(Spread(rotation, direction, offset, focal_std))
-    names = [view.camera.name for view in views]
-    confirmed, closed = _confirmed(poses, pairs, others)
-    doubts = [
-        text
-        for pair in pairs
-        for text in doubts_of_pair(pair, names, pair.cameras in confirmed, pair.cameras in closed)
-    ]
+        rotation, direction, offset_std = np.sqrt(place.variances).tolist()
+        spreads.append(Spread(rotation, direction, offset_std, focal_std))
     return FoundRig(tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts))
 
 
-def _confirmed(
-    poses: Mapping[int, Pose], pairs: Sequence[PairResult], others: Sequence[PairResult]
-) -> tuple[set[tuple[int, int]], set[tuple[int, int]]]:
-    """Pairs of the tree on the way between two cameras whose own optimum, found without the tree, agrees with it.
-
-    And those on the way between any two cameras that share tracks besides.
-    """
-    confirmed: set[tuple[int, int]] = set()
-    closed: set[tuple[int, int]] = set()
-    for other in others:
-        if other.best.front < LEAST_FRONT:
-            continue
-        way = _way(other.cameras, [pair.cameras for pair in pairs])
-        closed.update(way)
-        a, b = (poses[number] for number in other.cameras)
-        state, offset = other.best.state, b.rotation @ (a.center - b.center)
-        turn = np.linalg.norm(rotation_to_vector(state.rotation @ (b.rotation @ a.rotation.T).T))
-        cosine = float(state.direction @ offset) / max(float(np.linalg.norm(offset)), 1e-12)
-        if max(turn, np.arccos(np.clip(cosine, -1.0, 1.0))) <= LOOP_ANGLE:
-            confirmed.update(way)
-    return confirmed, closed
-
-
-def _way(ends: tuple[int, int], tree: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """Pairs of a tree between two cameras."""
-    ways: dict[int, list[tuple[int, int]]] = {ends[0]: []}
-    while ends[1] not in ways:
-        for a, b in tree:
-            for known, new in ((a, b), (b, a)):
-                if known in ways and new not in ways:
-                    ways[new] = [*ways[known], (a, b)]
-    return ways[ends[1]]
-
-
-def _averaged(pairs: Sequence[PairResult], camera: int, component: int) -> tuple[float, float]:
+def _averaged(pairs: Sequence[Link], camera: int, component: int) -> tuple[float, float]:
     """Mean and deviation of the logarithm of a focal length (component 7) or of a lens (9), over pairs of a camera."""
     values, weights = [], []
     for pair in pairs:
@@ -221,10 +281,9 @@ def _averaged(pairs: Sequence[PairResult], camera: int, component: int) -> tuple
     return float(np.average(values, weights=weights)), float(min(weights) ** -0.5)
 
 
-def _scales(found: SlopeTracks, reference: int, pairs: Sequence[PairResult]) -> list[float] | None:
-    """Baselines of pairs in units of the first one at the reference; None if a pair has no common depths."""
-    first = next(k for k, pair in enumerate(pairs) if reference in pair.cameras)
-    scales = {first: 1.0}
+def _scales(pairs: Sequence[Link]) -> list[float] | None:
+    """Baselines of pairs in units of the first one; None if a pair has no common depths."""
+    scales = {0: 1.0}
     while len(scales) < len(pairs):
         ratios = [
             (len(ratio), new, scales[old] * float(np.median(ratio)))
@@ -240,7 +299,7 @@ def _scales(found: SlopeTracks, reference: int, pairs: Sequence[PairResult]) -> 
     return [scales[k] for k in range(len(pairs))]
 
 
-def _depth_ratios(old: PairResult, new: PairResult, shared: int) -> Array:
+def _depth_ratios(old: Link, new: Link, shared: int) -> Array:
     """Depths before a shared camera by one pair over those by another, at common times of the same tracks."""
     track, times, depths = _depths(old, shared)
     other_track, other_times, other_depths = _depths(new, shared)
@@ -254,7 +313,7 @@ def _depth_ratios(old: PairResult, new: PairResult, shared: int) -> Array:
     return np.concatenate([np.empty(0), *out])
 
 
-def _depths(pair: PairResult, camera: int) -> tuple[Array, Array, Array]:
+def _depths(pair: Link, camera: int) -> tuple[Array, Array, Array]:
     """Tracks of a camera of a pair, times on its clock, and depths before it."""
     fit: PairFit = pair.best
     if camera == pair.cameras[0]:

@@ -8,8 +8,6 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.discovery.pair_fit import (
-    QUICK,
-    TOLERANCES,
     PairFit,
     PairPrior,
     PairProblem,
@@ -20,33 +18,39 @@ from stereophd.core.calibration.discovery.pair_fit import (
 from stereophd.core.calibration.discovery.pair_search import PairSearch, make_grid
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
 
-# Hypotheses that are refined at the first tolerances, and of these at all; optima that are kept.
-MOST_HYPOTHESES, REFINED, MOST_OPTIMA = 40, 10, 4
+# Hypotheses are refined in rounds: how many of the greatest gains each takes, and its tolerances, px.
+ROUNDS = ((40, (40.0,)), (16, (20.0, 10.0)), (8, (10.0, 5.0, 2.5, 1.25)))
+# Optima that are kept.
+MOST_OPTIMA = 4
 # First radial coefficients that are tried where a lens is unknown, and factors of focal lengths known worse than this.
 LENSES, FOCAL_FACTORS, KNOWN_FOCAL = (0.0, -0.2, -0.4), (1.0, 0.7, 1.4), 0.1
 # Optima are others if their rotations or directions differ by this, rad, or their offsets by so many steps of the grid.
 OTHER_ANGLE, OTHER_STEPS = np.deg2rad(10.0), 2.0
-# Least share of the points in front of both cameras.
-LEAST_FRONT = 0.95
+# Least share of the points in front of both cameras; gain over that of any optimum, with points behind them too.
+LEAST_FRONT, LEAST_SHARE = 0.95, 0.8
 
 
 @dataclass(frozen=True)
 class PairResult:
-    """Optima of two cameras, the best first; those with points behind the cameras last."""
+    """Distinct optima of two cameras, the best first; those with points behind the cameras last."""
+
+    fits: tuple[PairFit, ...]
+    step: float  # of the offsets that were searched, s
+
+
+@dataclass(frozen=True)
+class Link:
+    """Two cameras that are joined: an optimum, and how much more it gains than another pose of the camera does.
+
+    Gains are those of all pairs that agree.
+    """
 
     cameras: tuple[int, int]
-    fits: tuple[PairFit, ...]
-
-    @property
-    def best(self) -> PairFit:
-        """The optimum of the greatest gain with the points in front of both cameras."""
-        return self.fits[0]
-
-    @property
-    def gap(self) -> float:
-        """Gain of the best over that of the next optimum with the points in front of both cameras."""
-        others = [fit.gain for fit in self.fits[1:] if fit.front >= LEAST_FRONT]
-        return self.best.gain / max(max(others, default=0.0), 1e-9)
+    best: PairFit
+    gap: float  # gain over that of the other pose with the points in front of both cameras
+    other: tuple[float, float]  # how far that is turned, rad, and how much later its clock is, s
+    agreeing: int  # how many pairs turn the camera so: several close a loop
+    opposed: int  # how many pairs turn it otherwise
 
 
 def find_pair(
@@ -62,27 +66,41 @@ def find_pair(
     factors = FOCAL_FACTORS if max(prior.focal_std) > KNOWN_FOCAL else FOCAL_FACTORS[:1]
     free = np.array(prior.focal_std) > KNOWN_FOCAL
     starts: list[tuple[float, PairState]] = []
+    most = ROUNDS[0][0]
     for lens, factor in product(lenses, factors):
         focal = np.where(free, factor, 1.0)
         tracks = _with_intrinsics(found, cameras, focal, lens)
         search = PairSearch(tracks, cameras, make_grid(tracks, cameras, reach))
-        starts += [(one.score, problem.start(one, focal, lens)) for one in search.hypotheses(MOST_HYPOTHESES, rng)]
-    starts = sorted(starts, key=lambda start: -start[0])[:MOST_HYPOTHESES]
-    first = [fit for _, state in starts if (fit := problem.fitted(state, TOLERANCES[:QUICK])) is not None]
-    first.sort(key=lambda fit: -fit.gain)
-    fits = [fit for one in first[:REFINED] if (fit := problem.fitted(one.state, TOLERANCES[1:])) is not None]
-    fits.sort(key=lambda fit: (fit.front < LEAST_FRONT, -fit.gain))
-    distinct: list[PairFit] = []
+        starts += [(one.score, problem.start(one, focal, lens)) for one in search.hypotheses(most, rng)]
+    starts.sort(key=lambda start: -start[0])
+    states, fits = [state for _, state in starts], []
+    for most, tolerances in ROUNDS:
+        refined = [fit for state in states[:most] if (fit := problem.fitted(state, tolerances)) is not None]
+        fits = _distinct(sorted(refined, key=lambda fit: -fit.gain), grid.step)
+        states = [fit.state for fit in fits]
+    front = [fit for fit in fits if fit.front >= LEAST_FRONT]
+    if not fits or not front or front[0].gain < LEAST_SHARE * fits[0].gain:
+        front = []  # those in front agree by chance
+    # an optimum that needs a wider tolerance than the best is compared at that of the best
+    for number, fit in enumerate(front):
+        if fit.tolerance > front[0].tolerance:
+            other = problem.fitted(fit.state, (front[0].tolerance,))
+            front[number] = replace(fit, gain=0.0 if other is None else min(other.gain, fit.gain))
+    fits = sorted(front, key=lambda fit: -fit.gain) + [fit for fit in fits if fit.front < LEAST_FRONT]
+    return PairResult(tuple(fits[:MOST_OPTIMA]), grid.step) if fits else None
+
+
+def _distinct(fits: Sequence[PairFit], step: float) -> list[PairFit]:
+    """Return fits that differ from all before them."""
+    out: list[PairFit] = []
     for fit in fits:
-        if not any(_is_same(fit.state, other.state, grid.step) for other in distinct):
-            distinct.append(fit)
-    return PairResult(cameras, tuple(distinct[:MOST_OPTIMA])) if distinct else None
-
-
-def _is_same(one: PairState, other: PairState, step: float) -> bool:
-    turn, direction = distance_of(one, other)
-    apart = abs(one.offset_s - other.offset_s)
-    return max(turn, direction) <= OTHER_ANGLE and apart <= OTHER_STEPS * step
+        if all(
+            max(distance_of(fit.state, other.state)) > OTHER_ANGLE
+            or abs(fit.state.offset_s - other.state.offset_s) > OTHER_STEPS * step
+            for other in out
+        ):
+            out.append(fit)
+    return out
 
 
 def _with_intrinsics(found: SlopeTracks, cameras: Sequence[int], focal: Array, lenses: Array) -> SlopeTracks:

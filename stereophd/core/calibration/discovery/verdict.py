@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stereophd.core.calibration.discovery.pair_fit import PairFit, distance_of
+from stereophd.core.calibration.discovery.pair_fit import PairFit
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
-from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, PairResult
+from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, Link
 
-# Largest deviations of rotation and direction, rad, of a pair that is believed; gain over that of the next optimum.
-MOST_ROTATION, MOST_DIRECTION, LEAST_GAP = np.deg2rad(2.0), np.deg2rad(3.0), 2.0
+# Largest deviations of rotation and direction, rad, of a pair that others start from; gain over the next optimum's.
+MOST_ROTATION, MOST_DIRECTION, LEAST_GAP = np.deg2rad(6.0), np.deg2rad(10.0), 2.0
 # Quadratic pieces that two cameras need in common: fewer can agree by chance.
 LEAST_PIECES = 4.0
 # Residuals of the best optimum over the stated noise above which a lens or clock is wrong.
@@ -35,11 +35,11 @@ def doubts_of_tracks(found: SlopeTracks, names: Sequence[str]) -> str | None:
     return f"no object can be followed before {', '.join(still)}: record fewer false detections, or more frames"
 
 
-def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool, is_closed: bool) -> list[str]:
+def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[str]:
     """Return why two cameras that were found may be wrong; empty if they are believed.
 
-    Where further cameras confirm a pair, its next optimum counts no more. Where they close a loop with it, what the two
-    leave open (focal lengths above all) may be determined by all: the final answer is judged, not the pair.
+    Where pairs close a loop, what each leaves open (focal lengths above all) may be determined by all: the final answer
+    is judged, not the pair.
     """
     fit = pair.best
     two = " and ".join(names[number] for number in pair.cameras)
@@ -66,25 +66,27 @@ def doubts_of_pair(pair: PairResult, names: Sequence[str], is_confirmed: bool, i
             f"rays of {two} miss each other by {fit.residual:.1f} times the noise: a lens, a focal length or a clock "
             "is unlike what is stated"
         )
-    if pair.gap < LEAST_GAP and not is_confirmed:
+    if pair.gap < LEAST_GAP:
         doubts.append(_second_optimum(pair, two))
-    if not is_closed and (fit.stds[:3].max() > MOST_ROTATION or fit.stds[3:5].max() > MOST_DIRECTION):
+    if pair.agreeing <= pair.opposed:
+        doubts.append(
+            f"{pair.opposed} other pairs of cameras do not agree with {two}: record more objects that all cameras see"
+        )
+    if pair.agreeing == 1 and (fit.rotation_std > MOST_ROTATION or fit.direction_std > MOST_DIRECTION):
         kind = "; the objects move in one plane" if _is_plane(fit) else ""
         doubts.append(
-            f"the tracks leave {two} open by {np.rad2deg(fit.stds[:3].max()):.1f} degrees in rotation and "
-            f"{np.rad2deg(fit.stds[3:5].max()):.1f} in direction{kind}: record objects at more depths and heights"
+            f"the tracks leave {two} open by {np.rad2deg(fit.rotation_std):.1f} degrees in rotation and "
+            f"{np.rad2deg(fit.direction_std):.1f} in direction{kind}: record objects at more depths and heights"
         )
     return doubts
 
 
-def _second_optimum(pair: PairResult, two: str) -> str:
-    """Return a sentence: how the second-best pose of two cameras differs from the best."""
-    best, other = pair.best, next(fit for fit in pair.fits[1:] if fit.front >= LEAST_FRONT)
-    turn, _ = distance_of(best.state, other.state)
-    apart = other.state.offset_s - best.state.offset_s
+def _second_optimum(pair: Link, two: str) -> str:
+    """Return a sentence: how the second-best pose of a camera differs from the best."""
+    turn, later = pair.other
     return (
         f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, turned by {np.rad2deg(turn):.0f} degrees, "
-        f"{apart:+.2f} s away: record objects that speed up and turn, or state the clock"
+        f"{later:+.2f} s away: record objects that speed up and turn, or state the clock"
     )
 
 

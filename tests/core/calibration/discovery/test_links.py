@@ -1,0 +1,117 @@
+"""Cameras joined by pairs: the pose for which several pairs speak, and optima that chance made."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from stereophd.core.calibration.discovery import rig, two_cameras
+from stereophd.core.calibration.discovery.essential import essential_of
+from stereophd.core.calibration.discovery.pair_fit import SIZE, PairFit, PairPrior, PairState
+from stereophd.core.calibration.discovery.pair_search import Hypothesis
+from stereophd.core.calibration.discovery.tracks import slope_tracks
+from stereophd.core.calibration.discovery.two_cameras import PairResult
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
+
+from .rooms import cameras, curved, tracks_of, views_of
+
+NAMES = ("cam0", "cam1", "cam2")
+X, Y = np.eye(3)[:2]
+
+
+def optimum(turn: float, gain: float, offset: float = 0.0, front: float = 1.0, std: float = 0.01) -> PairFit:
+    """An optimum that turns the second camera by an angle, rad, about y, and is known to a deviation."""
+    state = PairState(rotation_from_vector(turn * Y), X, offset, 1.0, 0.0, np.ones(2), np.zeros(2))
+    nothing = np.empty((0, 3))
+    return PairFit(state, 2.5, gain, 9.0, front, np.full(SIZE, std), nothing[:, :2], nothing, nothing, 1.0, 0.2)
+
+
+def joined(results: dict[tuple[int, int], PairResult]) -> tuple:
+    """Doubts, pair and place of the third camera; the second is turned by 0.3 rad, and its clock 2 s late."""
+    start = rig._Place(np.eye(3), 0.0, 1.0, np.zeros(3), ())
+    placed = {0: start, 1: start.of_other(optimum(0.3, 1.0, 2.0), 0, is_second=True)}
+    return rig._link(results, placed, 2, NAMES)
+
+
+def test_two_optima_of_one_pair_are_doubted() -> None:
+    results = {(0, 2): PairResult((optimum(0.8, 20.0, 5.0), optimum(-0.5, 15.0, 5.0)), 0.1)}
+    doubts, pair, _ = joined(results)
+    assert pair.gap == pytest.approx(20.0 / 15.0)
+    assert "another pose of cam0 and cam2 explains 75 % as much, turned by 74 degrees" in doubts[0]
+
+
+def test_another_pair_decides_between_two_optima() -> None:
+    results = {
+        (0, 2): PairResult((optimum(0.8, 16.0, 5.0), optimum(-0.5, 15.0, 5.0)), 0.1),
+        (1, 2): PairResult((optimum(-0.8, 19.0, 3.0, std=0.001), optimum(1.5, 12.0, 3.0)), 0.1),
+    }
+    doubts, pair, place = joined(results)
+    assert not doubts
+    assert pair.gap == pytest.approx((15.0 + 19.0) / 16.0)
+    assert pair.agreeing == 2
+    np.testing.assert_allclose(place.rotation, rotation_from_vector(-0.5 * Y), atol=1e-9)
+    assert place.later == pytest.approx(5.0)
+
+
+def test_a_clock_that_differs_is_another_pose() -> None:
+    results = {
+        (0, 2): PairResult((optimum(0.8, 20.0, 5.0),), 0.1),
+        (1, 2): PairResult((optimum(0.5, 19.0, 4.0),), 0.1),
+    }
+    doubts, pair, _ = joined(results)
+    assert (pair.agreeing, pair.opposed) == (1, 1)
+    assert "+1.00 s away" in doubts[0]
+    assert "1 other pairs of cameras do not agree" in doubts[1]
+
+
+def test_optima_of_the_pairs_that_agree_move_the_camera_otherwise() -> None:
+    same = PairResult((optimum(0.8, 20.0, 5.0), optimum(0.8, 12.0, 5.0)), 0.1)
+    other = PairResult((optimum(0.5, 10.0, 3.0),), 0.1)
+    assert joined({(0, 2): same})[1].gap == pytest.approx(20.0 / 12.0)
+    assert joined({(0, 2): same, (1, 2): other})[1].gap == pytest.approx(30.0 / 12.0)
+
+
+def test_one_open_pair_is_doubted_and_two_are_not() -> None:
+    wide = PairResult((optimum(0.8, 20.0, 5.0, std=0.2),), 0.1)
+    assert "open by 11.5 degrees in rotation" in joined({(0, 2): wide})[0][0]
+    other = PairResult((optimum(0.5, 10.0, 3.0, std=0.2),), 0.1)
+    assert not joined({(0, 2): wide, (1, 2): other})[0]
+
+
+@pytest.mark.parametrize(("gain", "front"), [(11.0, 1.0), (15.0, 0.6)])
+def test_points_behind_the_cameras_that_explain_more(
+    monkeypatch: pytest.MonkeyPatch, gain: float, front: float
+) -> None:
+    true = cameras()[:2]
+    found = slope_tracks(
+        [view.camera for view in views_of(true)],
+        tracks_of(true, [curved(np.random.default_rng(1))], np.random.default_rng(1)),
+    )
+    optima = {0.0: optimum(0.0, 10.0), 5.0: optimum(0.0, gain, front=0.6)}
+    hypotheses = [Hypothesis(essential_of(np.eye(3), X), offset, 1.0) for offset in optima]
+    monkeypatch.setattr(two_cameras.PairSearch, "hypotheses", lambda *_: hypotheses)
+    monkeypatch.setattr(
+        two_cameras.PairProblem, "fitted", lambda _, state, __: replace(optima[state.offset_s], state=state)
+    )
+    prior = PairPrior(offset_is_known=False, rate_std=0.0, focal_std=(0.0, 0.0), lens_unknown=(False, False))
+    result = two_cameras.find_pair(found, (0, 1), prior, 0.0, np.random.default_rng(0))
+    assert result.fits[0].front == front
+
+
+def test_two_pairs_that_agree_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    searched = []
+
+    def find(tracks, two, *rest):
+        searched.append(two)
+        return two_cameras.find_pair(tracks, two, *rest)
+
+    monkeypatch.setattr(rig, "find_pair", find)
+    rng = np.random.default_rng(2)
+    true = (*cameras(), replace(cameras()[1], name="cam3", pose=cameras()[1].pose))
+    true = (*true[:3], replace(true[3], pose=Pose(true[3].pose.rotation, true[3].pose.center + [-2.0, 0.5, -1.0])))
+    raw = tracks_of(true, [curved(rng) for _ in range(3)], np.random.default_rng(1))
+    discovery = rig.discover(views_of(true), raw, 1, np.random.default_rng(0))
+    assert not discovery.reason
+    assert searched == [(0, 1), (1, 2), (0, 2), (1, 3), (0, 3)]
