@@ -30,7 +30,8 @@ def evaluate_command(
     """Score tracks against the truth (OSPA, RMSE, identities, NEES).
 
     With folders of runs as TRACKS and TRUTH, each NAME/tracks.parquet is scored against NAME/truth.parquet or
-    NAME.parquet, and DIR/summary.parquet has a row for each.
+    NAME.parquet, and DIR/summary.parquet has a row for each. A truth without tracks is a warning; with limits it fails
+    (exit code 2).
     """
     report(session, ("seed",), "for the scores of cameras (evaluate-cameras), with --config CONFIG")
     _report_without_out(session, out)

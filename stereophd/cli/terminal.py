@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import shlex
 import sys
@@ -16,6 +17,7 @@ from stereophd.cli import interrupts, memory
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import ConfigWords, SceneWords, Session
 from stereophd.errors import GateError
+from stereophd.wording import counted
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -32,22 +34,24 @@ _NOT_IN_SUMMARY = frozenset({"provenance", "report_version"})
 
 def begin(context: typer.Context) -> Session:
     """Return the session of a command, with the messages of the package going to stderr."""
-    import logging
-
     session = context.ensure_object(Session)
     session.context = context
     level = logging.ERROR if session.quiet else max(logging.WARNING - 10 * session.verbosity, logging.DEBUG)
     logger = logging.getLogger("stereophd")
     handler = logging.StreamHandler(sys.stderr)
-    formatter = logging.Formatter("%(levelname)s: %(message)s")
-    # as the messages of errors: parameters become options
-    handler.format = lambda record: with_flags(formatter.format(record))  # type: ignore[method-assign]
+    handler.format = _message_line  # type: ignore[method-assign]
     # Replaced, not added: several calls may happen in one process.
     logger.handlers = [handler]
     logger.setLevel(level)
     logger.propagate = False
     memory.prepare()
     return session
+
+
+def _message_line(record: logging.LogRecord) -> str:
+    """Return a message as a line; one of an error looks as `stereophd.cli.app` prints the error that ends a command."""
+    level = "error" if record.levelno >= logging.ERROR else record.levelname
+    return f"{level}: {with_flags(record.getMessage())}"
 
 
 def load(words: SceneWords, further: Sequence[str] = ()) -> LoadedConfig:
@@ -128,11 +132,11 @@ def print_scored(session: Session, run: Callable[[], Mapping[str, Any]], text: C
 
 
 def exit_if_strict(strict: bool, report: Mapping[str, Any]) -> None:
-    """Exit with code 1 if `strict` and a check of a report warns."""
-    from stereophd.pipeline.checks.finding import count_warnings
-
-    if strict and count_warnings(report):
-        raise typer.Exit(1)
+    """Raise GateError, with the checks of a report that warn, if `strict` and there are any."""
+    checks = report["checks"] if strict else ()
+    if warned := [f"{check['name']}: {check['message']}" for check in checks if check["status"] == "warning"]:
+        warn = "warns" if len(warned) == 1 else "warn"
+        raise GateError(f"{counted(len(warned), 'check')} {warn}: {'; '.join(warned)} (--strict)")
 
 
 def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
@@ -185,8 +189,6 @@ def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, floa
 @contextlib.contextmanager
 def _stages_shown(session: Session, show: Callable[[str], None]) -> Iterator[None]:
     """Show the stages that a run logs (`stereophd.progress`); with --verbose they are messages as all others."""
-    import logging
-
     handler, logger = logging.Handler(), logging.getLogger("stereophd.progress")
     handler.emit = lambda record: show(record.getMessage())  # type: ignore[method-assign]
     if session.verbosity:

@@ -13,7 +13,7 @@ from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.options import takes
-from stereophd.pipeline.evaluation.gates import check_limits, limits_of, raise_if_failed
+from stereophd.pipeline.evaluation.gates import limits_of, raise_if_failed
 from stereophd.pipeline.evaluation.inputs import (
     SCANS_NAME,
     Tracks,
@@ -69,7 +69,6 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
     scored = score_tracks(tracks, truth, sightings, options, max_gap_s, inputs["tracks"])
     warn_of_another_scene(inputs, tracks, truth, scored.scans)
     limits = limits_of(options.fail_above, options.fail_below)
-    check_limits(limits, {**scored.figures, "scans": scored.scans})
     record = provenance("evaluate", scoring_values(options), inputs=inputs, length_unit=unit)
     report = build_report(scored, options, max_gap_s, unit, record, limits)
     if out is not None:

@@ -160,6 +160,8 @@ class EvaluateOptions(Gated, ScoreOptions):
 class EvaluateCamerasOptions(Gated):
     """Options of `evaluate_calibration`."""
 
+    fail_above: Mapping[str, float] | None = _limits("above", "joint.rotation_deg=0.1")
+    fail_below: Mapping[str, float] | None = _limits("below", "joint.scale_ratio=0.99")
     reference: str | None = option(
         "Camera that fixes the frame; default: that of the posterior, else the first whose poses agree.",
         default=None,

@@ -440,7 +440,7 @@ def test_limits_of_figures(run):
     with pytest.raises(InputError, match=r"ospa\.meen.*did you mean ospa\.mean"):
         evaluate(tracks, truth, folder / "new", fail_above={"ospa.meen": 0.4})
     assert not (folder / "new").exists()
-    with pytest.raises(GateError, match=r"rmse\.position is null"):
+    with pytest.raises(GateError, match=r"rmse\.position has no value, so the limit 9 cannot hold"):
         evaluate(write_tracks(folder / "no" / "tracks.parquet", []), truth, fail_above={"rmse.position": 9})
 
 
@@ -458,6 +458,9 @@ def test_gates_are_in_the_report(run):
     assert failure.value.report == written
     with pytest.raises(InputError, match="`fail_below`: ospa"):
         evaluate(tracks, truth, fail_below={"ospa": 1.0})
+    with pytest.raises(InputError, match=r"`fail_above`: tgospa\.mean: no such figure.*`switch_cost` adds it"):
+        evaluate(tracks, truth, fail_above={"tgospa.mean": 1.0})
+    assert evaluate(tracks, truth, fail_above={"tgospa.mean": 9.0}, switch_cost=1.0)["gates"][0]["passed"]
 
 
 def test_a_cutoff_is_required_where_nothing_gives_the_scale(tmp_path):

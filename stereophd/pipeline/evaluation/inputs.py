@@ -131,6 +131,15 @@ def read_truth(path: Path) -> tuple[Truth, str | None]:
     return truth, length_unit(table.schema.metadata)
 
 
+def is_truth(path: Path) -> bool:
+    """Whether a file is a table with the columns of a truth."""
+    try:
+        with open_parquet(path) as parquet:
+            return {"time_s", "object_id", *POSITION} <= set(parquet.schema_arrow.names)
+    except InputError:
+        return False
+
+
 def read_sightings(path: Path, cameras: Sequence[Camera] | None) -> Sightings:
     """Read from a detection log when each camera detected something.
 
