@@ -5,6 +5,9 @@ import logging
 #: The logger of every message about a run that goes on; errors end one.
 LOGGER = logging.getLogger("stereophd")
 
+#: The logger of what a run does now; its messages, of level INFO, move a bar or become a line now and then.
+PROGRESS = logging.getLogger("stereophd.progress")
+
 # Numbers from here on are written with powers of ten.
 LARGEST_PLAIN = 1e7
 

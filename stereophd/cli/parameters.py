@@ -11,7 +11,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin
+from stereophd.cli.terminal import begin, stages_shown
 from stereophd.errors import InputError
 from stereophd.options import Declaration
 
@@ -57,7 +57,8 @@ def command(function: Callable[..., Any]) -> Callable[..., Any]:
                 raise InputError(f"{parameter.opts[0]}: expected a finite number, found {value}")
         for name, kind in classes.items():
             values[name] = kind(**{each.name: _parsed(each, values.pop(each.name)) for each in _stated(kind)})
-        return function(session, **values)
+        with stages_shown(session):
+            return function(session, **values)
 
     run.__name__, run.__doc__ = function.__name__, function.__doc__
     run.__signature__ = inspect.Signature(list(shown.values()))  # type: ignore[attr-defined]

@@ -7,6 +7,7 @@ import logging
 import os
 import shlex
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -17,7 +18,7 @@ from stereophd.cli import interrupts, memory
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import ConfigWords, SceneWords, Session
 from stereophd.errors import GateError
-from stereophd.wording import counted
+from stereophd.wording import PROGRESS, counted, percent
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -161,14 +162,14 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
     """Yield a function (done, total) that moves a bar, with the time left and spent, on stderr if it is a terminal.
 
-    The bar names the stages that the run logs; without a terminal one of them is a line every `PACE_S`.
+    The bar names the stages that the run logs; without a terminal the last of them is a line every `PACE_S`.
     """
     if session.quiet:
         yield lambda done, total: interrupts.check()
         return
     if not sys.stderr.isatty():
-        with _stages_shown(session, _paced(label)):
-            yield lambda done, total: interrupts.check()
+        with _lines_of_progress(session, label) as tell:
+            yield tell
         return
     from rich.console import Console
     from rich.progress import Progress, TimeElapsedColumn
@@ -182,35 +183,62 @@ def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, floa
             interrupts.check()
             bar.update(task, completed=done, total=total)
 
-        with _stages_shown(session, lambda stage: bar.update(task, description=f"{label}: {stage}")):
+        with stages_shown(session, lambda stage: bar.update(task, description=f"{label}: {stage}")):
             yield advance
 
 
 @contextlib.contextmanager
-def _stages_shown(session: Session, show: Callable[[str], None]) -> Iterator[None]:
-    """Show the stages that a run logs (`stereophd.progress`); with --verbose they are messages as all others."""
-    handler, logger = logging.Handler(), logging.getLogger("stereophd.progress")
-    handler.emit = lambda record: show(record.getMessage())  # type: ignore[method-assign]
-    if session.verbosity:
+def stages_shown(session: Session, show: Callable[[str], None] | None = None) -> Iterator[None]:
+    """Show the stages that a run logs (`PROGRESS`); with --verbose they are messages as all others.
+
+    What must be known at once, that a run waits for the compiler, is a line on stderr, in a command without stages too.
+    """
+    if session.verbosity or session.quiet:
         yield
         return
-    logger.handlers, logger.propagate = [handler], False
-    logger.setLevel(logging.INFO)
+
+    def emit(record: logging.LogRecord) -> None:
+        if vars(record).get("at_once"):
+            print(record.getMessage(), file=sys.stderr, flush=True)
+        elif show is not None:
+            show(record.getMessage())
+
+    handler, before = logging.Handler(), (PROGRESS.handlers, PROGRESS.propagate, PROGRESS.level)
+    handler.emit = emit  # type: ignore[method-assign]
+    PROGRESS.handlers, PROGRESS.propagate = [handler], False
+    PROGRESS.setLevel(logging.INFO)
     try:
         yield
     finally:
-        logger.handlers, logger.propagate = [], True
-        logger.setLevel(logging.NOTSET)
+        PROGRESS.handlers, PROGRESS.propagate, level = before
+        PROGRESS.setLevel(level)
 
 
-def _paced(label: str) -> Callable[[str], None]:
-    """Return a function that prints a stage on stderr if none was printed for `PACE_S`."""
-    began = printed = time.monotonic()
+@contextlib.contextmanager
+def _lines_of_progress(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
+    """Print the last stage and the share that is done on stderr every `PACE_S`, also while a step reports nothing."""
+    began, ended, stage, share = time.monotonic(), threading.Event(), "", ""
 
-    def show(stage: str) -> None:
-        nonlocal printed
-        if (now := time.monotonic()) - printed >= PACE_S:
-            printed = now
-            print(f"{label}, {now - began:.0f} s: {stage}", file=sys.stderr, flush=True)
+    def show(text: str) -> None:
+        nonlocal stage
+        stage = text
 
-    return show
+    def advance(done: float, total: float) -> None:
+        nonlocal share
+        interrupts.check()
+        share = f"{percent(done / total)} done" if total else ""
+
+    def watch() -> None:
+        while not ended.wait(PACE_S):
+            told = ", ".join(filter(None, (stage, share))) or "begun"
+            with contextlib.suppress(OSError, ValueError):  # full, or closed
+                print(f"{label}, {time.monotonic() - began:.0f} s: {told}", file=sys.stderr, flush=True)
+
+    thread = threading.Thread(target=watch, name="progress", daemon=True)
+    thread.start()
+    try:
+        with stages_shown(session, show):
+            yield advance
+    finally:
+        ended.set()
+        thread.join()

@@ -6,6 +6,7 @@ import errno
 import json
 import os
 import re
+import shlex
 import subprocess
 import sys
 from collections.abc import Callable
@@ -298,7 +299,15 @@ class TestStreams:
         assert process.returncode == 0
         assert "\x1b" not in out + err
         assert "frames: 40" in out.splitlines()
-        assert err == ""
+        assert [line for line in err.splitlines() if not line.startswith("compiling kernels")] == []
+
+    @pytest.mark.parametrize("closed", ["0<&-", "1>&-", "2>&-", "0<&- 1>&- 2>&-"])
+    def test_a_closed_stream_is_no_internal_error(self, config: Path, tmp_path: Path, closed: str) -> None:
+        words = [sys.executable, "-m", "stereophd", "simulate", str(config), "--out", str(tmp_path / "out")]
+        process = subprocess.run(["sh", "-c", f"exec {shlex.join(words)} {closed}"], capture_output=True, text=True)
+        assert process.returncode == 0, process.stdout + process.stderr
+        assert "error" not in process.stdout + process.stderr
+        assert (tmp_path / "out" / "detections.parquet").is_file()
 
     def test_a_closed_pipe_is_no_internal_error(self, config: Path) -> None:
         process = start("config", "schema")

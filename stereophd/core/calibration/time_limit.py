@@ -3,7 +3,11 @@
 import logging
 import math
 import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
+
+Item = TypeVar("Item")
 
 # Its messages, of level INFO, name the stage that begins.
 LOGGER = logging.getLogger("stereophd.progress")
@@ -30,3 +34,10 @@ class TimeLimit:
 
 
 ENDLESS = TimeLimit()
+
+
+def told(items: Sequence[Item], tell: Callable[[str], object], noun: str) -> Iterator[Item]:
+    """Yield some items, and tell before each of them that it begins: ``NOUN 3 of 40``."""
+    for number, item in enumerate(items, 1):
+        tell(f"{noun} {number} of {len(items)}")
+        yield item

@@ -12,6 +12,7 @@ track little, a long curved one much.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -20,6 +21,7 @@ import numpy as np
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.discovery.essential import constraint_rows, eight_point, five_point, nearest_essential
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
+from stereophd.core.calibration.time_limit import told
 
 # Share of detections whose distance is chance's, and the range of distances by chance.
 OUTLIERS, CHANCE_RANGE_PX = 0.1, 200.0
@@ -119,13 +121,13 @@ class PairSearch:
         """Mean focal length of both cameras, px."""
         return float(self.found.focal[list(self.cameras)].mean())
 
-    def hypotheses(self, most: int, rng: np.random.Generator) -> list[Hypothesis]:
-        """Return the hypotheses of the greatest scores, the best first."""
+    def hypotheses(self, most: int, rng: np.random.Generator, tell: Callable[[str], object]) -> list[Hypothesis]:
+        """Return the hypotheses of the greatest scores, the best first; `tell` is told which offset begins."""
         several = min(len(self.grid.first), len(self.grid.second)) > 1
         five = max(MOST_FIVE // len(self.grid.shifts), 1) if several else 0
         eight = self._eight_point(self._singles())
         every: list[tuple[int, Hypothesis]] = []
-        for place, shift in enumerate(self.grid.shifts.tolist()):
+        for place, shift in enumerate(told(self.grid.shifts.tolist(), tell, "offset")):
             parts = [np.empty((0, 3, 3)), eight[:, place], *([self._five_point(shift, five, rng)] if five else [])]
             essential = np.concatenate(parts)
             essential = essential[np.isfinite(essential).all(axis=(1, 2))]

@@ -91,7 +91,7 @@ def discover(
         if not limit.begin(stage):
             break
         prior, reach = _prior_of(views, two)
-        result = find_pair(found, two, prior, reach, rng)
+        result = find_pair(found, two, prior, reach, rng, lambda step, stage=stage: limit.begin(f"{stage}, {step}"))
         if result is not None:
             results[two] = result
     tree = spanning_tree({two: result.best.gain for two, result in results.items()})

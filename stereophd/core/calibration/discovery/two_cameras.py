@@ -1,6 +1,6 @@
 """Two cameras from nothing: hypotheses refined, and the distinct optima with the greatest gains."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -19,6 +19,7 @@ from stereophd.core.calibration.discovery.pair_fit import (
 )
 from stereophd.core.calibration.discovery.pair_search import PairSearch, make_grid
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
+from stereophd.core.calibration.time_limit import told
 
 # Hypotheses that are refined at the first tolerances, and of these at all; optima that are kept.
 MOST_HYPOTHESES, REFINED, MOST_OPTIMA = 40, 10, 4
@@ -50,9 +51,13 @@ class PairResult:
 
 
 def find_pair(
-    found: SlopeTracks, cameras: tuple[int, int], prior: PairPrior, reach: float, rng: np.random.Generator
-) -> PairResult | None:
-    """Find two cameras from tracks, the second clock within `reach`, s, of its prior mean; None where none pair."""
+    found: SlopeTracks, cameras: tuple[int, int], prior: PairPrior, reach: float, rng: np.random.Generator,
+    tell: Callable[[str], object],
+) -> PairResult | None:  # fmt: skip
+    """Find two cameras from tracks, the second clock within `reach`, s, of its prior mean; None where none pair.
+
+    `tell` is told which step begins.
+    """
     if min(len(found.of_camera(number)) for number in cameras) == 0:
         return None
     grid = make_grid(found, cameras, reach)
@@ -66,11 +71,14 @@ def find_pair(
         focal = np.where(free, factor, 1.0)
         tracks = _with_intrinsics(found, cameras, focal, lens)
         search = PairSearch(tracks, cameras, make_grid(tracks, cameras, reach))
-        starts += [(one.score, problem.start(one, focal, lens)) for one in search.hypotheses(MOST_HYPOTHESES, rng)]
+        hypotheses = search.hypotheses(MOST_HYPOTHESES, rng, tell)
+        starts += [(one.score, problem.start(one, focal, lens)) for one in hypotheses]
     starts = sorted(starts, key=lambda start: -start[0])[:MOST_HYPOTHESES]
-    first = [fit for _, state in starts if (fit := problem.fitted(state, TOLERANCES[:QUICK])) is not None]
+    each = told(starts, tell, "hypothesis")
+    first = [fit for _, state in each if (fit := problem.fitted(state, TOLERANCES[:QUICK])) is not None]
     first.sort(key=lambda fit: -fit.gain)
-    fits = [fit for one in first[:REFINED] if (fit := problem.fitted(one.state, TOLERANCES[1:])) is not None]
+    best = told(first[:REFINED], tell, "refined hypothesis")
+    fits = [fit for one in best if (fit := problem.fitted(one.state, TOLERANCES[1:])) is not None]
     fits.sort(key=lambda fit: (fit.front < LEAST_FRONT, -fit.gain))
     distinct: list[PairFit] = []
     for fit in fits:
