@@ -14,7 +14,7 @@ from stereophd.errors import InputError
 from stereophd.options import names_of_use
 
 Tracks = Annotated[Path, typer.Argument(metavar="TRACKS", help="tracks.parquet, or a folder of runs.")]
-Truth = Annotated[Path, typer.Argument(metavar="TRUTH", help="truth.parquet, or a folder of truths.")]
+Truth = Annotated[Path, typer.Argument(metavar="TRUTH", help="truth.parquet (or CSV), or a folder of truths.")]
 ScoresOut = Annotated[Path | None, option("--out", "DIR", "Folder of report.json, per_scan.parquet and plots.")]
 Estimated = Annotated[Path, typer.Argument(metavar="EST", help="Estimated cameras (YAML).")]
 TrueCameras = Annotated[Path, typer.Argument(metavar="TRUE", help="True cameras (YAML).")]

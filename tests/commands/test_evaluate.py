@@ -629,6 +629,20 @@ def test_truth_velocity_and_order_of_rows(tmp_path):
     assert report["ospa"]["mean"] == report["rmse"]["velocity"] == 0.0
 
 
+def test_a_truth_as_text_is_the_same(run, tmp_path):
+    tracks, truth, _ = run
+    table = pq.read_table(truth)
+    text = tmp_path / "truth.csv"
+    names = table.column_names
+    rows = [names, *(map(repr, row.values()) for row in table.to_pylist())]
+    text.write_text("".join(f"{','.join(row)}\n" for row in rows))
+    expected, found = evaluate(tracks, truth), evaluate(tracks, text)
+    assert found["ospa"] == expected["ospa"]
+    text.write_text("time_s,x,y,z\n0,1,2,3\n")
+    with pytest.raises(InputError, match=r"truth\.csv: missing column object_id"):
+        evaluate(tracks, text)
+
+
 def shared_data() -> Path:
     folder = Path(os.environ.get("STEREOPHD_DATA", Path(__file__).parents[3] / "shared" / "data"))
     if not folder.is_dir():

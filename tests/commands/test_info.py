@@ -41,6 +41,15 @@ def write_log(path: Path) -> Path:
     return path
 
 
+def test_times_since_1970_show_the_frame(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.parquet") as writer:
+        for frame in range(3):
+            writer.write(1732545000.021 + frame / 50.0, "a", frame, np.ones((1, 2)))
+    text = info_text(info(tmp_path / "log.parquet"))
+    assert "3 rows, 1732545000.021 to 1732545000.061 s" in text
+    assert "e+09" not in text
+
+
 @pytest.mark.parametrize("piece", [7, 16384])
 def test_a_log(tmp_path: Path, piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stereophd.io.tables.reading.ROW_GROUP_ROWS", piece)

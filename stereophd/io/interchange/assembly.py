@@ -22,6 +22,7 @@ from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, Impor
 from stereophd.io.interchange.spool import FRAME, TIME, Spool, U, V, extra_columns, read_rows, spool_pieces
 from stereophd.io.logs.writing import log_schema
 from stereophd.io.tables.writing import TableWriter
+from stereophd.wording import instant
 
 # A camera's log may grow by this factor and number when missing frames are filled in; more is a wrong column.
 LARGEST_GROWTH, FEW_FRAMES = 1000, 1_000_000
@@ -168,7 +169,7 @@ class _Camera:
             later = rows[starts[min(bad[0] + (self._last is None), len(starts) - 1)]]
             raise InputError(
                 f"camera {self._name}: expected times that increase with the frame number, found "
-                f"{later[TIME]:.9g} s at frame {later[FRAME]:.0f}, not after the frame before"
+                f"{instant(later[TIME], 9)} s at frame {later[FRAME]:.0f}, not after the frame before"
             )
         return rows
 

@@ -8,6 +8,7 @@ from stereophd.core.disparity.events import Event
 from stereophd.errors import InputError
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.stream import EventStream
+from stereophd.wording import instant
 
 
 def with_boxes(stream: EventStream) -> Iterator[Event]:
@@ -19,7 +20,8 @@ def with_boxes(stream: EventStream) -> Iterator[Event]:
     for event in stream:
         if event.sizes is None or np.isnan(event.sizes).any():
             raise InputError(
-                f"{stream.source}: frame {event.frame} of {stream.cameras[event.camera].name} at {event.time_s:g} s: "
-                "expected a box (width_px, height_px) for each detection (object.shape is ellipsoid), found none"
+                f"{stream.source}: frame {event.frame} of {stream.cameras[event.camera].name} at "
+                f"{instant(event.time_s)} s: expected a box (width_px, height_px) for each "
+                "detection (object.shape is ellipsoid), found none"
             )
         yield event

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.runs.progress import Progress
+from stereophd.wording import instant
 
 # A piece is tracked this long before its span, s: an object in only one view keeps the depth that it had in two,
 # so the time is that for which objects stay in one view.
@@ -75,7 +76,7 @@ def plan_pieces(
         if len(spans) > MOST_PIECES:
             raise InputError(
                 f"`pieces_s`: expected at most {MOST_PIECES} pieces, found more of {length_s:g} s until "
-                f"{frame.time_s:g} s: choose longer pieces, or cut the log"
+                f"{instant(frame.time_s)} s: choose longer pieces, or cut the log"
             )
         last_s = frame.time_s
         if progress is not None and number % TICK_EVERY == 0:

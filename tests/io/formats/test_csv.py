@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -155,3 +157,52 @@ def test_cameras_of_other_names_only_are_refused(tmp_path: Path, imported: Impor
     (tmp_path / "hive_calibration.yml").write_text(f"left: {text}\n")
     with pytest.raises(InputError, match="expected a name of left, found only others; use `rename` hive=NAME"):
         imported("csv", tmp_path / "hive.csv", cameras=tmp_path / "hive_calibration.yml", rates=10.0)
+
+
+TRUTH_ROWS = [{"time_s": 0.0, "object_id": 4, "x": 1.0, "y": 2.0, "z": 3.0}]
+
+
+@pytest.mark.parametrize("header", ["time_s,object_id,x,y,z", "x,y,z,stamp,ID", "t,track_id,x_m,y_m,z_m"])
+def test_points_in_space_have_the_columns_of_the_detections(tmp_path: Path, imported: Import, header: str) -> None:
+    source, truth = tmp_path / "a.csv", tmp_path / "truth.csv"
+    stamped = "stamp" in header
+    source.write_text(f"{'stamp' if stamped else 'time_s'},u,v\n0,5,5\n40,6,6\n")
+    truth.write_text(f"{header}\n{'1,2,3,0,4' if stamped else '0,4,1,2,3'}\n")
+    stated = {"columns": {"time_s": "stamp"}} if stamped else {}
+    report, out = imported("csv", source, truth=truth, time_unit="ms", **stated)
+    assert pq.read_table(out / "truth.parquet").to_pylist() == TRUTH_ROWS
+    assert report["truth"] == {"rows": 1}
+
+
+def test_native_points_in_space_go_with_every_format(tmp_path: Path, imported: Import) -> None:
+    source, truth = tmp_path / "cam.txt", tmp_path / "truth.csv"
+    source.write_text("1,-1,10,10,4,4,1,-1,-1,-1\n2,-1,11,10,4,4,1,-1,-1,-1\n")
+    truth.write_text("time_s,object_id,x,y,z\n0,4,1,2,3\n")
+    _, out = imported("mot", source, truth=truth, rates=25.0)
+    assert pq.read_table(out / "truth.parquet").to_pylist() == TRUTH_ROWS
+    truth.write_text("time_s,name,x,y,z\n0,4,1,2,3\n")
+    with pytest.raises(InputError, match="`truth`: expected an option that a source of format mot has a use for"):
+        imported("mot", source, truth=truth, rates=25.0)
+
+
+def test_a_truth_that_is_native_already_needs_no_import(tmp_path: Path, imported: Import) -> None:
+    source, truth = tmp_path / "a.csv", tmp_path / "truth.parquet"
+    source.write_text("time_s,u,v\n0,5,5\n")
+    pq.write_table(pa.Table.from_pylist(TRUTH_ROWS), truth)
+    with pytest.raises(InputError, match=r"truth\.parquet: expected .* a Parquet file; .* needs no import"):
+        imported("csv", source, truth=truth)
+
+
+@pytest.mark.parametrize(("time", "unit"), [("1732545000021000000", "ns"), ("1732545000021", "ms")])
+@pytest.mark.parametrize("of_truth", [False, True])
+def test_times_that_cannot_be_seconds(tmp_path: Path, imported: Import, time: str, unit: str, of_truth: bool) -> None:
+    source, truth = tmp_path / "a.csv", tmp_path / "truth.csv"
+    source.write_text(f"stamp,u,v\n{'0' if of_truth else time},5,5\n")
+    truth.write_text(f"stamp,x,y,z\n{time},1,2,3\n")
+    name = "truth" if of_truth else "a"
+    with pytest.raises(InputError) as refused:
+        imported("csv", source, columns={"time_s": "stamp"}, truth=truth)
+    assert re.search(rf"{name}\.csv: column stamp: expected times in s, found {time[:10]}", str(refused.value))
+    assert str(refused.value).endswith(f"`time_unit` {unit} says that it is 1732545000.021 s")
+    _, out = imported("csv", source, columns={"time_s": "stamp"}, time_unit=unit)
+    assert log_rows(out / "detections.parquet")[0][0] == pytest.approx(0.0 if of_truth else 1732545000.021)

@@ -7,6 +7,7 @@ agrees with the poses confirms the pairs between its cameras.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -91,7 +92,7 @@ def discover(
         if not limit.begin(stage):
             break
         prior, reach = _prior_of(views, two)
-        result = find_pair(found, two, prior, reach, rng, lambda step, stage=stage: limit.begin(f"{stage}, {step}"))
+        result = find_pair(found, two, prior, reach, rng, partial(_tell_step, limit, stage))
         if result is not None:
             results[two] = result
     tree = spanning_tree({two: result.best.gain for two, result in results.items()})
@@ -108,6 +109,10 @@ def discover(
     if rig is None:
         return Discovery(None, "no object is seen by three cameras at one time: the baselines cannot be compared")
     return Discovery(rig, "; ".join(rig.doubts))
+
+
+def _tell_step(limit: TimeLimit, stage: str, step: str) -> None:
+    limit.begin(f"{stage}, {step}")
 
 
 def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, float]:
