@@ -66,6 +66,14 @@ class Recalibration:
         outcome = self._aside.take()
         return {"status": f"failed: {outcome}"} if isinstance(outcome, Exception) else outcome
 
+    def wait(self, longest_s: float) -> None:
+        """Wait until a try has ended, if one goes on."""
+        self._aside.wait(longest_s)
+
+    def stop(self) -> None:
+        """End the try that goes on, if there is one."""
+        self._aside.stop()
+
     @property
     def is_over(self) -> bool:
         """Whether all tries have failed."""
