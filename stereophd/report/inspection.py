@@ -8,6 +8,8 @@ from stereophd.pipeline.inspection.cameras import sketch
 from stereophd.report.tables import aligned
 from stereophd.wording import counted, instant
 
+# Lengths of this part of the largest are round-off.
+ROUND_OFF = 1e-9
 # Tracks and files listed one by one.
 ROWS_SHOWN = 12
 # Kinds of files that `info` names after the tables, in this order; pictures are counted in one line at the end.
@@ -114,8 +116,10 @@ def _cameras(found: Mapping[str, Any]) -> Iterator[str]:
         near, far = found["distances"]["nearest"], found["distances"]["farthest"]
         yield f"distances between cameras: {near:.4g} to {far:.4g} {unit}"
     if found["axes_meet_near"] is not None:
-        meet = _vector(found["axes_meet_near"], 4)
-        yield f"the optical axes meet near {meet}, to within {found['axes_distance_rms']:.3g} {unit}"
+        centers = [camera["center"] for camera in found["cameras"].values()]
+        least = ROUND_OFF * max(abs(x) for place in (found["axes_meet_near"], *centers) for x in place)
+        *meet, within = (0.0 if abs(x) < least else x for x in (*found["axes_meet_near"], found["axes_distance_rms"]))
+        yield f"the optical axes meet near {_vector(meet, 4)}, to within {within:.3g} {unit}"
         if found["axes_meet_behind"]:
             yield f"that point is behind {', '.join(found['axes_meet_behind'])}: do the cameras look apart?"
     if len(found["cameras"]) > 1:

@@ -89,6 +89,7 @@ def test_cameras_and_their_layout(tmp_path: Path) -> None:
     # axes of 10 degrees from 5 to either side meet at 5 / tan 10 degrees
     np.testing.assert_allclose(found["axes_meet_near"], [0, 0, 5 / np.tan(np.deg2rad(10))], atol=1e-9)
     assert found["axes_distance_rms"] == pytest.approx(0, abs=1e-9)
+    assert "the optical axes meet near (0, 0, 28.36), to within 0 cm" in info_text(found)
     assert found["axes_meet_behind"] == []
     assert found["distances"] == {"nearest": 10.0, "farthest": 10.0}
     assert found["cameras"]["right"]["detector_is_estimated"]

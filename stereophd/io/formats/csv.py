@@ -83,6 +83,10 @@ def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: Impor
         named = ", ".join(f"{name} from {column}" for name, column in columns.items() if name != column)
         if named:
             recording.assumed.append(f"{path.name}: {named}")
+        if "time_s" not in columns:
+            recording.untimed = (
+                f" in the columns {', '.join(header)} of {path.name}; `columns` time_s=COLUMN names that of the times"
+            )
         if "camera" not in columns:
             recording.assumed.append(
                 f"{path.name}: all rows are of one camera, {options.name(path.stem)}, named as the file"

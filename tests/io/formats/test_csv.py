@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -206,3 +207,29 @@ def test_times_that_cannot_be_seconds(tmp_path: Path, imported: Import, time: st
     assert str(refused.value).endswith(f"`time_unit` {unit} says that it is 1732545000.021 s")
     _, out = imported("csv", source, columns={"time_s": "stamp"}, time_unit=unit)
     assert log_rows(out / "detections.parquet")[0][0] == pytest.approx(0.0 if of_truth else 1732545000.021)
+
+
+def test_a_table_without_times_names_its_columns(tmp_path: Path, imported: Import) -> None:
+    source = write(tmp_path / "a.csv", "frame,sec,nanosec,u,v\n0,1732545000,21000000,5,5\n")
+    with pytest.raises(InputError, match=r"found frame numbers only in the columns frame, sec, .*`columns` time_s=COL"):
+        imported("csv", source)
+
+
+def test_scores_that_are_not_used_are_noted(tmp_path: Path, imported: Import) -> None:
+    source = write(tmp_path / "a.csv", "time_s,u,v,likelihood\n0,5,5,0.02\n1,6,6,0.9\n")
+    report, _ = imported("csv", source)
+    assert any("`least_score`" in sentence for sentence in report["assumed"])
+    report, _ = imported("csv", source, least_score=0.5)
+    assert not any("`least_score`" in sentence for sentence in report["assumed"])
+
+
+@pytest.mark.parametrize(("distance", "stated", "warns"), [(1500, "", True), (3, "", False), (1500, "mm", False)])
+def test_cameras_far_from_each_other_make_metres_doubtful(
+    tmp_path: Path, imported: Import, distance: float, stated: str, warns: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    camera = {"K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]], "rvec": [0, 0, 0], "image_size": [640, 480]}
+    rig = {name: {**camera, "tvec": [x, 0, 0]} for name, x in (("a", 0), ("b", -distance))}
+    cameras = write(tmp_path / "rig.json", json.dumps(rig))
+    source = write(tmp_path / "points.csv", "camera,time_s,u,v\na,0,5,5\nb,0,6,6\n")
+    imported("csv", source, cameras=cameras, **({"length_unit": stated} if stated else {}))
+    assert any(f"cameras are {distance} m apart" in text for text in caplog.messages) is warns
