@@ -100,8 +100,6 @@ def _typer_option(name: str, hint: Any, declared: Declaration, default: Any) -> 
     flag, is_flag = declared.flag_of(name), bool in (hint, *get_args(hint))
     words = f"{flag}/{flag.replace('--', '--no-', 1)}" if is_flag and default is not False else flag
     more: dict[str, Any] = {"metavar": declared.metavar} if declared.metavar else {}
-    if declared.least is not None:
-        more["min"] = declared.least
     if type(None) in get_args(hint):
         more["show_default"] = False
     return typer.Option(words, help=declared.meaning, **more)
@@ -110,6 +108,10 @@ def _typer_option(name: str, hint: Any, declared: Declaration, default: Any) -> 
 def _parsed(each: Field[Any], value: Any) -> Any:
     """Return the value of an option from what typer has parsed."""
     declared: Declaration | None = each.metadata.get("option")
-    if declared is None or declared.parse is None:
+    if declared is None:
+        return value
+    if declared.least is not None and value is not None and value < declared.least:
+        raise InputError(f"{declared.flag_of(each.name)}: expected at least {declared.least:g}, found {value:g}")
+    if declared.parse is None:
         return value
     return declared.parse(declared.flag_of(each.name), value or ())

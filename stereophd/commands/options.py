@@ -191,7 +191,7 @@ class SimulateOptions(Replacing):
     """Options of `simulate`."""
 
     force_size: bool = option("Run even if that fills much of the disk.", default=False, flag="ignore-size-limit")
-    runs: int | None = option("Make N runs, in folders run-0000, ...", default=None, metavar="N", least=1)
+    runs: int | None = option("Make N runs, in folders run-0000 and so on.", default=None, metavar="N", least=1)
     jobs: int = _jobs("Processes for several runs.", "several runs")
 
 

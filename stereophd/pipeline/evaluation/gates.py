@@ -4,23 +4,15 @@ import math
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from stereophd.errors import GateError, InputError
 
-Side = Literal["above", "below"]
-
-
-#: Limits of figures by dotted key, such as ``{"ospa.mean": 0.8}``, of each side: a figure beyond its limit fails.
-Limits = Mapping[Side, Mapping[str, float]]
+#: Limits of figures by dotted key, such as ``{"ospa.mean": 0.8}``.
+Limits = Mapping[str, float]
 
 # Groups of figures that a report has only with an option, and the option.
 ADDED_BY = {"tgospa": "switch_cost"}
-
-
-def limits_of(above: Mapping[str, float] | None, below: Mapping[str, float] | None) -> Limits:
-    """Return the limits that options state."""
-    return {"above": above or {}, "below": below or {}}
 
 
 def figures_by_key(figures: Mapping[str, Any]) -> dict[str, float | None]:
@@ -34,15 +26,16 @@ def figures_by_key(figures: Mapping[str, Any]) -> dict[str, float | None]:
     return flat
 
 
-def gates(limits: Limits, figures: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return a record of every limit: ``name, value, limit, fails, passed``; a figure that is null fails.
+def gates(above: Limits | None, below: Limits | None, figures: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return a record of every limit: ``name, value, limit, fails, passed``.
 
-    Raises InputError for a limit that is not a number, or of something that is not a figure of the run.
+    Figures above a limit of `above` fail, those below one of `below`, and those that are null. Raises InputError for a
+    limit that is not a number, or of something that is not a figure of the run.
     """
     values = figures_by_key(figures)
     found = []
-    for side, chosen in limits.items():
-        for name, limit in chosen.items():
+    for side, limits in (("above", above or {}), ("below", below or {})):
+        for name, limit in limits.items():
             if name not in values:
                 option = ADDED_BY.get(name.split(".")[0])
                 near = get_close_matches(name, values, n=1, cutoff=0.0)[0]

@@ -14,7 +14,6 @@ from stereophd.core.metrics.truth.registration import Registration
 from stereophd.io.outputs.json_text import plain
 from stereophd.io.tables.schemas import FLOAT, INTEGER
 from stereophd.io.tables.writing import TableWriter
-from stereophd.pipeline.evaluation.gates import Limits, gates
 from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.registering import registration_report
 
@@ -34,9 +33,10 @@ class Scored:
 
 
 def build_report(
-    scored: Scored, options: ScoreOptions, max_gap_s: float, unit: str | None, record: Mapping[str, Any], limits: Limits
-) -> dict[str, Any]:
-    """Return the report: figures, what they mean, their `limits`, where they come from (`record`); NaN as None."""
+    scored: Scored, options: ScoreOptions, max_gap_s: float, unit: str | None, record: Mapping[str, Any],
+    judged: list[dict[str, Any]],
+) -> dict[str, Any]:  # fmt: skip
+    """Return the report: figures, what they mean, their gates `judged`, their origin (`record`); NaN as None."""
     parameters = {"order": options.order, "cutoff": options.known_cutoff, "base": options.base}
     result = dict(scored.figures)
     result["ospa"] = {**result["ospa"], **parameters}
@@ -64,7 +64,7 @@ def build_report(
                 "clock": options.align_clock,
                 "found": registration_report(scored.registration),
             },
-            "gates": gates(limits, {**result, "scans": scored.scans}),
+            "gates": judged,
             "provenance": record,
         }
     )
