@@ -179,7 +179,7 @@ class _Session:
                     self._save()
             self._show_late(is_over=True)
             if self._recalibration is not None:
-                self._recalibration.wait(PATIENCE_S)
+                self._recalibration.aside.wait(PATIENCE_S)
                 self._take_recalibration(self._recalibration)
 
     def _show(self, record: Record, is_revised: bool) -> None:
@@ -254,7 +254,7 @@ class _Session:
     def _give_up_recalibration(self) -> None:
         """Tell at the end of a run that a camera is still to be solved."""
         if self._recalibration is not None:
-            self._recalibration.stop()
+            self._recalibration.aside.stop()
             self.tell(Recalibrated(self._recalibration.knock.camera, self._shown_s, NOT_FINISHED))
 
 

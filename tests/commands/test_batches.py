@@ -179,7 +179,10 @@ def test_evaluate_of_runs_tells_a_gate_from_a_fault(loaded: LoadedConfig, scenes
     logs = [path for path in sorted(scenes.glob("run-*/detections.parquet")) if path.stat().st_size > 10]
     track_logs(loaded, logs, tmp_path / "tracks")
     limit = {"ospa.mean": 1e-9}
-    found = evaluate_runs(tmp_path / "tracks", scenes, tmp_path / "scores", plots=False, fail_above=limit)
+    for log in logs:
+        shutil.copytree(log.parent, tmp_path / "both" / log.parent.name)
+    both = tmp_path / "both"
+    found = evaluate_runs(tmp_path / "tracks", both, tmp_path / "scores", plots=False, fail_above=limit)
     assert [row["status"] for row in found["logs"]] == ["gate failed", "gate failed"]
     assert found["exit_code"] == 1
     assert found["logs"][0]["ospa"] > 0.0
