@@ -1,9 +1,13 @@
 """Where messages go, and how they and reports write counts, numbers and shares."""
 
 import logging
+import math
 
 #: The logger of every message about a run that goes on; errors end one.
 LOGGER = logging.getLogger("stereophd")
+
+#: The logger of what a run does now; its messages, of level INFO, move a bar or become a line now and then.
+PROGRESS = logging.getLogger("stereophd.progress")
 
 # Numbers from here on are written with powers of ten.
 LARGEST_PLAIN = 1e7
@@ -20,6 +24,12 @@ def number(value: float | None, digits: int = 3) -> str:
         return "-"
     text = f"{value:.{digits}g}"
     return f"{value:.0f}" if "e+" in text and abs(value) < LARGEST_PLAIN else text
+
+
+def instant(time_s: float, digits: int = 6) -> str:
+    """Return a time of a log, s, with `digits`, or as many as show the millisecond: of times since 1970 too."""
+    before = math.floor(math.log10(max(abs(time_s), 1.0))) if math.isfinite(time_s) else 0
+    return f"{time_s:.{max(digits, before + 4)}g}"
 
 
 def percent(share: float) -> str:

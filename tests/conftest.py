@@ -17,7 +17,11 @@ import numpy as np
 import psutil
 import pytest
 
-# No test is timed: the first call of a kernel compiles it, and machines are busy.
+from stereophd.cli import terminal
+from stereophd.core.numerics.compilation.kernel_cache import note_compilation
+
+# No test is timed: the first call of a kernel compiles it, and machines are busy. A slow test prints no progress.
+terminal.PACE_S = 1e6
 hypothesis.settings.register_profile("stereophd", deadline=None)
 hypothesis.settings.load_profile("stereophd")
 
@@ -91,6 +95,7 @@ def global_state() -> Iterator[None]:
     handlers, level, propagate = logger.handlers, logger.level, logger.propagate
     signals = {number: signal.getsignal(number) for number in HANDLED_SIGNALS}
     environment, folder, errors = dict(os.environ), os.getcwd(), np.geterr()
+    note_compilation()  # on a machine without kept kernels the line of it would come in any test
     yield
     logger.handlers, logger.propagate = handlers, propagate
     logger.setLevel(level)

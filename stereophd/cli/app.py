@@ -144,6 +144,8 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _interrupted(session)
     except SystemExit as error:
+        if (interrupted := interrupts.exit_code()) is not None:
+            return _interrupted(session, interrupted)
         return error.code if isinstance(error.code, int) else EXIT_INTERNAL
     except Exception as error:
         if session.debug:
@@ -247,7 +249,10 @@ def main() -> None:
 
 
 def _prepare_streams() -> None:
-    """Let names be printed that the encoding of the terminal does not have."""
+    """Open closed streams on nothing, before a file takes their place; print names that the encoding does not have."""
+    for name in ("stdin", "stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "r" if name == "stdin" else "w"))  # noqa: SIM115
     for stream in (sys.stdout, sys.stderr):
         if isinstance(stream, io.TextIOWrapper):
             stream.reconfigure(errors="backslashreplace")

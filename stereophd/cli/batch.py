@@ -7,13 +7,13 @@ from typing import Any
 
 import typer
 
-from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
 from stereophd.cli.terminal import print_report
 from stereophd.report.tables import SummaryTable, table_text
+from stereophd.wording import LOGGER, counted
 
-# Not in the table: the folder identifies the log, and messages are printed below the table.
-_NOT_IN_TABLE = frozenset({"log", "message"})
+# Not in the table: the folder identifies the log, and messages are printed as errors.
+_NOT_IN_TABLE = frozenset({"log", "message", "gates"})
 
 
 def are_many(paths: Sequence[Path]) -> bool:
@@ -27,10 +27,12 @@ def finish_batch(session: Session, found: Mapping[str, Any], strict: bool = Fals
     """Print the summary that `run_batch` returns, and exit: 2 if an input failed; if `strict`, 1 if a check warns."""
     rows = found["logs"]
     print_report(session, found, lambda: table_text(_table(rows, found)))
-    code = found["exit_code"]
-    if code == 0 and strict and any(row.get("warnings") for row in rows):
-        code = 1
-    if code:
+    warned = [row for row in rows if strict and row.get("warnings")]
+    for row in warned:
+        LOGGER.error(
+            "%s: %s of checks in its report.json (--strict)", row["folder"], counted(row["warnings"], "warning")
+        )
+    if code := max(found["exit_code"], int(bool(warned))):
         raise typer.Exit(code)
 
 
@@ -45,10 +47,12 @@ def say_what_is_kept(out: Path) -> None:
 def _table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, Any]) -> SummaryTable:
     """Return a row for each input; below are the messages of those that failed."""
     names = tuple(name for name in rows[0] if name not in _NOT_IN_TABLE)
-    messages = [f"{row['folder']}: {with_flags(row['message'])}" for row in rows if row["message"]]
     words = tuple(column for column, name in enumerate(names) if name in ("folder", "status"))
     cells = tuple(tuple(_text(row[name]) for name in names) for row in rows)
-    return SummaryTable("", names, cells, (*messages, f"{found['done']} done, {found['failed']} failed"), words)
+    counts = f"{found['done']} done, {found['failed']} failed"
+    if found["gates_failed"]:
+        counts = f"{counts}, {counted(found['gates_failed'], 'gate')} failed"
+    return SummaryTable("", names, cells, (counts,), words)
 
 
 def _text(value: Any) -> str:

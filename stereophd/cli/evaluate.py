@@ -14,7 +14,7 @@ from stereophd.errors import InputError
 from stereophd.options import names_of_use
 
 Tracks = Annotated[Path, typer.Argument(metavar="TRACKS", help="tracks.parquet, or a folder of runs.")]
-Truth = Annotated[Path, typer.Argument(metavar="TRUTH", help="truth.parquet, or a folder of truths.")]
+Truth = Annotated[Path, typer.Argument(metavar="TRUTH", help="truth.parquet (or CSV), or a folder of truths.")]
 ScoresOut = Annotated[Path | None, option("--out", "DIR", "Folder of report.json, per_scan.parquet and plots.")]
 Estimated = Annotated[Path, typer.Argument(metavar="EST", help="Estimated cameras (YAML).")]
 TrueCameras = Annotated[Path, typer.Argument(metavar="TRUE", help="True cameras (YAML).")]
@@ -30,7 +30,8 @@ def evaluate_command(
     """Score tracks against the truth (OSPA, RMSE, identities, NEES).
 
     With folders of runs as TRACKS and TRUTH, each NAME/tracks.parquet is scored against NAME/truth.parquet or
-    NAME.parquet, and DIR/summary.parquet has a row for each.
+    NAME.parquet, and DIR/summary.parquet has a row for each. A truth without tracks is a warning; with limits it fails
+    (exit code 2).
     """
     report(session, ("seed",), "for the scores of cameras (evaluate-cameras), with --config CONFIG")
     _report_without_out(session, out)

@@ -11,7 +11,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 import typer
 
 from stereophd.cli import options
-from stereophd.cli.terminal import begin
+from stereophd.cli.terminal import begin, stages_shown
 from stereophd.errors import InputError
 from stereophd.options import Declaration
 
@@ -57,7 +57,8 @@ def command(function: Callable[..., Any]) -> Callable[..., Any]:
                 raise InputError(f"{parameter.opts[0]}: expected a finite number, found {value}")
         for name, kind in classes.items():
             values[name] = kind(**{each.name: _parsed(each, values.pop(each.name)) for each in _stated(kind)})
-        return function(session, **values)
+        with stages_shown(session):
+            return function(session, **values)
 
     run.__name__, run.__doc__ = function.__name__, function.__doc__
     run.__signature__ = inspect.Signature(list(shown.values()))  # type: ignore[attr-defined]
@@ -99,8 +100,6 @@ def _typer_option(name: str, hint: Any, declared: Declaration, default: Any) -> 
     flag, is_flag = declared.flag_of(name), bool in (hint, *get_args(hint))
     words = f"{flag}/{flag.replace('--', '--no-', 1)}" if is_flag and default is not False else flag
     more: dict[str, Any] = {"metavar": declared.metavar} if declared.metavar else {}
-    if declared.least is not None:
-        more["min"] = declared.least
     if type(None) in get_args(hint):
         more["show_default"] = False
     return typer.Option(words, help=declared.meaning, **more)
@@ -109,6 +108,10 @@ def _typer_option(name: str, hint: Any, declared: Declaration, default: Any) -> 
 def _parsed(each: Field[Any], value: Any) -> Any:
     """Return the value of an option from what typer has parsed."""
     declared: Declaration | None = each.metadata.get("option")
-    if declared is None or declared.parse is None:
+    if declared is None:
+        return value
+    if declared.least is not None and value is not None and value < declared.least:
+        raise InputError(f"{declared.flag_of(each.name)}: expected at least {declared.least:g}, found {value:g}")
+    if declared.parse is None:
         return value
     return declared.parse(declared.flag_of(each.name), value or ())

@@ -1,6 +1,5 @@
 """``stereophd import``, ``init`` and ``check``: a recording, its configuration, and whether they fit."""
 
-import math
 import shlex
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,7 @@ from stereophd.cli.terminal import exit_if_strict, load, print_report
 from stereophd.cli.unused_options import refuse
 from stereophd.commands.options import InitOptions, Replacing
 from stereophd.io.interchange.options import ImportOptions
-from stereophd.wording import counted
+from stereophd.wording import counted, instant
 
 Sources = Annotated[list[Path], argument("SOURCE", "Files or folders of that format.")]
 SourceCameras = Annotated[
@@ -71,21 +70,16 @@ def _imported(report: dict[str, Any], out: Path) -> list[str]:
             lines.append(f"{name}: {size}")
             continue
         rate = f"{row['rate_hz']:.6g} Hz" if row["rate_hz"] else "no rate"
-        first, last = (f"{row[key]:.{_digits(row['first_s'], row['last_s'])}g}" for key in ("first_s", "last_s"))
         lines.append(
             f"{name}: {row['detections']} detections in {row['frames']} frames ({row['empty_frames']} empty, "
-            f"{row['filled_frames']} of them filled in), {first} to {last} s, {rate}, {size}"
+            f"{row['filled_frames']} of them filled in), {instant(row['first_s'])} to {instant(row['last_s'])} s, "
+            f"{rate}, {size}"
         )
     if (between := report["distances"]) is not None:
         near, far = f"{between['nearest']:.4g}", f"{between['farthest']:.4g}"
         lines.append(f"distances between cameras: {near} to {far} {report['length_unit']}")
     files = [name for name in ("detections.parquet", "cameras.yaml", "truth.parquet") if (out / name).exists()]
     return [*lines, f"Written to {out}: {', '.join(files)}, report.json"]
-
-
-def _digits(first: float, last: float) -> int:
-    """Return how many digits show six of the time between two, such as stamps since 1970."""
-    return 6 + max(0, int(math.log10(max(abs(last), 1.0) / max(last - first, 1e-3))))
 
 
 def init_command(

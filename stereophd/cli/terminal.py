@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import logging
 import os
 import shlex
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
@@ -16,6 +18,7 @@ from stereophd.cli import interrupts
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import ConfigWords, SceneWords, Session
 from stereophd.errors import GateError, InputError
+from stereophd.wording import PROGRESS, counted, percent
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -35,16 +38,12 @@ _NOT_IN_SUMMARY = frozenset({"provenance", "report_version"})
 
 def begin(context: typer.Context) -> Session:
     """Return the session of a command, with the messages of the package going to stderr."""
-    import logging
-
     session = context.ensure_object(Session)
     session.context = context
     level = logging.ERROR if session.quiet else max(logging.WARNING - 10 * session.verbosity, logging.DEBUG)
     logger = logging.getLogger("stereophd")
     handler = logging.StreamHandler(sys.stderr)
-    formatter = logging.Formatter("%(levelname)s: %(message)s")
-    # as the messages of errors: parameters become options
-    handler.format = lambda record: with_flags(formatter.format(record))  # type: ignore[method-assign]
+    handler.format = _message_line  # type: ignore[method-assign]
     # Replaced, not added: several calls may happen in one process.
     logger.handlers = [handler]
     logger.setLevel(level)
@@ -78,6 +77,12 @@ def prepare_memory() -> None:
     square = np.ones((256, 256))
     square @ square
     dgemm(1.0, square, square)
+
+
+def _message_line(record: logging.LogRecord) -> str:
+    """Return a message as a line; one of an error looks as `stereophd.cli.app` prints the error that ends a command."""
+    level = "error" if record.levelno >= logging.ERROR else record.levelname
+    return f"{level}: {with_flags(record.getMessage())}"
 
 
 def load(words: SceneWords, further: Sequence[str] = ()) -> LoadedConfig:
@@ -158,11 +163,11 @@ def print_scored(session: Session, run: Callable[[], Mapping[str, Any]], text: C
 
 
 def exit_if_strict(strict: bool, report: Mapping[str, Any]) -> None:
-    """Exit with code 1 if `strict` and a check of a report warns."""
-    from stereophd.pipeline.checks.finding import count_warnings
-
-    if strict and count_warnings(report):
-        raise typer.Exit(1)
+    """Raise GateError, with the checks of a report that warn, if `strict` and there are any."""
+    checks = report["checks"] if strict else ()
+    if warned := [f"{check['name']}: {check['message']}" for check in checks if check["status"] == "warning"]:
+        warn = "warns" if len(warned) == 1 else "warn"
+        raise GateError(f"{counted(len(warned), 'check')} {warn}: {'; '.join(warned)} (--strict)")
 
 
 def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
@@ -187,14 +192,14 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
     """Yield a function (done, total) that moves a bar, with the time left and spent, on stderr if it is a terminal.
 
-    The bar names the stages that the run logs; without a terminal one of them is a line every `PACE_S`.
+    The bar names the stages that the run logs; without a terminal the last of them is a line every `PACE_S`.
     """
     if session.quiet:
         yield lambda done, total: interrupts.check()
         return
     if not sys.stderr.isatty():
-        with _stages_shown(session, _paced(label)):
-            yield lambda done, total: interrupts.check()
+        with _lines_of_progress(session, label) as tell:
+            yield tell
         return
     from rich.console import Console
     from rich.progress import Progress, TimeElapsedColumn
@@ -208,37 +213,62 @@ def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, floa
             interrupts.check()
             bar.update(task, completed=done, total=total)
 
-        with _stages_shown(session, lambda stage: bar.update(task, description=f"{label}: {stage}")):
+        with stages_shown(session, lambda stage: bar.update(task, description=f"{label}: {stage}")):
             yield advance
 
 
 @contextlib.contextmanager
-def _stages_shown(session: Session, show: Callable[[str], None]) -> Iterator[None]:
-    """Show the stages that a run logs (`stereophd.progress`); with --verbose they are messages as all others."""
-    import logging
+def stages_shown(session: Session, show: Callable[[str], None] | None = None) -> Iterator[None]:
+    """Show the stages that a run logs (`PROGRESS`); with --verbose they are messages as all others.
 
-    handler, logger = logging.Handler(), logging.getLogger("stereophd.progress")
-    handler.emit = lambda record: show(record.getMessage())  # type: ignore[method-assign]
-    if session.verbosity:
+    What must be known at once, that a run waits for the compiler, is a line on stderr, in a command without stages too.
+    """
+    if session.verbosity or session.quiet:
         yield
         return
-    logger.handlers, logger.propagate = [handler], False
-    logger.setLevel(logging.INFO)
+
+    def emit(record: logging.LogRecord) -> None:
+        if vars(record).get("at_once"):
+            print(record.getMessage(), file=sys.stderr, flush=True)
+        elif show is not None:
+            show(record.getMessage())
+
+    handler, before = logging.Handler(), (PROGRESS.handlers, PROGRESS.propagate, PROGRESS.level)
+    handler.emit = emit  # type: ignore[method-assign]
+    PROGRESS.handlers, PROGRESS.propagate = [handler], False
+    PROGRESS.setLevel(logging.INFO)
     try:
         yield
     finally:
-        logger.handlers, logger.propagate = [], True
-        logger.setLevel(logging.NOTSET)
+        PROGRESS.handlers, PROGRESS.propagate, level = before
+        PROGRESS.setLevel(level)
 
 
-def _paced(label: str) -> Callable[[str], None]:
-    """Return a function that prints a stage on stderr if none was printed for `PACE_S`."""
-    began = printed = time.monotonic()
+@contextlib.contextmanager
+def _lines_of_progress(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
+    """Print the last stage and the share that is done on stderr every `PACE_S`, also while a step reports nothing."""
+    began, ended, stage, share = time.monotonic(), threading.Event(), "", ""
 
-    def show(stage: str) -> None:
-        nonlocal printed
-        if (now := time.monotonic()) - printed >= PACE_S:
-            printed = now
-            print(f"{label}, {now - began:.0f} s: {stage}", file=sys.stderr, flush=True)
+    def show(text: str) -> None:
+        nonlocal stage
+        stage = text
 
-    return show
+    def advance(done: float, total: float) -> None:
+        nonlocal share
+        interrupts.check()
+        share = f"{percent(done / total)} done" if total else ""
+
+    def watch() -> None:
+        while not ended.wait(PACE_S):
+            told = ", ".join(filter(None, (stage, share))) or "begun"
+            with contextlib.suppress(OSError, ValueError):  # full, or closed
+                print(f"{label}, {time.monotonic() - began:.0f} s: {told}", file=sys.stderr, flush=True)
+
+    thread = threading.Thread(target=watch, name="progress", daemon=True)
+    thread.start()
+    try:
+        with stages_shown(session, show):
+            yield advance
+    finally:
+        ended.set()
+        thread.join()

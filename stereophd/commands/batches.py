@@ -1,9 +1,9 @@
 """Commands over many recordings: a folder for each, and a summary of all; one that fails stops no other.
 
 The output folder gets ``NAME/`` for each recording, with the files of the command, and ``summary.parquet``. `progress`
-is called with the recordings done and their number. Each command returns ``logs``, the rows of the summary, ``done``
-and ``failed``, their numbers, and ``exit_code``, and raises InputError if a file is named twice or not there, or an
-option or the folder cannot be used. A recording that fails is a row with the reason.
+is called with the recordings done and their number. Each command returns what `run_batch` does, and raises InputError
+if a file is named twice or not there, or an option or the folder cannot be used. A recording that fails is a row with
+the reason.
 """
 
 import os
@@ -27,8 +27,10 @@ from stereophd.options import takes
 from stereophd.pipeline.batch.names import pairs_by_name
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
+from stereophd.pipeline.evaluation.inputs import is_truth
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
+from stereophd.wording import LOGGER, counted
 
 Report = Mapping[str, Any]
 
@@ -73,8 +75,9 @@ COLUMNS: dict[str, dict[str, tuple[Any, Callable[[Report], Any]]]] = {
 
 
 def _values(command: str, report: Report) -> Report:
-    """Return the values of a row of the summary."""
-    return {name: value(report) for name, (_, value) in COLUMNS[command].items()}
+    """Return the values of a row of the summary, and what the row has beside them: its gates, if there are any."""
+    gates = {"gates": report["gates"]} if report.get("gates") else {}
+    return {name: value(report) for name, (_, value) in COLUMNS[command].items()} | gates
 
 
 @takes(TrackOptions)
@@ -110,14 +113,20 @@ def evaluate_runs(
 ) -> dict[str, Any]:  # fmt: skip
     """Score the tracks of many runs, ``NAME/tracks.parquet``, against the truths of the same names.
 
-    These are ``NAME/truth.parquet`` (as `simulate` writes runs) or ``NAME.parquet``.
+    These are ``NAME/truth.parquet`` (as `simulate` writes runs) or ``NAME.parquet``. A truth without tracks is a
+    warning; where figures have limits it is a recording that fails.
     """
     if options.log_path is not None:
         raise InputError("`log_path`: expected the tracks of one run, found a folder of runs")
-    pairs = pairs_by_name(Path(tracks_dir), Path(truth_dir), "tracks.parquet", "truth.parquet")
+    pairs, alone = pairs_by_name(Path(tracks_dir), Path(truth_dir), "tracks.parquet", "truth.parquet")
+    alone = {name: files for name, files in alone.items() if is_truth(files[1])}
+    if options.fail_above or options.fail_below:
+        pairs |= alone
+    elif alone:
+        LOGGER.warning("%s: %s without tracks: %s", truth_dir, counted(len(alone), "truth"), ", ".join(alone))
     items = [
         Item(name, str(tracks), (Path(os.path.abspath(tracks)), Path(os.path.abspath(truth))))
-        for name, (tracks, truth) in pairs.items()
+        for name, (tracks, truth) in sorted(pairs.items())
     ]
     each = replace(options, jobs=1, dask=None)
     values = {name: None if value is None else str(value) for name, value in vars(each).items() if name != "force"}
@@ -150,4 +159,7 @@ def _evaluate(options: EvaluateOptions, item: Item, out: Path, progress: Progres
     """Score one run."""
     if progress is not None:
         progress(0, 1)
-    return evaluate(item.paths[0], item.paths[1], out, options=options)
+    tracks, truth = item.paths
+    if not truth.exists():
+        raise InputError(f"{truth}: there is no such file, and no {truth.parent.name}.parquet beside that folder")
+    return evaluate(tracks, truth, out, options=options)

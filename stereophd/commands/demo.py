@@ -14,6 +14,7 @@ from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.pipeline.runs.progress import Progress
+from stereophd.wording import PROGRESS
 
 CONFIG = "quickstart.yaml"
 STEPS = 4
@@ -33,16 +34,22 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
     config = folder / "config.yaml"
     if config.exists() and not force:
         raise InputError(f"{config}: the file exists; use `force=True` to replace it")
-    advance = progress or (lambda done, total: None)
+
+    def begin(step: int, what: str) -> None:
+        PROGRESS.info("%s, step %d of %d", what, step + 1, STEPS)
+        if progress is not None:
+            progress(step, STEPS)
+
     simulated, tracked, evaluated = (folder / name for name in ("simulated", "tracked", "evaluated"))
     folder.mkdir(parents=True, exist_ok=True)
     with atomic_write(config) as temporary:
         temporary.write_text(config_text(), encoding="utf-8")
+    begin(0, "the scene is simulated")
     simulate(load_config(config), simulated, force=force)
-    advance(1, STEPS)
+    begin(1, "the objects are tracked")
     settings = load_config(config, ["report.associations=true"], cameras_path=simulated / "cameras.yaml")
     tracks = track(settings, simulated / "detections.parquet", tracked, force=force)
-    advance(2, STEPS)
+    begin(2, "the tracks are scored")
     scores = evaluate(
         tracked / "tracks.parquet",
         simulated / "truth.parquet",
@@ -51,11 +58,10 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
         cameras_path=simulated / "cameras.yaml",
         force=force,
     )
-    advance(3, STEPS)
+    begin(3, "the page is written")
     page = folder / "report.html" if find_spec("plotly") is not None else None
     if page is not None:
         report([simulated, tracked, evaluated], page, title="stereophd demo", force=force)
-    advance(STEPS, STEPS)
     return {
         "folder": str(folder),
         "config": str(config),

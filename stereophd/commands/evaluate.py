@@ -13,7 +13,7 @@ from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.options import takes
-from stereophd.pipeline.evaluation.gates import check_limits, limits_of, raise_if_failed
+from stereophd.pipeline.evaluation.gates import gates, raise_if_failed
 from stereophd.pipeline.evaluation.inputs import (
     SCANS_NAME,
     Tracks,
@@ -68,10 +68,9 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
     max_gap_s = DEFAULT_GAP_STEPS * truth.step_s if options.max_gap_s is None else options.max_gap_s
     scored = score_tracks(tracks, truth, sightings, options, max_gap_s, inputs["tracks"])
     warn_of_another_scene(inputs, tracks, truth, scored.scans)
-    limits = limits_of(options.fail_above, options.fail_below)
-    check_limits(limits, {**scored.figures, "scans": scored.scans})
+    judged = gates(options.fail_above, options.fail_below, {**scored.figures, "scans": scored.scans})
     record = provenance("evaluate", scoring_values(options), inputs=inputs, length_unit=unit)
-    report = build_report(scored, options, max_gap_s, unit, record, limits)
+    report = build_report(scored, options, max_gap_s, unit, record, judged)
     if out is not None:
         write_json(out.path(REPORT_NAME), report)
         write_per_scan(out.path(PER_SCAN_NAME), scored.columns, to_metadata(record))

@@ -29,7 +29,7 @@ from stereophd.io.tables.reading import open_parquet
 from stereophd.options import takes
 from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
-from stereophd.pipeline.evaluation.gates import check_limits, gates, limits_of, raise_if_failed
+from stereophd.pipeline.evaluation.gates import gates, raise_if_failed
 from stereophd.validated import NO_LENGTH
 from stereophd.wording import LOGGER
 
@@ -81,9 +81,7 @@ def evaluate_calibration(
         report["posterior"] = posterior_figures(posterior, true)
     if loaded is not None:
         report["bounds"] = bound_figures(loaded, true)
-    limits, figures = limits_of(options.fail_above, options.fail_below), {"joint": report["joint"]}
-    check_limits(limits, figures)
-    report["gates"] = gates(limits, figures)
+    report["gates"] = gates(options.fail_above, options.fail_below, {"joint": report["joint"]})
     if out_dir is not None:
         inputs = {"cameras": cameras_path, "true_cameras": true_path}
         values = {"reference": report["reference"]} if loaded is None else loaded.record

@@ -1,7 +1,7 @@
 """Bring detections and cameras of another program into native files."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from stereophd.io.interchange.base import (
     with_source_names,
 )
 from stereophd.io.interchange.registry import find, read_foreign
+from stereophd.io.interchange.truth import native_truth
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
@@ -34,7 +35,7 @@ from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.run import QUICK_FRAMES, report_findings
 from stereophd.pipeline.inspection.cameras import summarise_cameras
-from stereophd.wording import LOGGER
+from stereophd.wording import LOGGER, instant
 
 DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
 TRUTH_FILE = "truth.parquet"
@@ -72,9 +73,14 @@ def import_recording(
         if not path.exists():
             raise InputError(f"{path}: there is no such file or folder")
     with OutputFolder(out_dir, FILES, force) as out:
-        naming, in_source = with_source_names(options)
-        noted, read = consulted(naming)
+        noted, read = consulted(options)
+        truth = None if options.truth is None else native_truth(options.truth, noted)
+        given = options if truth is None else replace(options, truth=None)  # then the reader has no use for the file
+        naming, in_source = with_source_names(given)
+        noted, of_reader = consulted(naming)
         recording = _read(read_foreign(form, paths, noted), noted, cameras_path)
+        if truth is not None:
+            recording.truth = truth
         files = [*recording.files, *([options.truth] if options.truth is not None else ())]
         inputs = {f"source.{index}": path for index, path in enumerate(files) if path.is_file()}
         config = {"format": form, **options.plain()}
@@ -85,7 +91,7 @@ def import_recording(
             summaries = write_native_log(recording, noted, log, log.parent, to_metadata(record))
         if recording.truth is not None:
             _write_truth(recording.truth, out.path(TRUTH_FILE), recording, noted, to_metadata(record))
-        refuse_unread(options, read, f"a source of format {form}")
+        refuse_unread(given, read | of_reader, f"a source of format {form}")
         stated = paths if cameras_path is None else [*paths, Path(cameras_path)]
         refuse_other_cameras(options, [*recording.cameras, *summaries], in_source, stated)
         cameras = _with_rates(recording.cameras, summaries)
@@ -203,7 +209,7 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
         name: (s.first_s, s.last_s) for name, s in summaries.items() if s.first_s is not None and s.last_s is not None
     }
     if spans and max(first for first, _ in spans.values()) > min(last for _, last in spans.values()):
-        listed = ", ".join(f"{name} {first:g} to {last:g} s" for name, (first, last) in spans.items())
+        listed = ", ".join(f"{name} {instant(first)} to {instant(last)} s" for name, (first, last) in spans.items())
         warn(f"the cameras have no time in common ({listed}): check rates, offsets and the unit of times")
 
 

@@ -160,6 +160,8 @@ class EvaluateOptions(Gated, ScoreOptions):
 class EvaluateCamerasOptions(Gated):
     """Options of `evaluate_calibration`."""
 
+    fail_above: Mapping[str, float] | None = _limits("above", "joint.rotation_deg=0.1")
+    fail_below: Mapping[str, float] | None = _limits("below", "joint.scale_ratio=0.99")
     reference: str | None = option(
         "Camera that fixes the frame; default: that of the posterior, else the first whose poses agree.",
         default=None,
@@ -189,7 +191,7 @@ class SimulateOptions(Replacing):
     """Options of `simulate`."""
 
     force_size: bool = option("Run even if that fills much of the disk.", default=False, flag="ignore-size-limit")
-    runs: int | None = option("Make N runs, in folders run-0000, ...", default=None, metavar="N", least=1)
+    runs: int | None = option("Make N runs, in folders run-0000 and so on.", default=None, metavar="N", least=1)
     jobs: int = _jobs("Processes for several runs.", "several runs")
 
 

@@ -48,7 +48,7 @@ class Recalibration:
         }
         self._frames: deque[Message] = deque()
         self._tries = [knock.time_s + after_s for after_s in TRIES_S]
-        self._aside = Aside(nicer=0)  # on a busy machine too: the run waits for this camera
+        self.aside = Aside(nicer=0)  # on a busy machine too: the run waits for this camera
 
     def keep(self, message: Message) -> None:
         """Keep a frame that came after the knock was noticed."""
@@ -58,18 +58,18 @@ class Recalibration:
 
     def step(self, time_s: float) -> dict[str, Any] | None:
         """Begin a try when its time has come; return what one found, ``status`` and, if it is determined, ``pose``."""
-        if not self._aside.is_busy and self._tries and time_s >= self._tries[0]:
+        if not self.aside.is_busy and self._tries and time_s >= self._tries[0]:
             self._tries = [later for later in self._tries if later > time_s]
             lines = [message.to_line() + "\n" for message in self._frames]
             task = self._loaded, self.knock.camera, self._prior, lines
-            self._aside.start(lambda worker: worker.call(solve_camera, task))
-        outcome = self._aside.take()
+            self.aside.start(lambda worker: worker.call(solve_camera, task))
+        outcome = self.aside.take()
         return {"status": f"failed: {outcome}"} if isinstance(outcome, Exception) else outcome
 
     @property
     def is_over(self) -> bool:
         """Whether all tries have failed."""
-        return not self._aside.is_busy and not self._tries
+        return not self.aside.is_busy and not self._tries
 
 
 def solve_camera(task: tuple[LoadedConfig, str, dict[str, float], list[str]]) -> dict[str, Any]:

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.options import TrackOptions
 from stereophd.config.loading import LoadedConfig
-from stereophd.core.disparity.sample_move import carry_components
-from stereophd.core.numerics.compilation.kernel_cache import is_kept
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.outputs.atomic import OutputFolder, output_lock
 from stereophd.io.outputs.json_text import write_json
@@ -93,7 +90,7 @@ def track(
         return report
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     kind = loaded.config.filter.kind if loaded.config.filter is not None else ""
-    with _compilation(kind), output_lock(out_dir):
+    with compiling_ahead(kind), output_lock(out_dir):
         findings = check_log(loaded, log_path, thorough=False)
         with (
             unfinished.held(options.resume, options.force),
@@ -187,12 +184,3 @@ def _draw(report: dict[str, Any], out: OutputFolder) -> None:
     run = read_run(out.path(TRACKS_FILE).parent, "track", report)
     kept = [name for name in PLOTS if run.associations is not None or not name.startswith("residuals")]
     write_track_plots(run, {name: out.path(name) for name in kept})
-
-
-@contextmanager
-def _compilation(kind: str) -> Iterator[None]:
-    """Compile the kernels in two processes if no compiled ones are found, and report it."""
-    if not is_kept(carry_components):
-        LOGGER.info("first run: compiling the kernels, once, in up to a minute")
-    with compiling_ahead(kind):
-        yield

@@ -53,6 +53,8 @@ from stereophd.pipeline.workers.worker_process import WorkerProcess
 LOG_FILE = "detections.parquet"
 # Time between two reports of how a run goes, s.
 STATUS_EVERY_S = 2.0
+# Longest wait at the end of the stream for a camera that is being solved, s, and the status where it is not solved.
+PATIENCE_S, NOT_FINISHED = 30.0, "not finished when the stream ended"
 # Time between two checkpoints, s; more where one takes more than this part of it.
 CHECKPOINT_EVERY_S, MOST_SHARE = 60.0, 0.1
 
@@ -141,6 +143,7 @@ class _Session:
         self._told_s = -math.inf
         self._knock: Knock | None = None
         self._recalibration: Recalibration | None = None
+        self._shown_s = -math.inf  # time of the last record
         self._checkpoint = Aside()
         self._began_s, self._next_s = 0.0, time.monotonic() + CHECKPOINT_EVERY_S
 
@@ -160,6 +163,7 @@ class _Session:
         with contextlib.ExitStack() as ending:
             ending.enter_context(contextlib.suppress(KeyboardInterrupt))
             ending.callback(self._checkpoint.stop)
+            ending.callback(self._give_up_recalibration)
             for live in self.run.records(arrivals, source):
                 if not self._is_lagged:
                     self._show(live.record, live.is_revised)
@@ -174,6 +178,9 @@ class _Session:
                     self._tell_status()
                     self._save()
             self._show_late(is_over=True)
+            if self._recalibration is not None:
+                self._recalibration.aside.wait(PATIENCE_S)
+                self._take_recalibration(self._recalibration)
 
     def _show(self, record: Record, is_revised: bool) -> None:
         """Give a record to every sink."""
@@ -226,19 +233,29 @@ class _Session:
             if self.found.config.live.recalibrate and not record.knock.others:
                 self._recalibration = Recalibration(self._tracked_by, record.knock, record)
                 self.run.pass_over(record.knock.camera)
-        if self._recalibration is None:
-            return
-        result = self._recalibration.step(record.time_s)
+        self._shown_s = record.time_s
+        if self._recalibration is not None:
+            self._take_recalibration(self._recalibration)
+
+    def _take_recalibration(self, recalibration: Recalibration) -> None:
+        """Tell what a try to solve a camera has found, if one has ended, and go on with its pose."""
+        result = recalibration.step(self._shown_s)
         if result is None:
             return
-        knock, pose = self._recalibration.knock, result.get("pose")
-        self.tell(Recalibrated(knock.camera, record.time_s, **result))
+        knock, pose = recalibration.knock, result.get("pose")
+        self.tell(Recalibrated(knock.camera, self._shown_s, **result))
         if pose is not None:
             self._tracked_by = with_pose(self._tracked_by, knock.camera, pose, None)
             self.found = with_pose(self.found, knock.camera, pose, knock.since_s)
             self.run.go_on(_tracking(self._tracked_by).estimator)
-        if pose is not None or self._recalibration.is_over:
+        if pose is not None or recalibration.is_over:
             self._recalibration = None
+
+    def _give_up_recalibration(self) -> None:
+        """Tell at the end of a run that a camera is still to be solved."""
+        if self._recalibration is not None:
+            self._recalibration.aside.stop()
+            self.tell(Recalibrated(self._recalibration.knock.camera, self._shown_s, NOT_FINISHED))
 
 
 def _check(loaded: LoadedConfig) -> None:

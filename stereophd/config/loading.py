@@ -311,6 +311,8 @@ def read_camera_file(
     if foreign is not None:
         name, recording = foreign
         assert recording.length_unit is not None
+        for sentence in recording.warnings:
+            LOGGER.warning("%s: %s", path, sentence)
         return recording.cameras, recording.length_unit, [f"{path.name}: read as {name}", *recording.assumed]
     if path.is_dir():
         raise InputError(f"{path}: expected a file of cameras, or a folder that holds one, found a folder without one")

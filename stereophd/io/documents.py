@@ -17,6 +17,7 @@ import numpy as np
 import yaml
 
 from stereophd.errors import InputError
+from stereophd.wording import instant
 
 # Bytes of a document that is held in memory as a whole; far more than any camera file or configuration needs.
 MAX_DOCUMENT_BYTES = 8_000_000
@@ -120,7 +121,8 @@ def check_instant(count: int, time_s: float, where: str) -> None:
     """Refuse, by an InputError, a frame of more than `MAX_DETECTIONS_AT_ONCE` detections: no camera makes as many."""
     if count > MAX_DETECTIONS_AT_ONCE:
         raise InputError(
-            f"{where}: expected at most {MAX_DETECTIONS_AT_ONCE} detections at one time, found more at {time_s:.9g}"
+            f"{where}: expected at most {MAX_DETECTIONS_AT_ONCE} detections at one time, found more at "
+            f"{instant(time_s, 9)}"
         )
 
 

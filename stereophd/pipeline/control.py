@@ -1,6 +1,6 @@
 """Control: where one of the objects truly was, on a clock of its own, or points of known place in the images."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -14,15 +14,15 @@ from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError, unknown_camera
-from stereophd.io.interchange.documents.text_tables import first_lines, read_batches, separator_of, split_line
 from stereophd.io.outputs.provenance import length_unit
-from stereophd.io.tables.reading import check_columns, checked_table, open_parquet, read_table
+from stereophd.io.tables.native_tables import column_names, read_native_table
 from stereophd.io.tables.schemas import FLOAT
 from stereophd.pipeline.evaluation.scoring import registration_report
 from stereophd.wording import LOGGER
 
 PLACE, GEOGRAPHIC = ("x", "y", "z"), ("latitude_deg", "longitude_deg", "altitude_m")
 PIXEL = ("u_px", "v_px")
+WHAT = "control track"
 POINTS = {"camera": pa.string(), **dict.fromkeys(PIXEL, FLOAT)}
 POINTS_OPTIONAL = {**dict.fromkeys((*PLACE, "std", "sigma_px"), FLOAT), "point": pa.string()}
 # A pixel that misses its point by this many deviations, and medians of all, was probably given another's name.
@@ -52,20 +52,14 @@ def read_control(path: Path, cameras: Sequence[Camera]) -> Control | ControlPoin
     InputError when the table is not usable: columns, values that are not finite, times that do not increase, several
     objects, fewer than six rows, names that no camera has, cameras that move.
     """
-    separator = None
-    if path.suffix.lower() == ".csv":
-        head = (first_lines(path, 1) or [""])[0]
-        separator, names = separator_of(head), split_line(head)
-    else:
-        with open_parquet(path, "control track") as parquet:
-            names = parquet.schema_arrow.names
+    names = column_names(path, WHAT)
     if "u_px" in names:
         if lost := [name for name in PLACE if name not in names]:
             raise InputError(f"{path}: missing columns {', '.join(lost)} of points, or {', '.join(PLACE)} of a track")
-        return _points(path, _table(path, separator, names, POINTS, POINTS_OPTIONAL), cameras)
+        return _points(path, read_native_table(path, POINTS, POINTS_OPTIONAL, WHAT), cameras)
     columns = GEOGRAPHIC if set(GEOGRAPHIC) <= set(names) else PLACE
     optional = {"std": FLOAT, "object_id": pa.int64()}
-    table = _table(path, separator, names, dict.fromkeys(("time_s", *columns), FLOAT), optional)
+    table = read_native_table(path, dict.fromkeys(("time_s", *columns), FLOAT), optional, WHAT)
     values = {name: np.array(table[name], dtype=np.float64) for name in table.column_names}
     for name in ("time_s", *columns, *(["std"] if "std" in values else [])):
         bad = np.flatnonzero(~np.isfinite(values[name]) | (values[name] <= 0.0 if name == "std" else False))
@@ -87,18 +81,6 @@ def read_control(path: Path, cameras: Sequence[Camera]) -> Control | ControlPoin
         place, unit = local_places(place, middle), "m"
         origin = dict(zip(columns, middle.tolist(), strict=True))
     return Control(Truth(times, np.zeros(len(times), dtype=np.int64), place), values.get("std"), unit, origin)
-
-
-def _table(
-    path: Path, separator: str | None, names: list[str], required: Mapping[str, Any], optional: Mapping[str, Any]
-) -> pa.Table:
-    """Read columns of a Parquet table, or of a text of this separator, checked and in their types."""
-    if separator is None:
-        return read_table(path, required, optional, "control track")
-    kinds = {name: kind for name, kind in {**required, **optional}.items() if name in names}
-    check_columns(pa.schema([(name, kinds.get(name, pa.null())) for name in names]), required, optional, path)
-    batches = list(read_batches(path, separator, kinds, str(path)))
-    return checked_table(pa.Table.from_batches(batches, pa.schema(kinds)), required, optional, path)
 
 
 def _points(path: Path, table: pa.Table, cameras: Sequence[Camera]) -> ControlPoints:

@@ -23,6 +23,7 @@ from stereophd.core.simulation.objects import MovingObject, SceneObject
 from stereophd.core.simulation.timing import Schedule, TimeGrid
 from stereophd.core.simulation.walkers import Crowd, Walker
 from stereophd.errors import InputError
+from stereophd.wording import instant
 
 
 def simulate_section(loaded: LoadedConfig) -> SimulateConfig:
@@ -147,7 +148,7 @@ def _check_covered(cameras: Sequence[Camera], schedules: Sequence[Schedule], sta
         if not (first - SAME_TIME_S <= begin and end <= last + SAME_TIME_S):
             raise InputError(
                 f"cameras.{camera.name}.pose.trajectory: expected poses that cover the frames of the run "
-                f"({begin:.10g} to {end:.10g} s), found {first:.10g} to {last:.10g} s"
+                f"({instant(begin, 10)} to {instant(end, 10)} s), found {instant(first, 10)} to {instant(last, 10)} s"
             )
 
 

@@ -21,6 +21,7 @@ from stereophd.errors import InputError
 from stereophd.io.logs.checks import KINDS
 from stereophd.io.logs.reading import Frame, LogReader
 from stereophd.pipeline.runs.progress import Progress
+from stereophd.wording import instant
 
 # Events between two calls of `progress`.
 PROGRESS_EVERY = 50
@@ -127,7 +128,8 @@ def covered(cameras: Sequence[Camera], frames: Iterable[Frame], source: str) -> 
         if not (first - SAME_TIME_S <= frame.time_s + early and frame.time_s + late <= last + SAME_TIME_S):
             raise InputError(
                 f"{source}: camera {cameras[frame.camera].name}, frame {frame.frame}: expected a true time that the "
-                f"trajectory of the camera covers ({first:.10g} to {last:.10g} s), found {frame.time_s:.10g} s"
+                f"trajectory of the camera covers ({instant(first, 10)} to {instant(last, 10)} s), found "
+                f"{instant(frame.time_s, 10)} s"
                 + ("" if early == late else f" and rows from {early:g} to {late:g} s after it")
             )
         yield frame

@@ -6,17 +6,20 @@ from typing import Any
 
 from stereophd.pipeline.inspection.cameras import sketch
 from stereophd.report.tables import aligned
-from stereophd.wording import counted
+from stereophd.wording import counted, instant
 
+# Lengths of this part of the largest are round-off.
+ROUND_OFF = 1e-9
 # Tracks and files listed one by one.
 ROWS_SHOWN = 12
 # Kinds of files that `info` names after the tables, in this order; pictures are counted in one line at the end.
 AFTER_TABLES = ("report", "cameras", "configuration", "folder", "other")
-#: Counts of a camera of a log: title, key, and digits of what is no whole number.
+#: Counts of a camera of a log: title, key, and digits of what is no whole number (None: a time).
 COUNTS = (
     ("frames", "frames", 0), ("empty", "empty_frames", 0), ("detections", "detections", 0),
     ("per frame", "detections_per_frame", 3), ("most", "most_detections_in_a_frame", 0), ("rate Hz", "rate_hz", 5),
-    ("gaps", "gaps", 0), ("longest s", "longest_interval_s", 3), ("first s", "first_s", 6), ("last s", "last_s", 6),
+    ("gaps", "gaps", 0), ("longest s", "longest_interval_s", 3), ("first s", "first_s", None),
+    ("last s", "last_s", None),
 )  # fmt: skip
 PICTURES = (".jpeg", ".jpg", ".pdf", ".png", ".svg")
 
@@ -47,8 +50,8 @@ def _origin(origin: Mapping[str, Any] | None) -> Iterator[str]:
 
 def _log(found: Mapping[str, Any]) -> Iterator[str]:
     yield (
-        f"{counted(found['rows'], 'row')}, {found['first_s']:.6g} to {found['last_s']:.6g} s, all cameras at once for "
-        f"{found['overlap_s']:.6g} s"
+        f"{counted(found['rows'], 'row')}, {instant(found['first_s'])} to {instant(found['last_s'])} s, all cameras at "
+        f"once for {found['overlap_s']:.6g} s"
     )
     yield f"columns: {', '.join(found['columns'])}"
     cells = ((name, *(_shown(c[key], digits) for _, key, digits in COUNTS)) for name, c in found["cameras"].items())
@@ -71,7 +74,7 @@ def _objects(found: Mapping[str, Any]) -> Iterator[str]:
         return
     duration = found["duration_s"]
     yield (
-        f"{found['first_s']:.6g} to {found['last_s']:.6g} s; {what}s last {duration['shortest']:.4g} to "
+        f"{instant(found['first_s'])} to {instant(found['last_s'])} s; {what}s last {duration['shortest']:.4g} to "
         f"{duration['longest']:.4g} s, median {duration['median']:.4g} s"
     )
     spans = zip("xyz", found["lowest"], found["highest"], strict=True)
@@ -80,7 +83,7 @@ def _objects(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"mean existence {found['mean_existence']:.3f}"
     rows = [("id", "first s", "last s", "rows")]
     shown = found["rows_by_object"][:ROWS_SHOWN]
-    rows += [(str(r["id"]), _shown(r["first_s"], 6), _shown(r["last_s"], 6), str(r["rows"])) for r in shown]
+    rows += [(str(r["id"]), instant(r["first_s"]), instant(r["last_s"]), str(r["rows"])) for r in shown]
     yield from aligned(rows)
     if found["objects"] > len(shown):
         yield f"... and {found['objects'] - len(shown)} shorter ones"
@@ -113,8 +116,10 @@ def _cameras(found: Mapping[str, Any]) -> Iterator[str]:
         near, far = found["distances"]["nearest"], found["distances"]["farthest"]
         yield f"distances between cameras: {near:.4g} to {far:.4g} {unit}"
     if found["axes_meet_near"] is not None:
-        meet = _vector(found["axes_meet_near"], 4)
-        yield f"the optical axes meet near {meet}, to within {found['axes_distance_rms']:.3g} {unit}"
+        centers = [camera["center"] for camera in found["cameras"].values()]
+        least = ROUND_OFF * max(abs(x) for place in (found["axes_meet_near"], *centers) for x in place)
+        *meet, within = (0.0 if abs(x) < least else x for x in (*found["axes_meet_near"], found["axes_distance_rms"]))
+        yield f"the optical axes meet near {_vector(meet, 4)}, to within {within:.3g} {unit}"
         if found["axes_meet_behind"]:
             yield f"that point is behind {', '.join(found['axes_meet_behind'])}: do the cameras look apart?"
     if len(found["cameras"]) > 1:
@@ -159,7 +164,7 @@ def _brief(file: Mapping[str, Any]) -> str:
         return ", ".join(file.get("cameras", ())) or "no cameras"
     if file["kind"] == "detections":
         rows, names = counted(file["rows"], "row"), ", ".join(file["cameras"])
-        return f"{rows} of {names}, {file['first_s']:.6g} to {file['last_s']:.6g} s"
+        return f"{rows} of {names}, {instant(file['first_s'])} to {instant(file['last_s'])} s"
     if file["kind"] in ("tracks", "truth"):
         return f"{counted(file['objects'], 'object')}, {counted(file['rows'], 'row')}"
     return counted(file["rows"], "row") if "rows" in file else ""
@@ -169,14 +174,16 @@ def _table(found: Mapping[str, Any]) -> Iterator[str]:
     if "rows" in found:
         yield counted(found["rows"], "row")
     if "first_s" in found:
-        yield f"{found['first_s']:.6g} to {found['last_s']:.6g} s"
+        yield f"{instant(found['first_s'])} to {instant(found['last_s'])} s"
     for name, kind in found.get("columns", {}).items():
         yield f"  {name}  {kind}"
 
 
-def _shown(value: float | None, digits: int) -> str:
-    """Return a number with so many digits; 0: a whole number."""
-    return "-" if value is None else f"{value:.{digits}g}" if digits else str(value)
+def _shown(value: float | None, digits: int | None) -> str:
+    """Return a number with so many digits; 0: a whole number, None: a time."""
+    if value is None:
+        return "-"
+    return instant(value) if digits is None else f"{value:.{digits}g}" if digits else str(value)
 
 
 def _vector(values: Sequence[float], digits: int) -> str:

@@ -39,7 +39,7 @@ def _error_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     yield "position error, median", _number(error["median"], unit), ""
     yield "position error, 90 %", _number(error["p90"], unit), ""
     low, high = nees["interval_95"]
-    note = ""
+    note = "" if report["plane"] is None else "not defined on a plane"
     if low is not None:
         note = f"{nees['dimension']} if consistent; 95 % between {low:.3g} and {high:.3g}"
         if nees["position"] is not None and not low <= nees["position"] <= high:

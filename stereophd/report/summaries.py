@@ -200,7 +200,7 @@ def _tracks(tracks: Sequence[Mapping[str, Any]], unit: str, most: int | None) ->
         )
     header = (
         "track", "from [s]", "to [s]", "lasts [s]", *(f"seen by {name}" for name in each),
-        *(() if each else ("detections", "cameras")), f"speed [{unit}/s]", f"position std [{unit}]", "existence",
+        *(() if each else ("detections", "cameras")), f"speed [{unit}/s]", f"position std, 3-D [{unit}]", "existence",
     )  # fmt: skip
     hidden = len(tracks) - len(chosen)
     notes = (f"... and {hidden} shorter tracks",) if hidden else ()

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import re
 import shlex
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from stereophd.io.logs.rows import LogWriter
 from tests.cli.conftest import Outcome
@@ -28,7 +30,18 @@ def test_findings_are_printed_with_their_remedy(call: Callable[..., Outcome], co
     assert found.code == 0
     assert "WARNING" in found.out
     assert "remedy: multiply u by the width" in found.out
-    assert call("check", config, log, "--strict").code == 1
+
+
+@pytest.mark.parametrize("words", [["check"], ["check", "-q"], ["check", "--json"], ["track", "-q", "--out", "out"]])
+def test_strict_says_what_warns(
+    call: Callable[..., Outcome], config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    found = call(words[0], config, _normalised_log(tmp_path / "log.parquet"), "--strict", *words[1:])
+    assert found.code == 1
+    *_, line = found.err.splitlines()
+    assert re.fullmatch(r"error: \d+ checks warn: log\.\w+: .*\(--strict\)", line)
+    assert "--json" not in words or json.loads(found.out)["warnings"] == 2
 
 
 def test_the_command_is_printed_with_what_mends_it(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:

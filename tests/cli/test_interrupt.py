@@ -144,7 +144,7 @@ def test_a_signal_that_compiled_code_made_into_another_error(
     assert run(["simulate", str(config), "--out", str(tmp_path / "out")]) == 128 + number
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_to_the_process(config: Path, tmp_path: Path, number: signal.Signals) -> None:
     # Far more frames than are tracked before the signal comes.
     log = write_log(tmp_path / "long.parquet", frames=10_000, detections=10)
@@ -163,6 +163,7 @@ def test_a_signal_to_the_process(config: Path, tmp_path: Path, number: signal.Si
         process.wait()
     assert process.returncode == 128 + number, err
     assert not out.exists()
+    assert err.endswith("interrupted; no output is left half written\n")
     assert "Traceback" not in err
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -178,15 +179,60 @@ def test_evaluate_of_runs_tells_a_gate_from_a_fault(loaded: LoadedConfig, scenes
     logs = [path for path in sorted(scenes.glob("run-*/detections.parquet")) if path.stat().st_size > 10]
     track_logs(loaded, logs, tmp_path / "tracks")
     limit = {"ospa.mean": 1e-9}
-    found = evaluate_runs(tmp_path / "tracks", scenes, tmp_path / "scores", plots=False, fail_above=limit)
+    for log in logs:
+        shutil.copytree(log.parent, tmp_path / "both" / log.parent.name)
+    both = tmp_path / "both"
+    found = evaluate_runs(tmp_path / "tracks", both, tmp_path / "scores", plots=False, fail_above=limit)
     assert [row["status"] for row in found["logs"]] == ["gate failed", "gate failed"]
     assert found["exit_code"] == 1
     assert found["logs"][0]["ospa"] > 0.0
+    assert [gate["passed"] for row in found["logs"] for gate in row["gates"]] == [False, False]
     (tmp_path / "truths").mkdir()
     shutil.copy(scenes / logs[0].parent.name / "truth.parquet", tmp_path / "truths" / f"{logs[0].parent.name}.parquet")
     found = evaluate_runs(tmp_path / "tracks", tmp_path / "truths", tmp_path / "scores", plots=False, force=True)
     assert [row["status"] for row in found["logs"]] == ["done", "failed"]
     assert found["exit_code"] == 2
+    name = logs[1].parent.name
+    assert f"{name}/truth.parquet: there is no such file, and no {name}.parquet" in found["logs"][1]["message"]
+
+
+@pytest.mark.parametrize("words", [[], ["-q"], ["--json"]])
+def test_gates_of_runs_are_errors_on_stderr(
+    loaded: LoadedConfig, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str],
+    run_cli: Callable[..., int], words: list[str],
+) -> None:  # fmt: skip
+    logs = [path for path in sorted(scenes.glob("run-*/detections.parquet")) if path.stat().st_size > 10]
+    track_logs(loaded, logs, tmp_path / "tracks")
+    (scenes / "notes.parquet").write_bytes((tmp_path / "tracks" / "summary.parquet").read_bytes())  # no truth
+    out = tmp_path / "scores"
+    evaluation = ["evaluate", tmp_path / "tracks", scenes, "--out", out, "--no-plots", *words]
+    shutil.copytree(tmp_path / "tracks" / logs[1].parent.name, tmp_path / "tracks" / "run-0001")
+    assert run_cli(*evaluation, "--fail-above", "ospa.mean=1e-9") == 1
+    printed = capsys.readouterr()
+    lines = [line for line in printed.err.splitlines() if not line.startswith("WARNING: ")]
+    assert [line.split(": ")[:2] for line in lines] == [["error", f"run-000{number}"] for number in range(3)]
+    assert all("above the limit 1e-09" in line for line in lines)
+    if words == ["--json"]:
+        rows = json.loads(printed.out)["logs"]
+        assert [row["gates"][0]["passed"] for row in rows] == [False, False, False]
+    else:
+        assert printed.out.endswith("" if words else "3 done, 0 failed, 3 gates failed\n")
+        assert "above" not in printed.out
+
+
+def test_a_truth_without_tracks_is_named_and_fails_under_a_gate(
+    loaded: LoadedConfig, scenes: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], run_cli: Callable[..., int]
+) -> None:
+    track_logs(loaded, [scenes / "run-*" / "detections.parquet"], tmp_path / "tracks")
+    capsys.readouterr()
+    evaluation = ["evaluate", tmp_path / "tracks", scenes, "--out", tmp_path / "scores", "--no-plots"]
+    assert run_cli(*evaluation) == 0
+    assert capsys.readouterr().err == f"WARNING: {scenes}: 1 truth without tracks: run-0001\n"
+    assert run_cli(*evaluation, "--force", "--fail-above", "ospa.mean=9") == 2
+    printed = capsys.readouterr()
+    assert printed.err.startswith("error: run-0001: ")
+    assert "tracks.parquet: there is no such file" in printed.err
+    assert "2 done, 1 failed\n" in printed.out
 
 
 def test_calibrate_of_logs_has_a_folder_and_a_row_for_each(

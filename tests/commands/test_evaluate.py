@@ -440,7 +440,7 @@ def test_limits_of_figures(run):
     with pytest.raises(InputError, match=r"ospa\.meen.*did you mean ospa\.mean"):
         evaluate(tracks, truth, folder / "new", fail_above={"ospa.meen": 0.4})
     assert not (folder / "new").exists()
-    with pytest.raises(GateError, match=r"rmse\.position is null"):
+    with pytest.raises(GateError, match=r"rmse\.position has no value, so the limit 9 cannot hold"):
         evaluate(write_tracks(folder / "no" / "tracks.parquet", []), truth, fail_above={"rmse.position": 9})
 
 
@@ -458,6 +458,9 @@ def test_gates_are_in_the_report(run):
     assert failure.value.report == written
     with pytest.raises(InputError, match="`fail_below`: ospa"):
         evaluate(tracks, truth, fail_below={"ospa": 1.0})
+    with pytest.raises(InputError, match=r"`fail_above`: tgospa\.mean: no such figure.*`switch_cost` adds it"):
+        evaluate(tracks, truth, fail_above={"tgospa.mean": 1.0})
+    assert evaluate(tracks, truth, fail_above={"tgospa.mean": 9.0}, switch_cost=1.0)["gates"][0]["passed"]
 
 
 def test_a_cutoff_is_required_where_nothing_gives_the_scale(tmp_path):
@@ -598,7 +601,7 @@ def test_scans_of_another_run(tmp_path, events, message):
 def test_bad_truth(tmp_path):
     tracks = write_tracks(tmp_path / "tracks.parquet", GOOD)
     twice = write_truth(tmp_path / "twice.parquet", [(0, 3, 0), (1, 3, 0), (0, 3, 0)])
-    with pytest.raises(InputError, match=r"row 2: object 3 at 0\.0 s is there already in row 0"):
+    with pytest.raises(InputError, match=r"row 2: object 3 at 0 s is there already in row 0"):
         evaluate(tracks, twice)
     with pytest.raises(InputError, match="row 1: column x"):
         evaluate(tracks, write_truth(tmp_path / "nan.parquet", [(0, 3, 0), (1, 3, np.nan)]))
@@ -624,6 +627,20 @@ def test_truth_velocity_and_order_of_rows(tmp_path):
     tracks = write_tracks(tmp_path / "tracks.parquet", [(float(t), "a", t, k, 50.0 * k + t) for t, k, _ in rows])
     report = evaluate(tracks, truth)
     assert report["ospa"]["mean"] == report["rmse"]["velocity"] == 0.0
+
+
+def test_a_truth_as_text_is_the_same(run, tmp_path):
+    tracks, truth, _ = run
+    table = pq.read_table(truth)
+    text = tmp_path / "truth.csv"
+    names = table.column_names
+    rows = [names, *(map(repr, row.values()) for row in table.to_pylist())]
+    text.write_text("".join(f"{','.join(row)}\n" for row in rows))
+    expected, found = evaluate(tracks, truth), evaluate(tracks, text)
+    assert found["ospa"] == expected["ospa"]
+    text.write_text("time_s,x,y,z\n0,1,2,3\n")
+    with pytest.raises(InputError, match=r"truth\.csv: missing column object_id"):
+        evaluate(tracks, text)
 
 
 def shared_data() -> Path:

@@ -41,6 +41,15 @@ def write_log(path: Path) -> Path:
     return path
 
 
+def test_times_since_1970_show_the_frame(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.parquet") as writer:
+        for frame in range(3):
+            writer.write(1732545000.021 + frame / 50.0, "a", frame, np.ones((1, 2)))
+    text = info_text(info(tmp_path / "log.parquet"))
+    assert "3 rows, 1732545000.021 to 1732545000.061 s" in text
+    assert "e+09" not in text
+
+
 @pytest.mark.parametrize("piece", [7, 16384])
 def test_a_log(tmp_path: Path, piece: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stereophd.io.tables.reading.ROW_GROUP_ROWS", piece)
@@ -80,6 +89,7 @@ def test_cameras_and_their_layout(tmp_path: Path) -> None:
     # axes of 10 degrees from 5 to either side meet at 5 / tan 10 degrees
     np.testing.assert_allclose(found["axes_meet_near"], [0, 0, 5 / np.tan(np.deg2rad(10))], atol=1e-9)
     assert found["axes_distance_rms"] == pytest.approx(0, abs=1e-9)
+    assert "the optical axes meet near (0, 0, 28.36), to within 0 cm" in info_text(found)
     assert found["axes_meet_behind"] == []
     assert found["distances"] == {"nearest": 10.0, "farthest": 10.0}
     assert found["cameras"]["right"]["detector_is_estimated"]

@@ -184,6 +184,7 @@ def report(**changes) -> dict:
         "scans": {"scored": 8, "not_scored": 2, "outside_truth": 0, "truth_gap": 2, "unseen": 0},
         "window": {"from_s": 50.0, "to_s": None, "at": "times"},
         "seen_by": None,
+        "plane": None,
     }
     return values | changes
 
@@ -225,6 +226,8 @@ def test_the_table_of_a_run_without_identities_or_covariances():
     changes["hota"] = dict.fromkeys(("mean", "detection", "association", "localisation"))
     text = scores_text(report(**changes, length_unit=None, seen_by={"cameras": 2, "within_s": 0.2}))
     assert "no identities" in text
+    assert "not defined" not in text
+    assert "not defined on a plane" in scores_text(report(nees=nees, plane=[0.0, 0.0, 1.0]))
     assert "seen by 2 cameras within 0.2 s" in text
     assert " cm" not in text
 

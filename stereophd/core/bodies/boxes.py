@@ -19,6 +19,7 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.rows import ArrayRows
 from stereophd.errors import InputError
+from stereophd.wording import instant
 
 # A side within this of the border of the image, px, may lie beyond it.
 BORDER_PX = 5.0
@@ -51,8 +52,8 @@ def boxes_of(event: Event, camera: Camera) -> Boxes:
     sizes = np.full_like(pixels, np.nan) if event.sizes is None else event.sizes
     if np.isnan(sizes).any():
         raise InputError(
-            f"camera {camera.name}, frame {event.frame} at {event.time_s:g} s: expected a box (width_px, height_px) "
-            "for each detection (object.shape is ellipsoid), found none"
+            f"camera {camera.name}, frame {event.frame} at {instant(event.time_s)} s: expected a box (width_px, "
+            "height_px) for each detection (object.shape is ellipsoid), found none"
         )
     half = sizes / 2.0
     left, right = pixels[:, 0] - half[:, 0], pixels[:, 0] + half[:, 0]

@@ -16,6 +16,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.motion.base import Motion
+from stereophd.wording import instant
 
 
 @dataclass(frozen=True)
@@ -80,7 +81,7 @@ class SingleEstimator(ABC, Generic[State]):
         """
         count = len(event.points)
         if count > 1:
-            raise ValueError(f"expected at most one detection an event, found {count} at {event.time_s:g} s")
+            raise ValueError(f"expected at most one detection an event, found {count} at {instant(event.time_s)} s")
         log_likelihood, changes = 0.0, Changes()
         if count:
             if event.travels is not None:

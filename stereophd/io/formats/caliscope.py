@@ -63,7 +63,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     elif tables:
         raise InputError(f"{tables[0]}: expected a table with img_loc_x, img_loc_y, found none")
     if options.truth is not None:
-        recording.truth = long_truth(options.truth, IN_SPACE)
+        recording.truth = long_truth(options.truth, IN_SPACE, options)
     return recording
 
 

@@ -6,7 +6,8 @@ native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_p
 without u and v is a frame without detections. Without a column of cameras, each file is a camera, named as the file.
 Pixels are native (pixel (0, 0) is the centre of the top-left pixel) unless an option changes that.
 
-Points in space (`truth`): columns x, y and z, times or frames, and where there are several objects their numbers.
+Points in space (`truth`): columns x, y and z, times or frames as the detections have them (also those of `columns`, and
+of `time_unit`), and where there are several objects their numbers (``object_id``, ``track_id``, ``id``).
 
 Tracks: the columns of ``tracks.parquet``; the covariance as its upper triangle, ``cov_x_x``, ``cov_x_y``, ..., after
 ``existence`` ``status`` and ``std_x``, ``std_y``, ``std_z`` where the table has them. Numbers have 17 digits, which is
@@ -17,7 +18,6 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,6 +27,7 @@ from stereophd.errors import InputError
 from stereophd.io.interchange.base import EXTRA_COLUMNS, ExportOptions, ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.documents.text_tables import header_of, read_batches
 from stereophd.io.interchange.pixels import native_pixels
+from stereophd.io.interchange.times import in_seconds
 from stereophd.io.interchange.truth import long_truth
 
 if TYPE_CHECKING:
@@ -55,7 +56,8 @@ NAMES_IN_SPACE: Mapping[str, tuple[str, ...]] = {
     "frame": USUAL_NAMES["frame"],
     "object": ("object_id", "track_id", "object", "track", "id", "label"),
 }
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+#: Columns of a log that points in space have too; `columns` names them in both tables.
+LOG_NAMES = {"time": "time_s", "frame": "frame", "object": "object_id"}
 # A spreadsheet evaluates text that begins with one of these.
 FORMULA = ("=", "+", "-", "@", "\t", "\r")
 AXES = ("x", "y", "z", "vx", "vy", "vz")
@@ -66,10 +68,9 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     recording = ForeignRecording(files=list(sources))
     recording.pieces = _pieces(recording, sources, options)
     if options.truth is not None:
-        truth = long_truth(options.truth, NAMES_IN_SPACE)
-        if truth.time_s is not None:
-            truth = replace(truth, time_s=truth.time_s * TIME_UNITS[options.time_unit])
-        recording.truth = truth
+        stated = {key: (options.columns[name],) for key, name in LOG_NAMES.items() if name in options.columns}
+        names = {key: (*stated.get(key, ()), *usual) for key, usual in NAMES_IN_SPACE.items()}
+        recording.truth = long_truth(options.truth, names, options)
     return recording
 
 
@@ -82,6 +83,10 @@ def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: Impor
         named = ", ".join(f"{name} from {column}" for name, column in columns.items() if name != column)
         if named:
             recording.assumed.append(f"{path.name}: {named}")
+        if "time_s" not in columns:
+            recording.untimed = (
+                f" in the columns {', '.join(header)} of {path.name}; `columns` time_s=COLUMN names that of the times"
+            )
         if "camera" not in columns:
             recording.assumed.append(
                 f"{path.name}: all rows are of one camera, {options.name(path.stem)}, named as the file"
@@ -147,7 +152,8 @@ def _split(
         pixels = np.stack([mine["u_px"], mine["v_px"]], axis=1)
         # a frame stays although its detections are left out
         pixels = np.where(keep[codes == code, None], pixels, np.nan)
-        time = mine["time_s"] * TIME_UNITS[options.time_unit] if "time_s" in mine else None
+        where = f"{path}: column {columns.get('time_s')}"
+        time = in_seconds(mine["time_s"], options, where) if "time_s" in mine else None
         extra = {key: mine[key] for key in EXTRA_COLUMNS if key in mine}
         yield Piece(camera, native_pixels(pixels, camera, options, recording), mine.get("frame"), time, extra)
 

@@ -21,6 +21,7 @@ from stereophd.io.documents import check_instant
 from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, ImportOptions, Piece
 from stereophd.io.logs.rows import log_schema
 from stereophd.io.tables.writing import TableWriter
+from stereophd.wording import instant
 
 FRAME, TIME, U, V = range(4)
 WIDTH = 4 + len(EXTRA_COLUMNS)
@@ -157,6 +158,8 @@ def write_native_log(
         if not spools:
             raise InputError("expected detections in the source, found none")
         extra = extra_columns(spools)
+        if "score" in extra and options.least_score is None:
+            recording.assumed.append("scores (likelihoods) are not used: `least_score` leaves out what has a lower one")
         order = [name for name in recording.cameras if name in spools]
         order += sorted(name for name in spools if name not in recording.cameras)
         summaries = {name: CameraSummary() for name in order}
@@ -182,6 +185,7 @@ class _Camera:
         if self._rate is not None and not 0.0 < self._rate < math.inf:
             raise InputError(f"rate of camera {name}: expected frames per second > 0, found {self._rate:g}")
         self._is_rate_stated, self._is_timed_by_rate = stated is not None, False
+        self._untimed = recording.untimed
         self._first_frame, self._offset = recording.first_frame, options.offsets.get(name) or 0.0
         self._range = options.frames.get(name) or recording.frames.get(name)
         if self._range is not None and self._range[1] - self._range[0] > MOST_FRAMES:
@@ -251,6 +255,7 @@ class _Camera:
         if not has_times:
             raise InputError(
                 f"camera {self._name}: expected times or `rates` (frames per second), found frame numbers only"
+                f"{self._untimed}"
             )
         starts = np.flatnonzero(np.concatenate([[True], np.diff(rows[:, FRAME]) != 0]))
         lengths = np.diff(np.append(starts, len(rows)))
@@ -263,7 +268,7 @@ class _Camera:
             later = rows[starts[min(bad[0] + (self._last is None), len(starts) - 1)]]
             raise InputError(
                 f"camera {self._name}: expected times that increase with the frame number, found "
-                f"{later[TIME]:.9g} s at frame {later[FRAME]:.0f}, not after the frame before"
+                f"{instant(later[TIME], 9)} s at frame {later[FRAME]:.0f}, not after the frame before"
             )
         return rows
 
@@ -320,7 +325,8 @@ class _Camera:
         summary.first_s = float(rows[0, TIME]) if summary.first_s is None else summary.first_s
         summary.last_s = float(rows[-1, TIME])
         if summary.frames > 1 and summary.last_s > summary.first_s:
-            summary.rate_hz = (summary.frames - 1) / (summary.last_s - summary.first_s)
+            # without the round-off of the times, which files of cameras would show
+            summary.rate_hz = float(f"{(summary.frames - 1) / (summary.last_s - summary.first_s):.12g}")
         if not is_empty.all():
             low, high = np.nanmin(rows[:, U : V + 1], axis=0), np.nanmax(rows[:, U : V + 1], axis=0)
             summary.lowest_px = np.minimum(summary.lowest_px, low).tolist()

@@ -67,6 +67,7 @@ class ForeignRecording:
     rates: dict[str, float] = field(default_factory=dict)
     frames: dict[str, tuple[int, int]] = field(default_factory=dict)
     first_frame: int = 0  # Number of a frame at time 0, for times by rate
+    untimed: str = ""  # Where a table has no times: how to name the column that has them
 
 
 Reader = Callable[[Sequence[Path], ImportOptions], ForeignRecording]

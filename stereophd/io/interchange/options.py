@@ -133,7 +133,9 @@ class ImportOptions(Stated):
     )
     undistorted: bool = option("The pixels are undistorted already.", default=False, flag="pixels-undistorted")
     truth: Path | None = option(
-        "The program's points in space, of the same format: truth.parquet.", default=None, metavar="FILE"
+        "Points in space, as the program writes them or a CSV table of time_s, object_id, x, y, z: truth.parquet.",
+        default=None,
+        metavar="FILE",
     )
     # ``sigma_px``, ``p_detect`` and ``clutter_per_frame`` of all cameras; None: to be estimated from the log.
     detector: Mapping[str, Any] | None = None

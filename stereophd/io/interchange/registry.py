@@ -16,6 +16,8 @@ from stereophd.io.interchange.base import ForeignRecording, Format, ImportOption
 from stereophd.plugins import import_member, module_names
 
 PACKAGE = "stereophd.io.formats"
+# Cameras that are farther from each other were probably calibrated in another unit than metres, which are assumed.
+MOST_METRES = 200.0
 
 
 def names() -> list[str]:
@@ -70,9 +72,23 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
             )
     with _reading(form, sources):
         recording = read(sources, options)
+    if recording.unit_is_assumed:
+        _doubt_metres(recording)
     if recording.pieces is not None:
         recording.pieces = _pieces(recording.pieces, form, sources)
     return recording
+
+
+def _doubt_metres(recording: ForeignRecording) -> None:
+    """Add a warning where metres are assumed, and cameras would be far from each other."""
+    known = [camera.build(name) for name, camera in recording.cameras.items() if not camera.pose.unknown]
+    centers = np.array([camera.pose.center for camera in known]).reshape(-1, 3)
+    farthest = np.linalg.norm(centers[:, None] - centers, axis=2).max(initial=0.0)
+    if farthest > MOST_METRES:
+        recording.warnings.append(
+            f"cameras are {farthest:.4g} m apart, as metres are assumed: if the board of the calibration was in mm, "
+            "state `length_unit` mm"
+        )
 
 
 def _pieces(pieces: Iterable[Piece], form: str, sources: Sequence[Path]) -> Iterator[Piece]:

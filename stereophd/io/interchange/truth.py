@@ -8,11 +8,15 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.io.interchange.base import TruePoints
+from stereophd.io.file_kinds import CSV, PARQUET, kind_of_file
+from stereophd.io.interchange.base import ImportOptions, TruePoints
 from stereophd.io.interchange.documents.text_tables import header_of, number_batches
+from stereophd.io.interchange.times import in_seconds
 
 #: Numbers of the points of one object; the second object's are beyond.
 POINTS_OF_A_GROUP = 1000
+# Columns of a native truth.
+NATIVE = ("time_s", "object_id", "x", "y", "z")
 # Header of a column of a wide table: the point and the axis.
 _COORDINATE = re.compile(r"(?P<point>.+?)_(?P<axis>[xyz])", re.IGNORECASE)
 
@@ -47,6 +51,24 @@ def wide_truth(path: Path, frame_column: str | None = None) -> TruePoints:
     return stacked(rows[:, : 3 * len(points)], rows[:, -1] if has_frames else None)
 
 
+def native_truth(path: Path, options: ImportOptions) -> TruePoints | None:
+    """Return the points of a table with the columns of a native truth, or None for any other table or file.
+
+    Raises InputError for a native truth as a Parquet file, which needs no import.
+    """
+    kind = kind_of_file(path)
+    if kind == PARQUET:
+        raise InputError(
+            f"{path}: expected a table of text, found a Parquet file; a truth in that form needs no import: "
+            "`stereophd evaluate` takes it as it is"
+        )
+    if kind != CSV or not set(NATIVE) <= set(header_of(path)[1]):
+        return None
+    return long_truth(
+        path, {"time": ("time_s",), "object": ("object_id",), **{axis: (axis,) for axis in "xyz"}}, options
+    )
+
+
 def stacked(rows: Array, frames: Array | None = None) -> TruePoints:
     """Return the points of rows (n, 3 points), one row for each frame (its number, or those given); NaN is left out."""
     positions = rows.reshape(len(rows), -1, 3)
@@ -55,7 +77,7 @@ def stacked(rows: Array, frames: Array | None = None) -> TruePoints:
     return TruePoints(point.astype(np.int64), positions[row, point], frame=number[row])
 
 
-def long_truth(path: Path, names: Mapping[str, Sequence[str]]) -> TruePoints:
+def long_truth(path: Path, names: Mapping[str, Sequence[str]], options: ImportOptions) -> TruePoints:
     """Return the points of a table with a row for each point.
 
     `names` has, for each of ``x``, ``y``, ``z``, ``object``, ``group`` and ``frame`` or ``time``, the columns that may
@@ -65,9 +87,9 @@ def long_truth(path: Path, names: Mapping[str, Sequence[str]]) -> TruePoints:
     _, header = header_of(path)
     by_lower = {name.lower(): name for name in reversed(header)}
     columns = {
-        key: next(by_lower[name] for name in usual if name in by_lower)
+        key: next(by_lower[name.lower()] for name in usual if name.lower() in by_lower)
         for key, usual in names.items()
-        if any(name in by_lower for name in usual)
+        if any(name.lower() in by_lower for name in usual)
     }
     for key in ("x", "y", "z"):
         if key not in columns:
@@ -79,10 +101,7 @@ def long_truth(path: Path, names: Mapping[str, Sequence[str]]) -> TruePoints:
     seen = np.isfinite(position).all(axis=1)
     none = np.zeros(len(seen))
     label = (rows.get("object", none) + POINTS_OF_A_GROUP * rows.get("group", none))[seen].astype(np.int64)
-    has_time = "time" in rows
-    return TruePoints(
-        label,
-        position[seen],
-        time_s=rows["time"][seen] if has_time else None,
-        frame=None if has_time else rows["frame"][seen],
-    )
+    if "time" not in rows:
+        return TruePoints(label, position[seen], frame=rows["frame"][seen])
+    times = in_seconds(rows["time"][seen], options, f"{path}: column {columns['time']}")
+    return TruePoints(label, position[seen], time_s=times)

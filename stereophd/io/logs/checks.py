@@ -11,6 +11,7 @@ from stereophd.core.settings import LARGEST_PX, LARGEST_SIGMA_PX, LARGEST_TIME_S
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.logs.order import LogOrder
 from stereophd.io.logs.rows import Decoded, Rows
+from stereophd.wording import instant
 
 #: The kinds of bad rows, in the order in which a row is tested; keys of `LogReader.counts`.
 KINDS = (
@@ -104,9 +105,9 @@ def time_fault(rows: Rows, order: LogOrder) -> Fault:
 
     def say(i: int) -> str:
         time, before, after = rows.time_s[i], order.before[place[i]], order.after[place[i]]
-        where = f"after {before:.9g}" if time < before else f"before {after:.9g}"
+        where = f"after {instant(before, 9)}" if time < before else f"before {instant(after, 9)}"
         return (
-            f"time_s: expected rows in order of time, found {time:.9g} {where}; the longest order leaves out "
+            f"time_s: expected rows in order of time, found {instant(time, 9)} {where}; the longest order leaves out "
             f"{len(order.misplaced)} rows"
         )
 

@@ -3,7 +3,7 @@
 import glob
 import os
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from stereophd.errors import InputError
@@ -65,12 +65,15 @@ def _parts(place: Path) -> list[str]:
     return folders if place.stem in NATIVE_STEMS and folders else [*folders, place.stem]
 
 
-def pairs_by_name(left: Path, right: Path, left_name: str, right_name: str) -> Mapping[str, tuple[Path, Path]]:
-    """Match the files of two folders by their names; return NAME -> file of each folder.
+Pairs = dict[str, tuple[Path, Path]]
 
-    The folders hold ``NAME/FILE`` or ``NAME.parquet``, FILE being `left_name` (such as ``tracks.parquet``) or
-    `right_name`. Every name of `left` is there, in order; the file of `right` may be missing. Raises InputError when a
-    folder is none, or `left` holds no such file.
+
+def pairs_by_name(left: Path, right: Path, left_name: str, right_name: str) -> tuple[Pairs, Pairs]:
+    """Match the files of two folders by their names; return NAME -> file of each folder, and those of `right` alone.
+
+    The folders hold ``NAME/FILE``, FILE being `left_name` (such as ``tracks.parquet``) or `right_name`; `right` may
+    hold ``NAME.parquet`` instead. Every name of `left` is among the pairs, in order; their file of `right` may be
+    missing. Raises InputError when a folder is none, or `left` holds no such file.
     """
     for folder in (left, right):
         if not folder.is_dir():
@@ -78,8 +81,9 @@ def pairs_by_name(left: Path, right: Path, left_name: str, right_name: str) -> M
     names = sorted(entry.name for entry in left.iterdir() if (entry / left_name).is_file())
     if not names:
         raise InputError(f"{left}: expected folders that hold {left_name}, found none")
-    pairs = {}
-    for name in names:
-        alone = right / f"{name}.parquet"
-        pairs[name] = (left / name / left_name, alone if alone.is_file() else right / name / right_name)
-    return pairs
+    files = {entry.stem: entry for entry in right.glob("*.parquet") if entry.is_file()}
+    inside = {entry.name: entry / right_name for entry in right.iterdir() if (entry / right_name).is_file()}
+    found = inside | files
+    pairs = {name: (left / name / left_name, found.get(name, right / name / right_name)) for name in names}
+    alone = {name: (left / name / left_name, found[name]) for name in sorted(found.keys() - pairs.keys())}
+    return pairs, alone

@@ -92,8 +92,9 @@ def run_batch(
     They run on `jobs` processes of this machine, or on the workers of the Dask scheduler at an address, which see the
     files under the same paths. `force` and `resume` say whether the outputs of an earlier run may be replaced, and
     whether finished ones may stay; what they mean for an item is its `work`'s matter. Returns ``logs``, the rows of the
-    summary, the numbers ``done`` and ``failed``, and ``exit_code``. Raises InputError when the output folder cannot be
-    used, no scheduler answers, or workers have another version of the package.
+    summary, which may hold more than the file, the numbers ``done``, ``failed`` and ``gates_failed`` (done, but with a
+    gate that failed), and ``exit_code``. What is wrong with an item is logged as an error. Raises InputError when the
+    output folder cannot be used, no scheduler answers, or workers have another version of the package.
     """
     if jobs < 1:
         raise InputError(f"`jobs`: expected at least 1, found {jobs}")
@@ -106,7 +107,10 @@ def run_batch(
         _write_summary(out / SUMMARY_FILE, rows, batch, _all_inputs(batch, outcomes))
     failed = sum(row["status"] == FAILED for row in rows)
     exit_code = max((outcome.exit_code for outcome in outcomes), default=0)
-    return {"logs": rows, "done": len(rows) - failed, "failed": failed, "exit_code": exit_code}
+    gates = sum(row["status"] == GATE for row in rows)
+    return {
+        "logs": rows, "done": len(rows) - failed, "failed": failed, "gates_failed": gates, "exit_code": exit_code
+    }  # fmt: skip
 
 
 def _check_folder(batch: Batch, out: Path, force: bool, resume: bool) -> None:
@@ -143,7 +147,7 @@ def _outcomes(batch: Batch, out: Path, workers: Workers, progress: Progress | No
             outcome = _Outcome(_row(item, FAILED, why), InputError.exit_code)
         for level, text in outcome.logged:
             LOGGER.log(level, "%s", text)
-        if outcome.row["status"] == FAILED:
+        if outcome.row["status"] != DONE:
             LOGGER.error("%s: %s", item.name, outcome.row["message"])
         found[number] = outcome
         tick()

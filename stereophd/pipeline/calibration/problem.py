@@ -40,6 +40,7 @@ from stereophd.pipeline.runs.sizes import Size
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
+from stereophd.wording import instant
 
 
 @dataclass(frozen=True)
@@ -242,7 +243,7 @@ def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | 
         if not any(span[0] <= end and span[1] >= start for span in others):
             raise InputError(
                 f"{path}: expected camera {camera.name} to overlap with another in time, found it alone from "
-                f"{start:g} to {end:g} s"
+                f"{instant(start)} to {instant(end)} s"
             )
 
 

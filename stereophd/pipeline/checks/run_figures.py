@@ -8,7 +8,7 @@ import numpy as np
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.checks import KINDS
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.wording import percent
+from stereophd.wording import instant, percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
 LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
@@ -106,9 +106,9 @@ def check_knocks(summary: Mapping[str, Any]) -> Iterator[Finding]:
         name, others = knock["camera"], "".join(f", or {other}" for other in knock["others"])
         yield Finding(
             "tracking.knocked", "warning",
-            f"{name}{others}: from {knock['since_s']:.6g} s on its detections lie where a camera would see the tracks "
-            f"that is turned by about {knock['turn_deg']:.2g} degrees (noticed at {knock['time_s']:.6g} s): it was "
-            "knocked, or moved; tracks after that are doubtful",
+            f"{name}{others}: from {instant(knock['since_s'])} s on its detections lie where a camera would see the "
+            f"tracks that is turned by about {knock['turn_deg']:.2g} degrees (noticed at {instant(knock['time_s'])} "
+            "s): it was knocked, or moved; tracks after that are doubtful",
             round(knock["since_s"], 3), None, name,
             f"calibrate cameras.{name} anew from the part of the log after that, and give it as poses with from_s",
             "knocked",

@@ -4,20 +4,15 @@ import math
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 from stereophd.errors import GateError, InputError
 
-Side = Literal["above", "below"]
+#: Limits of figures by dotted key, such as ``{"ospa.mean": 0.8}``.
+Limits = Mapping[str, float]
 
-
-#: Limits of figures by dotted key, such as ``{"ospa.mean": 0.8}``, of each side: a figure beyond its limit fails.
-Limits = Mapping[Side, Mapping[str, float]]
-
-
-def limits_of(above: Mapping[str, float] | None, below: Mapping[str, float] | None) -> Limits:
-    """Return the limits that options state."""
-    return {"above": above or {}, "below": below or {}}
+# Groups of figures that a report has only with an option, and the option.
+ADDED_BY = {"tgospa": "switch_cost"}
 
 
 def figures_by_key(figures: Mapping[str, Any]) -> dict[str, float | None]:
@@ -31,24 +26,23 @@ def figures_by_key(figures: Mapping[str, Any]) -> dict[str, float | None]:
     return flat
 
 
-def check_limits(limits: Limits, figures: Mapping[str, Any]) -> None:
-    """Raise InputError for a limit that is not a number, or of something that is not a figure of the run."""
-    known = figures_by_key(figures)
-    for side, chosen in limits.items():
-        for key, limit in chosen.items():
-            if key not in known:
-                near = get_close_matches(key, known, n=1, cutoff=0.0)[0]
-                raise InputError(f"`fail_{side}`: {key}: no such figure in the report; did you mean {near}?")
-            if math.isnan(limit):
-                raise InputError(f"`fail_{side}`: {key}: expected a number, found {limit}")
+def gates(above: Limits | None, below: Limits | None, figures: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return a record of every limit: ``name, value, limit, fails, passed``.
 
-
-def gates(limits: Limits, figures: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Return a record of every limit: ``name, value, limit, fails, passed``; a figure that is null fails."""
+    Figures above a limit of `above` fail, those below one of `below`, and those that are null. Raises InputError for a
+    limit that is not a number, or of something that is not a figure of the run.
+    """
     values = figures_by_key(figures)
     found = []
-    for side, chosen in limits.items():
-        for name, limit in chosen.items():
+    for side, limits in (("above", above or {}), ("below", below or {})):
+        for name, limit in limits.items():
+            if name not in values:
+                option = ADDED_BY.get(name.split(".")[0])
+                near = get_close_matches(name, values, n=1, cutoff=0.0)[0]
+                hint = f"did you mean {near}?" if option is None else f"`{option}` adds it"
+                raise InputError(f"`fail_{side}`: {name}: no such figure in the report; {hint}")
+            if math.isnan(limit):
+                raise InputError(f"`fail_{side}`: {name}: expected a number, found {limit}")
             value = values[name]
             passed = value is not None and (value <= limit if side == "above" else value >= limit)
             found.append({"name": name, "value": value, "limit": limit, "fails": side, "passed": passed})
@@ -62,6 +56,8 @@ def raise_if_failed(report: Mapping[str, Any], path: Path | str) -> None:
         return
     texts = []
     for gate in failed:
-        value = "null" if gate["value"] is None else format(gate["value"], ".6g")
-        texts.append(f"{gate['name']} is {value}, {gate['fails']} the limit {gate['limit']:g}")
+        if gate["value"] is None:
+            texts.append(f"{gate['name']} has no value, so the limit {gate['limit']:g} cannot hold")
+        else:
+            texts.append(f"{gate['name']} is {gate['value']:.6g}, {gate['fails']} the limit {gate['limit']:g}")
     raise GateError(f"{path}: {'; '.join(texts)}", dict(report))

@@ -18,6 +18,7 @@ from stereophd.core.metrics.truth.scored import Sightings
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
 from stereophd.io.outputs.provenance import from_metadata, length_unit
+from stereophd.io.tables.native_tables import read_native_table
 from stereophd.io.tables.reading import check_columns, finite_column, open_parquet, read_pieces, read_table
 from stereophd.io.tables.schemas import (
     CAMERAS_PART,
@@ -31,6 +32,7 @@ from stereophd.io.tables.schemas import (
     TENTATIVE,
     VELOCITY,
 )
+from stereophd.wording import instant
 
 # The table of events that `track` writes into the folder of its tracks.
 SCANS_NAME = "scans.parquet"
@@ -105,13 +107,13 @@ def read_tracks(path: Path) -> Tracks:
 
 
 def read_truth(path: Path) -> tuple[Truth, str | None]:
-    """Read ``truth.parquet``: the true objects, and the unit of length that the file names.
+    """Read ``truth.parquet``, or a text with its columns: the true objects, and the unit of length that the file names.
 
     Raises InputError when it is not a table of truth, has no rows, values that are not finite, an object twice at one
     time, or only some of vx, vy, vz.
     """
     required = {"time_s": FLOAT, "object_id": INTEGER, **POSITION}
-    table = read_table(path, required, VELOCITY, "table of true positions")
+    table = read_native_table(path, required, VELOCITY, "table of true positions")
     if table.num_rows == 0:
         raise InputError(f"{path}: expected a table of true positions, found one without rows")
     given = [name for name in VELOCITY if name in table.column_names]
@@ -125,10 +127,19 @@ def read_truth(path: Path) -> tuple[Truth, str | None]:
     twice = np.flatnonzero((np.diff(time_s) == 0) & (np.diff(object_id) == 0))
     if twice.size:
         row, other = sorted((int(order[twice[0]]), int(order[twice[0] + 1])))
-        what = f"object {object_id[twice[0]]} at {time_s[twice[0]]} s"
+        what = f"object {object_id[twice[0]]} at {instant(time_s[twice[0]])} s"
         raise InputError(f"{path}: row {other}: {what} is there already in row {row}")
     truth = Truth(time_s, object_id, position[order], None if velocity is None else velocity[order])
     return truth, length_unit(table.schema.metadata)
+
+
+def is_truth(path: Path) -> bool:
+    """Whether a file is a table with the columns of a truth."""
+    try:
+        with open_parquet(path) as parquet:
+            return {"time_s", "object_id", *POSITION} <= set(parquet.schema_arrow.names)
+    except InputError:
+        return False
 
 
 def read_sightings(path: Path, cameras: Sequence[Camera] | None) -> Sightings:

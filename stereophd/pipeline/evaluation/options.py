@@ -53,9 +53,9 @@ class ScoreOptions:
 
     order: float = option("Order of OSPA and GOSPA.", default=2.0, metavar="P")
     cutoff: float | None = option(
-        "Cutoff of OSPA and GOSPA, in the unit of length, or a number of standard deviations for the base mahalanobis; "
-        "default: evaluation.cutoff of the tracks' configuration, else 20 for files in centimetres, the paper's, and "
-        "20 standard deviations.",
+        "Cutoff of OSPA and GOSPA: the largest error at which an object still counts as found, in the unit of length "
+        "(base mahalanobis: in standard deviations). Default: evaluation.cutoff of the configuration of the tracks; "
+        "without it 20 where lengths are in cm and for the base mahalanobis, and no default for other units.",
         default=None,
         metavar="C",
     )

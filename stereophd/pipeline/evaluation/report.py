@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from stereophd.io.outputs.json_text import plain
 from stereophd.io.tables.schemas import FLOAT, INTEGER
 from stereophd.io.tables.writing import TableWriter
-from stereophd.pipeline.evaluation.gates import Limits, gates
 from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.scoring import Scored, registration_report
 
@@ -20,9 +19,10 @@ INTEGER_COLUMNS = frozenset({"n_truth", "n_estimates", "n_matched", "identity_sw
 
 
 def build_report(
-    scored: Scored, options: ScoreOptions, max_gap_s: float, unit: str | None, record: Mapping[str, Any], limits: Limits
-) -> dict[str, Any]:
-    """Return the report: figures, what they mean, their `limits`, where they come from (`record`); NaN as None."""
+    scored: Scored, options: ScoreOptions, max_gap_s: float, unit: str | None, record: Mapping[str, Any],
+    judged: list[dict[str, Any]],
+) -> dict[str, Any]:  # fmt: skip
+    """Return the report: figures, what they mean, their gates `judged`, their origin (`record`); NaN as None."""
     parameters = {"order": options.order, "cutoff": options.known_cutoff, "base": options.base}
     result = dict(scored.figures)
     result["ospa"] = {**result["ospa"], **parameters}
@@ -50,7 +50,7 @@ def build_report(
                 "clock": options.align_clock,
                 "found": registration_report(scored.registration),
             },
-            "gates": gates(limits, {**result, "scans": scored.scans}),
+            "gates": judged,
             "provenance": record,
         }
     )

@@ -40,7 +40,7 @@ from stereophd.errors import InputError
 from stereophd.pipeline.evaluation.inputs import Tracks, rows_of
 from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.scale import warn_of_wrong_matches
-from stereophd.wording import LOGGER
+from stereophd.wording import LOGGER, instant
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ def _estimates(tracks: Tracks, events: Events, options: ScoreOptions, path: Path
 
 def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], options: ScoreOptions, path: Path) -> str:
     def span(time_s: NDArray[Any]) -> str:
-        return f"{time_s.min():g} to {time_s.max():g} s" if len(time_s) else "none"
+        return f"{instant(time_s.min())} to {instant(time_s.max())} s" if len(time_s) else "none"
 
     why = ", ".join(f"{name} {count}" for name, count in scans.items() if count)
     limits = "".join(

@@ -30,7 +30,7 @@ from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filte
 from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
 from stereophd.pipeline.tracking.run import with_detectors
-from stereophd.wording import number
+from stereophd.wording import counted, number
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
@@ -290,7 +290,7 @@ def _final(figures: SceneFigures, usual: Draft, unit: str) -> dict[str, Choice]:
     """Return the settings that the tracks of the filter give."""
     near, far = figures.depths.tolist()
     middle = float(np.sqrt(near * far))
-    seen = f"from {figures.objects} tracks at depths of {number(near)} to {number(far)} {unit}"
+    seen = f"from {counted(figures.objects, 'piece')} of tracks at depths of {number(near)} to {number(far)} {unit}"
     fastest = number(figures.fastest, 2)
     speed = f"from their speeds: {number(figures.speed_std, 2)} {unit}/s per axis, at most {fastest} {unit}/s"
     births = max(figures.births, 1) / max(figures.duration_s, 1e-9)

@@ -19,7 +19,7 @@ from stereophd.core.numerics.times import TIME_DECIMALS, same_time
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking.associations import Associated, Associations
 from stereophd.pipeline.tracking.knocked import Knock, KnockTest, look
-from stereophd.wording import LOGGER
+from stereophd.wording import LOGGER, instant
 
 # Number of events after which the data of ended tracks are removed.
 FORGET_EVERY = 50
@@ -268,8 +268,8 @@ def _check_pause(
     if len(estimates.track_ids):
         raise InputError(
             f"report.times: grid {step_s:g} s: expected at most {MOST_FORECASTS} times between two events, found "
-            f"{(until_s - from_s) / step_s:.3g} from {from_s:g} s to {until_s:g} s, with an object at each; choose a "
-            "longer step, a shorter life of objects (`filter.survival_per_s`), or cut the log there"
+            f"{(until_s - from_s) / step_s:.3g} from {instant(from_s)} s to {instant(until_s)} s, with an object "
+            "at each; choose a longer step, a shorter life of objects (`filter.survival_per_s`), or cut the log there"
         )
 
 

@@ -33,6 +33,7 @@ from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.tracking.smoothed import trajectories_of
 from stereophd.pipeline.tracking.unfinished import RecordFile, RecordPart, read_records
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
+from stereophd.wording import instant
 
 # A piece is tracked this long before its span, s: an object in only one view keeps the depth that it had in two,
 # so the time is that for which objects stay in one view.
@@ -101,7 +102,7 @@ def plan_pieces(
         if len(spans) > MOST_PIECES:
             raise InputError(
                 f"`pieces_s`: expected at most {MOST_PIECES} pieces, found more of {length_s:g} s until "
-                f"{frame.time_s:g} s: choose longer pieces, or cut the log"
+                f"{instant(frame.time_s)} s: choose longer pieces, or cut the log"
             )
         last_s = frame.time_s
         if progress is not None and number % TICK_EVERY == 0:

@@ -39,6 +39,7 @@ from stereophd.pipeline.tracking.run_figures import LastingTracks, RunFigures
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
 from stereophd.pipeline.tracking.smoothed import smoothed_records
 from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
+from stereophd.wording import instant
 
 TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE = "tracks.parquet", "scans.parquet", "associations.parquet"
 
@@ -229,8 +230,9 @@ def with_boxes(stream: EventStream) -> Iterator[Event]:
     for event in stream:
         if event.sizes is None or np.isnan(event.sizes).any():
             raise InputError(
-                f"{stream.source}: frame {event.frame} of {stream.cameras[event.camera].name} at {event.time_s:g} s: "
-                "expected a box (width_px, height_px) for each detection (object.shape is ellipsoid), found none"
+                f"{stream.source}: frame {event.frame} of {stream.cameras[event.camera].name} at "
+                f"{instant(event.time_s)} s: expected a box (width_px, height_px) for each "
+                "detection (object.shape is ellipsoid), found none"
             )
         yield event
 

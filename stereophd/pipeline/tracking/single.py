@@ -26,6 +26,7 @@ from stereophd.core.single.settings import (
 )
 from stereophd.errors import InputError
 from stereophd.pipeline.stream import EventStream
+from stereophd.wording import instant
 
 # The object's identity in ``tracks.parquet``.
 TRACK = np.zeros(1, dtype=np.int64)
@@ -119,8 +120,8 @@ def at_most_one(stream: EventStream) -> Iterator[Event]:
         count = len(event.points) + event.not_invertible
         if count > 1:
             raise InputError(
-                f"{stream.source}: frame {event.frame} of {stream.cameras[event.camera].name} at {event.time_s:g} s: "
-                f"expected at most one detection (filter.kind is single), found {count}"
+                f"{stream.source}: frame {event.frame} of {stream.cameras[event.camera].name} at "
+                f"{instant(event.time_s)} s: expected at most one detection (filter.kind is single), found {count}"
             )
         yield event
 

@@ -38,6 +38,11 @@ class Aside:
         self._thread = None
         return self._outcome
 
+    def wait(self, longest_s: float) -> None:
+        """Wait until the work has ended, if any goes on."""
+        if self._thread is not None:
+            self._thread.join(longest_s)
+
     def stop(self) -> None:
         """End the work, if any goes on; wait until it is gone."""
         while self._thread is not None and self._thread.is_alive():

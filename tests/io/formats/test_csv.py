@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -155,3 +158,78 @@ def test_cameras_of_other_names_only_are_refused(tmp_path: Path, imported: Impor
     (tmp_path / "hive_calibration.yml").write_text(f"left: {text}\n")
     with pytest.raises(InputError, match="expected a name of left, found only others; use `rename` hive=NAME"):
         imported("csv", tmp_path / "hive.csv", cameras=tmp_path / "hive_calibration.yml", rates=10.0)
+
+
+TRUTH_ROWS = [{"time_s": 0.0, "object_id": 4, "x": 1.0, "y": 2.0, "z": 3.0}]
+
+
+@pytest.mark.parametrize("header", ["time_s,object_id,x,y,z", "x,y,z,stamp,ID", "t,track_id,x_m,y_m,z_m"])
+def test_points_in_space_have_the_columns_of_the_detections(tmp_path: Path, imported: Import, header: str) -> None:
+    source, truth = tmp_path / "a.csv", tmp_path / "truth.csv"
+    stamped = "stamp" in header
+    source.write_text(f"{'stamp' if stamped else 'time_s'},u,v\n0,5,5\n40,6,6\n")
+    truth.write_text(f"{header}\n{'1,2,3,0,4' if stamped else '0,4,1,2,3'}\n")
+    stated = {"columns": {"time_s": "stamp"}} if stamped else {}
+    report, out = imported("csv", source, truth=truth, time_unit="ms", **stated)
+    assert pq.read_table(out / "truth.parquet").to_pylist() == TRUTH_ROWS
+    assert report["truth"] == {"rows": 1}
+
+
+def test_native_points_in_space_go_with_every_format(tmp_path: Path, imported: Import) -> None:
+    source, truth = tmp_path / "cam.txt", tmp_path / "truth.csv"
+    source.write_text("1,-1,10,10,4,4,1,-1,-1,-1\n2,-1,11,10,4,4,1,-1,-1,-1\n")
+    truth.write_text("time_s,object_id,x,y,z\n0,4,1,2,3\n")
+    _, out = imported("mot", source, truth=truth, rates=25.0)
+    assert pq.read_table(out / "truth.parquet").to_pylist() == TRUTH_ROWS
+    truth.write_text("time_s,name,x,y,z\n0,4,1,2,3\n")
+    with pytest.raises(InputError, match="`truth`: expected an option that a source of format mot has a use for"):
+        imported("mot", source, truth=truth, rates=25.0)
+
+
+def test_a_truth_that_is_native_already_needs_no_import(tmp_path: Path, imported: Import) -> None:
+    source, truth = tmp_path / "a.csv", tmp_path / "truth.parquet"
+    source.write_text("time_s,u,v\n0,5,5\n")
+    pq.write_table(pa.Table.from_pylist(TRUTH_ROWS), truth)
+    with pytest.raises(InputError, match=r"truth\.parquet: expected .* a Parquet file; .* needs no import"):
+        imported("csv", source, truth=truth)
+
+
+@pytest.mark.parametrize(("time", "unit"), [("1732545000021000000", "ns"), ("1732545000021", "ms")])
+@pytest.mark.parametrize("of_truth", [False, True])
+def test_times_that_cannot_be_seconds(tmp_path: Path, imported: Import, time: str, unit: str, of_truth: bool) -> None:
+    source, truth = tmp_path / "a.csv", tmp_path / "truth.csv"
+    source.write_text(f"stamp,u,v\n{'0' if of_truth else time},5,5\n")
+    truth.write_text(f"stamp,x,y,z\n{time},1,2,3\n")
+    name = "truth" if of_truth else "a"
+    with pytest.raises(InputError) as refused:
+        imported("csv", source, columns={"time_s": "stamp"}, truth=truth if of_truth else None)
+    assert re.search(rf"{name}\.csv: column stamp: expected times in s, found {time[:10]}", str(refused.value))
+    assert str(refused.value).endswith(f"`time_unit` {unit} says that it is 1732545000.021 s")
+    _, out = imported("csv", source, columns={"time_s": "stamp"}, time_unit=unit)
+    assert log_rows(out / "detections.parquet")[0][0] == pytest.approx(0.0 if of_truth else 1732545000.021)
+
+
+def test_a_table_without_times_names_its_columns(tmp_path: Path, imported: Import) -> None:
+    source = write(tmp_path / "a.csv", "frame,sec,nanosec,u,v\n0,1732545000,21000000,5,5\n")
+    with pytest.raises(InputError, match=r"found frame numbers only in the columns frame, sec, .*`columns` time_s=COL"):
+        imported("csv", source)
+
+
+def test_scores_that_are_not_used_are_noted(tmp_path: Path, imported: Import) -> None:
+    source = write(tmp_path / "a.csv", "time_s,u,v,likelihood\n0,5,5,0.02\n1,6,6,0.9\n")
+    report, _ = imported("csv", source)
+    assert any("`least_score`" in sentence for sentence in report["assumed"])
+    report, _ = imported("csv", source, least_score=0.5)
+    assert not any("`least_score`" in sentence for sentence in report["assumed"])
+
+
+@pytest.mark.parametrize(("distance", "stated", "warns"), [(1500, "", True), (3, "", False), (1500, "mm", False)])
+def test_cameras_far_from_each_other_make_metres_doubtful(
+    tmp_path: Path, imported: Import, distance: float, stated: str, warns: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    camera = {"K": [[500, 0, 320], [0, 500, 240], [0, 0, 1]], "rvec": [0, 0, 0], "image_size": [640, 480]}
+    rig = {name: {**camera, "tvec": [x, 0, 0]} for name, x in (("a", 0), ("b", -distance))}
+    cameras = write(tmp_path / "rig.json", json.dumps(rig))
+    source = write(tmp_path / "points.csv", "camera,time_s,u,v\na,0,5,5\nb,0,6,6\n")
+    imported("csv", source, cameras=cameras, **({"length_unit": stated} if stated else {}))
+    assert any(f"cameras are {distance} m apart" in text for text in caplog.messages) is warns

@@ -18,6 +18,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import stereophd.commands.track_live as commands
+from stereophd.commands import recalibrate
 from stereophd.commands.recalibrate import Recalibration
 from stereophd.commands.track import track
 from stereophd.commands.track_live import LiveOutputs, track_live
@@ -280,6 +281,43 @@ def test_a_knocked_camera_is_solved_anew(
     cameras = load_config(loaded.path, cameras_path=tmp_path / "out" / "cameras.yaml").build_cameras()
     np.testing.assert_allclose(cameras[0].at(at_s).pose.center, found["center"])
     np.testing.assert_allclose(cameras[0].at(at_s - 0.2).pose.center, loaded.build_cameras()[0].pose.center)
+
+
+@pytest.mark.parametrize("ending", ["no try began", "a try goes on", "a try fails", "a try succeeds"])
+def test_the_end_of_the_stream_says_what_became_of_a_knocked_camera(
+    loaded: LoadedConfig, frames: list[Message], monkeypatch: pytest.MonkeyPatch, ending: str
+) -> None:
+    name = loaded.build_cameras()[0].name
+    at_s = frames[30].time_s
+    knock = Knock(name, at_s, at_s - 0.1, 1.0, (5.0, 0.0))
+    outcomes = {
+        "a try fails": ValueError("no"),
+        "a try succeeds": {
+            "status": "determined",
+            "pose": {"center": [-4.0, -1.5, 0.1], "rotation_matrix": np.eye(3).tolist()},
+        },
+    }
+
+    def look(test: Any, cameras: Any, event: Any, *rest: Any) -> Any:
+        return (KnockTest(is_over=True), knock) if event.time_s >= at_s and not test.is_over else (test, None)
+
+    def work(self: Aside, work: Any) -> None:  # ends after the stream, or never
+        time.sleep(0.3 if ending in outcomes else 5.0)
+        self._outcome = outcomes.get(ending)
+
+    monkeypatch.setattr(loop, "look", look)
+    monkeypatch.setattr(Aside, "_do", work)
+    monkeypatch.setattr(commands, "PATIENCE_S", 2.0)
+    monkeypatch.setattr(recalibrate, "TRIES_S", (1e6,) if ending == "no try began" else (0.0,))
+    recalibrating = load_config(
+        loaded.path, ["report.times=events", "live.recalibrate=true"], cameras_path=HALL / "hall" / "cameras.yaml"
+    )
+    events = io.StringIO()
+    track_live(recalibrating, iter(frames[:45]), "frames", LiveOutputs([JsonLines(io.StringIO(), events)]))
+    told = [json.loads(line) for line in events.getvalue().splitlines()]
+    expected = {"a try fails": "failed: no", "a try succeeds": "determined"}.get(ending, commands.NOT_FINISHED)
+    assert [each["status"] for each in told if each["event"] == "recalibrated"] == [expected]
+    assert ("pose" in told[-1]) is (ending == "a try succeeds")
 
 
 def test_rows_are_arrow_or_messages_as_well(loaded: LoadedConfig, frames: list[Message]) -> None:

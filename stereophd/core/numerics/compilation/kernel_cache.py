@@ -43,6 +43,7 @@ _KERNEL_NAME = re.compile(rf"[\w.]+-[0-9a-f]{{{_DIGEST_LENGTH}}}")
 _HAS_USERS = hasattr(os, "getuid")
 
 LOGGER = logging.getLogger("stereophd")
+PROGRESS = logging.getLogger("stereophd.progress")
 
 
 def _candidates() -> list[Path]:
@@ -106,6 +107,12 @@ def _note_nothing_kept() -> None:
             "folders can be written to by this user, and by nobody else: %s; set NUMBA_CACHE_DIR to one that can",
             ", ".join(map(str, kernel_folders())),
         )
+
+
+@cache
+def note_compilation() -> None:
+    """Tell once that kernels are compiled: it is the first wait of a new user."""
+    PROGRESS.info("compiling kernels: once, up to a minute", extra={"at_once": True})
 
 
 @cache
@@ -217,6 +224,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
                     return form
             except Exception:  # a damaged file may raise anything
                 continue
+        note_compilation()
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:

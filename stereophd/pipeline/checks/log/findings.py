@@ -6,7 +6,7 @@ import numpy as np
 
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.log.sample import MOST_BY_CHANCE, CameraSample
-from stereophd.wording import percent
+from stereophd.wording import instant, percent
 
 # Relative difference of frame rates that is reported.
 RATE_TOLERANCE = 0.02
@@ -226,8 +226,9 @@ def _periods(samples: list[CameraSample]) -> Iterator[Finding]:
             odd = "runs at another rate" if abs(np.log(max(ratio, 1e-300))) > 0.5 else "is on another clock"
             yield Finding(
                 "log.periods", "warning",
-                f"{sample.camera.name}: its frames lie between {sample.times[0]:.6g} and {sample.times[-1]:.6g} s, "
-                f"those of the other cameras between {start:.6g} and {end:.6g} s: it {odd}",
+                f"{sample.camera.name}: its frames lie between {instant(sample.times[0])} and "
+                f"{instant(sample.times[-1])} s, those of the other cameras between "
+                f"{instant(start)} and {instant(end)} s: it {odd}",
                 round(max(shared, 0.0) / shortest, 3), 1.0, sample.camera.name,
                 "check the unit of its times; give its clock (clock.offset_s, clock.rate)",
                 "clock_rate" if "rate" in odd else "clock_offset",

@@ -107,6 +107,19 @@ def test_damaged_kernels_are_compiled_anew(folders: list[Path], tmp_path: Path, 
     assert _run() == [1, 0]
 
 
+def test_that_a_kernel_must_be_compiled_is_said_once(
+    folders: list[Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    folders.append(tmp_path / "kept")
+    caplog.set_level("INFO", "stereophd.progress")
+    for told in (1, 0):  # compiled, then kept
+        kernel_cache.note_compilation.cache_clear()
+        caplog.clear()
+        _run()
+        _run()
+        assert caplog.messages == ["compiling kernels: once, up to a minute"] * told
+
+
 @pytest.mark.skipif(not hasattr(os, "getuid"), reason="the system has no owners of files")
 def test_a_folder_is_looked_at_each_time_that_a_kernel_is_loaded(folders: list[Path], tmp_path: Path) -> None:
     folders.append(tmp_path / "kept")
