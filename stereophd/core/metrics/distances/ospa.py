@@ -103,5 +103,5 @@ def ospa_of_sums(located: Array, count: Integers, m: Integers, n: Integers, orde
     the number of these, and m and n are the numbers of estimates and of true points.
     """
     longest, root = np.maximum(np.maximum(m, n), 1), 1.0 / order
-    located, absent = (located + np.minimum(m, n) - count) / longest, np.abs(m - n) / longest
+    located, absent = (located + (np.minimum(m, n) - count)) / longest, np.abs(m - n) / longest
     return Ospa(cutoff * (located + absent) ** root, cutoff * located**root, cutoff * absent**root)
