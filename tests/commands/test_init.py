@@ -102,6 +102,7 @@ def test_every_value_has_its_source(written: tuple[Path, dict[str, Any]]) -> Non
     folder, report = written
     lines = (folder / "config.yaml").read_text().splitlines()
     assert max(map(len, lines)) <= 120
+    assert any("Images do not show the unit" in line for line in lines)
     loaded = load_config(folder / "config.yaml")
     for row in report["values"]:
         place: Any = loaded.resolved

@@ -148,3 +148,29 @@ def test_a_background_that_is_slightly_wrong_is_no_noise() -> None:
     likelihoods, _, _ = _mixture(1e5 * bent / bent.sum(), np.zeros(len(chance)), 1e5 * chance / chance.sum(), 300)
     large = NOISES > 30.0
     assert np.ptp(likelihoods[large]) < 2.0
+
+
+def test_the_stated_error_of_a_noise_among_strangers_covers_it() -> None:
+    """Noise drawn from the prior, any share of partners, twenty to a hundred strangers for each detection.
+
+    The density of strangers is up to a third off at the reach of chance, and a part of that as the square of the
+    distance nearer to it. Where the posterior is right, the squared error over the stated variance has a mean of 1; its
+    standard deviation is 1.4 of a normal posterior and at most 2 here, so that five standard errors of 60 are 1.3.
+    """
+    rng, logs = np.random.default_rng(5), np.log(NOISES)
+    middles, squares = 0.5 * (BORDERS[1:] + BORDERS[:-1]), []
+    for _ in range(60):
+        noise = np.exp(np.clip(rng.normal(np.log(USUAL_NOISE_PX), NOISE_SPREAD), logs[0], logs[-1]))
+        detections, strangers, reach = 500, rng.uniform(20.0, 100.0), rng.uniform(100.0, 400.0)
+        chance = np.diff(BORDERS) * np.exp(-0.5 * (middles / reach) ** 2)
+        off = chance * np.exp(rng.uniform(-0.3, 0.3) * np.minimum(middles / reach, 1.0) ** 2)
+        partners = rng.poisson(0.95 * rng.random() * detections)
+        own = np.histogram(np.abs(rng.normal(0.0, noise, partners)), BORDERS)[0]
+        together = own + rng.poisson(detections * strangers * off / off.sum())
+        apart, neighbours = (rng.poisson(k * detections * strangers * chance / chance.sum()) for k in (2, 4))
+        likelihoods, _, _ = _mixture(together, neighbours, apart, detections)
+        posterior = np.exp(likelihoods - 0.5 * ((logs - np.log(USUAL_NOISE_PX)) / NOISE_SPREAD) ** 2)
+        posterior /= posterior.sum()
+        mean = posterior @ logs
+        squares.append((np.log(noise) - mean) ** 2 / (posterior @ (logs - mean) ** 2))
+    assert np.mean(squares) < 1.0 + 1.3

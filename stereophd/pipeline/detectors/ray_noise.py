@@ -1,18 +1,22 @@
 """Noise of the detectors from the rays alone: by how much the rays of one object miss each other.
 
-The signed distances of the detections of two cameras from meeting, in pixels, are those of one object (half-normal,
-with the noise of both cameras) or of two objects. These are as at other times, when the same rays meet by chance, or as
-neighbours are: a group that stays together (a rigid board, a flock, objects at rest) gives every partner the same
-neighbours all the time. By how much a ray misses two detections of one frame differs by their distance across it,
-whatever the noise, so neighbours are measured and not modelled. The likelihood of this mixture over the noise of a pair
-needs neither a track, a depth nor a first guess, and holds from a tenth of a pixel to a hundred. At most one detection
-of the other camera is of the same object, which bounds the share of the first kind, and neighbours come with a partner,
-which bounds their number: without these bounds any difference between the densities would pass for objects of large
-noise, and large noise for neighbours.
+The distances of the detections of two cameras from meeting, in pixels, are those of one object (half-normal, with the
+noise of both cameras) or of two. The density of the latter is measured, in two ways: from rays that are moved
+elsewhere, at the same and at other times, as those of false detections are, and from the rays that one camera would
+have of the other's detections, as those of objects that both see. By these, neighbours that stay together (a rigid
+board, a flock, objects at rest) are no partners. Either density is wrong by a share that grows with the distance: over
+a part of the distance that chance bridges, densities of different objects are even. That share is unknown too, a sum
+of bumps of all widths with a prior of its size. Distances beyond the median of chance tell nothing.
+
+The likelihood of a noise is that of the numbers of distances, integrated over the number of partners (at most one of a
+detection; any number is as probable, and none has a probability of its own) and over the errors of the density: where
+strangers hide the partners, it is nearly even, and what small noise cannot hide speaks against small noise. It needs
+neither a track, a depth nor a first guess, and holds from a tenth of a pixel to a hundred.
 
 The likelihoods of all pairs are joined in the noise of the cameras. A prior says what detectors are like: log-normal,
-90 % between 0.3 and 10 px, and the cameras of one log resemble each other. A camera with little data takes its value
-from the others, and without any data the answer is the prior's median.
+68 % between 0.4 and 8 px, and the cameras of one log resemble each other. The answer is the mean of draws from the
+posterior of all cameras together, and its error their spread: a pair tells only the sum of two variances. A camera with
+little data takes its value from the others, and without any data the answer is the prior's median.
 """
 
 from collections.abc import Callable, Collection, Sequence
@@ -20,8 +24,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.numerics.random_streams import RAY_NOISE_SEED
+from stereophd.core.two_views.epipolar import nearest_depths
 from stereophd.pipeline.checks.geometry.rays import (
     Candidates,
     Reading,
@@ -37,7 +43,7 @@ from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.pipeline.detectors.statistics import USUAL_P_DETECT, NoisePrior
 
 # The prior: the noise of one detector, px, the spread of its logarithm, and that between the cameras of one log.
-USUAL_NOISE_PX, NOISE_SPREAD, BETWEEN_CAMERAS = 1.7, 1.07, 0.4
+USUAL_NOISE_PX, NOISE_SPREAD, BETWEEN_CAMERAS = 1.7, 1.5, 0.4
 # False detections of a frame to begin with: no detector is free of them, and births need some to compete with.
 LEAST_CLUTTER = 0.02
 # Frames of each camera that are looked at.
@@ -46,13 +52,17 @@ SAMPLE_FRAMES = 1500
 NOISES = np.geomspace(0.03, 300.0, 90)
 BORDERS = np.concatenate([[0.0], np.geomspace(0.01, 10_000.0, 110)])
 # Detections of a pair that are examined at most, and distances of them all, those of chance included, of one pair and
-# of all pairs; times that measure chance, by the detections of a frame; and distances between detections of a frame.
+# of all pairs; times that measure chance, by the detections of a frame; and detections of a frame that others are
+# compared with.
 MOST_DETECTIONS, MOST_DISTANCES, MOST_OF_ALL = 1000, 1_500_000, 8_000_000
-SHIFTS, FEW_SHIFTS, CROWD, MOST_STEPS = 8, 2, 50, 40
-# Error of the density of distances of different objects, as a share of it: where these are many, they tell no more.
-BACKGROUND_ERROR = 0.02
-# Rounds of the share of partners, and of the cameras in turn.
-SHARE_ROUNDS, CAMERA_ROUNDS, SETTLED = 40, 20, 1e-3
+SHIFTS, FEW_SHIFTS, CROWD, OWNERS = 8, 2, 50, 4
+# Errors of the density of distances of different objects, as shares of it: of its level, near 0, and what grows with
+# the square of the width of a bump to the widest, which is the median of chance; number of bumps, each half as wide.
+LEVEL_ERROR, EVEN_ERROR, WIDEST_ERROR, BUMPS = 0.3, 0.01, 0.5, 8
+# Shares of these that are distances of neighbours, and the probability that two cameras share no object.
+SHARES, STRANGERS = (0.0, 0.5, 1.0), 0.1
+# Rounds of a fit, by how much one changes logarithms and partners at most, and draws from the posterior.
+ROUNDS, MOST_CHANGE, DRAWS, LEAST_DRAWS = 12, (1.0, 5.0), 3000, 50
 # Detections that have a partner, at most.
 MOST_PARTNERS = 0.95
 # Log-likelihood that one pair of cameras may weigh: detections of one object are not independent, and the chance of a
@@ -62,10 +72,6 @@ MOST_EVIDENCE = 20.0
 CLEARER = 1.5
 # Distances of chance, number and share, below which their density counts as even.
 EVEN_COUNT, EVEN_SHARE = 50, 0.001
-# Share of the detections among neighbours that has a partner within the noise, at least. Without that bound large noise
-# would pass for neighbours.
-LEAST_PARTNERS = 0.25
-
 # Where the detections of a camera are at times (n,): pixels (n, k, 2).
 Places = Callable[[CameraSample, Array], Array]
 
@@ -89,15 +95,9 @@ class _PairEvidence:
     partners: float
     gain: float  # Log-likelihood of the best of them over that without partners
 
-    def of_camera(self, camera: int, logs: Array) -> Array:
-        """Return the log-likelihood (noises,) of the noise of one camera, with the logarithms of the others' noise."""
-        own = self.cameras.index(camera)
-        variance = self.shares[own] * NOISES**2 + self.shares[1 - own] * np.exp(2.0 * logs[self.cameras[1 - own]])
-        return np.asarray(np.interp(0.5 * np.log(variance), np.log(NOISES), self.likelihoods))
-
-    def of_all(self) -> Array:
-        """Return the log-likelihood (noises,) of a noise that both cameras have."""
-        variance = self.shares.sum() * NOISES**2
+    def of_both(self) -> Array:
+        """Return the log-likelihood (noises, noises) of the noise of both cameras."""
+        variance = self.shares[0] * NOISES[:, None] ** 2 + self.shares[1] * NOISES**2
         return np.asarray(np.interp(0.5 * np.log(variance), np.log(NOISES), self.likelihoods))
 
 
@@ -113,26 +113,34 @@ def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
     pairs = pairs_of(len(unit))
     most = min(MOST_DISTANCES, MOST_OF_ALL // max(len(pairs), 1))
     evidence = [pair for a, b in pairs if (pair := _evidence(unit, a, b, most)) is not None]
-    usual = float(np.log(USUAL_NOISE_PX))
     # pairs share detections: an object that n cameras see has 2 n - 3 independent distances, and n (n - 1) / 2 pairs
     independent = min(1.0, (2 * len(samples) - 3) / max(len(pairs), 1))
-    start = sum((independent * pair.of_all() for pair in evidence), _prior(usual, NOISE_SPREAD))
-    values = np.full(len(samples), _posterior(start)[0])
-    spreads = np.full(len(samples), NOISE_SPREAD)
-    for _ in range(CAMERA_ROUNDS):
-        before = values.copy()
-        for camera in range(len(samples)):
-            others = np.delete(values, camera)
-            precision = NOISE_SPREAD**-2 + len(others) * BETWEEN_CAMERAS**-2
-            mean = (usual * NOISE_SPREAD**-2 + others.sum() * BETWEEN_CAMERAS**-2) / precision
-            total = _prior(mean, float(np.sqrt(BETWEEN_CAMERAS**2 + 1.0 / precision)))
-            for pair in evidence:
-                if camera in pair.cameras:
-                    total = total + independent * pair.of_camera(camera, values)
-            values[camera], spreads[camera] = _posterior(total)
-        if np.abs(values - before).max() < SETTLED:
-            break
-    return RayNoise(np.exp(values), spreads, sum(pair.partners for pair in evidence))
+    logs = _draws({pair.cameras: independent * pair.of_both() for pair in evidence}, len(samples))
+    spacing = float(np.log(NOISES[1] / NOISES[0]))
+    spreads = np.sqrt(logs.var(axis=0) + spacing**2 / 12.0)
+    return RayNoise(np.exp(logs.mean(axis=0)), spreads, sum(pair.partners for pair in evidence))
+
+
+def _draws(likelihoods: dict[tuple[int, int], Array], count: int) -> Array:
+    """Return draws (d, cameras) of the logarithm of the noise of all cameras: of two at a time, given the others."""
+    rng, logs, usual = np.random.default_rng(RAY_NOISE_SEED), np.log(NOISES), float(np.log(USUAL_NOISE_PX))
+    of_either = likelihoods | {(b, a): table.T for (a, b), table in likelihoods.items()}
+    state, draws, pairs = np.full(count, int(np.abs(logs - usual).argmin())), [], pairs_of(count)
+    for _ in range(max(LEAST_DRAWS, DRAWS // len(pairs))):
+        for a, b in pairs:
+            rest = [k for k in range(count) if k not in (a, b)]
+            precision = NOISE_SPREAD**-2 + len(rest) * BETWEEN_CAMERAS**-2
+            mean = (usual * NOISE_SPREAD**-2 + logs[state[rest]].sum() * BETWEEN_CAMERAS**-2) / precision
+            inverse = np.linalg.inv(np.full((2, 2), 1.0 / precision) + BETWEEN_CAMERAS**2 * np.eye(2))
+            apart = logs - mean
+            total = likelihoods.get((a, b), 0.0) - inverse[0, 1] * apart[:, None] * apart
+            for camera, axis in ((a, 1), (b, 0)):
+                told = sum(of_either[camera, k][:, state[k]] for k in rest if (camera, k) in of_either)
+                total = total + np.expand_dims(told - 0.5 * inverse[0, 0] * apart**2, axis)
+            summed = np.exp(total - total.max()).cumsum()
+            state[[a, b]] = divmod(int(np.searchsorted(summed, rng.random() * summed[-1])), len(logs))
+        draws.append(logs[state])
+    return np.array(draws[len(draws) // 5 :])
 
 
 def starting_detectors(
@@ -172,20 +180,6 @@ def with_noise(camera: Camera, sigma_px: float) -> Camera:
     return replace(camera, detector=Detector((sigma_px, sigma_px), detector.p_detect, detector.clutter_per_frame))
 
 
-def _prior(mean: float, spread: float) -> Array:
-    """Logarithm of a log-normal density at the noises that are tried."""
-    return np.asarray(-0.5 * ((np.log(NOISES) - mean) / spread) ** 2)
-
-
-def _posterior(total: Array) -> tuple[float, float]:
-    """Return the mean and the standard deviation of the logarithm of the noise."""
-    weights = np.exp(total - total.max())
-    weights /= weights.sum()
-    logs = np.log(NOISES)
-    mean = float(weights @ logs)
-    return mean, float(np.sqrt(weights @ (logs - mean) ** 2))
-
-
 def _evidence(samples: list[CameraSample], a: int, b: int, most: int) -> _PairEvidence | None:
     """Return what a pair of cameras with a noise of 1 px says, of so many distances; None where they share no frames.
 
@@ -208,10 +202,7 @@ def _read(samples: list[CameraSample], a: int, b: int, most: int, places: Places
     known = rays_of(pair, first, second)
     missed = distances(pair, first, second, known)[0][0]
     by_chance = distances(pair.elsewhere(first.camera), first, second, (None, known[1]))[0][1:]
-    signed = signed_of_rays(first.camera, second.camera, known[0][:, None], known[1][0])
-    signed[~np.isfinite(missed)] = np.nan
-    steps = np.unique(np.linspace(1, max(signed.shape[1] - 1, 1), MOST_STEPS).astype(int)).tolist()
-    neighbours = sum((_classes(np.abs(signed[:, k:] - signed[:, :-k])) for k in steps), np.zeros(len(BORDERS) - 1))
+    neighbours = _neighbours(first.camera, second.camera, known[0], known[1][0], np.isfinite(missed))
     with np.errstate(invalid="ignore", divide="ignore"):
         by_a = distances(pair, first, Reading(with_noise(second.camera, 1e-6)), known)[0][0]
         shares = (missed / by_a) ** 2
@@ -222,6 +213,27 @@ def _read(samples: list[CameraSample], a: int, b: int, most: int, places: Places
     kept = _kept(pair, samples[b]) if places is pixels_at else 1.0
     found = _mixture(_classes(missed), neighbours, _classes(by_chance), len(pair.detections))
     return _PairEvidence((a, b), np.array([share_a, (1.0 - share_a) * kept]), *found)
+
+
+def _neighbours(first: Camera, second: Camera, rays_a: Array, rays_b: Array, met: Booleans) -> Array:
+    """Return the numbers (classes,) of distances of the detections of a frame of B from rays that A has of others.
+
+    Of every ray (n, 3) of A a few of the detections (n, k, 3) that it can meet are seen where it passes them nearest.
+    """
+    pose_a, pose_b = first.pose, second.pose
+    found = np.zeros(len(BORDERS) - 1)
+    for column in np.linspace(0, rays_b.shape[1], OWNERS, endpoint=False).astype(int):
+        owner = (column + np.arange(len(rays_a))) % rays_b.shape[1]
+        rows = np.flatnonzero(met[np.arange(len(rays_a)), owner])
+        owner = owner[rows]
+        direction = rays_b[rows, owner] @ pose_b.rotation
+        depth = nearest_depths(rays_a[rows] @ pose_a.rotation, direction, pose_b.center - pose_a.center)[1]
+        seen = (pose_b.center + depth[:, None] * direction - pose_a.center) @ pose_a.rotation.T
+        apart = np.abs(signed_of_rays(first, second, (seen / seen[:, 2:])[:, None], rays_b[rows]))
+        apart[~met[rows]] = np.nan
+        apart[np.arange(len(rows)), owner] = np.nan
+        found += _classes(apart)
+    return found
 
 
 def _kept(pair: Candidates, second: CameraSample) -> float:
@@ -243,32 +255,69 @@ def _mixture(together: Array, neighbours: Array, apart: Array, count: int) -> tu
     Parameters
     ----------
     together, neighbours, apart : arrays (classes,)
-        Numbers of distances at the same time, between the detections of a frame, and at other times.
+        Numbers of distances at the same time, from rays of others in a frame, and at other places and times.
     count : int
         Detections that have at most one partner each.
     """
-    own = _half_normal(NOISES)
-    others = np.stack([_background(neighbours), _background(apart)])
+    chance, near = _background(apart), _background(neighbours)
+    kept = max(int(np.searchsorted(np.cumsum(chance), 0.5)), 1)
+    widths = 0.5 ** np.arange(BUMPS)
+    bumps = np.exp(-0.5 * (BORDERS[1 : kept + 1] / (BORDERS[kept] * widths[:, None])) ** 2)
+    errors = np.vstack([np.full(kept, LEVEL_ERROR), (EVEN_ERROR + WIDEST_ERROR * widths**2)[:, None] * bumps])
     total = max(float(together.sum()), 1.0)
     most = MOST_PARTNERS * min(count, total)
-    most_neighbours = max(total / count - 1.0, 0.0) / LEAST_PARTNERS
-    # the error of the density in a class is that of all distances as small
-    weights = 1.0 / (1.0 + BACKGROUND_ERROR**2 * np.cumsum(together))
-    # begun near the answer: where partners are few, rounds change their number slowly
-    excess = (weights * (together - total * others[1]) * own).sum(axis=1) / (weights * own**2).sum(axis=1)
-    partners = np.clip(excess, 0.01 * most, most)
-    rates = np.stack([0.1 * np.minimum(total, most_neighbours * partners), np.full(len(NOISES), total)], axis=1)
-    for _ in range(SHARE_ROUNDS):
-        ratio = weights * together / (partners[:, None] * own + rates @ others)
-        rates = rates * (ratio @ others.T) / (others @ weights)
-        partners = np.minimum(partners * (ratio * own).sum(axis=1) / (own @ weights), most)
-        rates[:, 0] = np.minimum(rates[:, 0], most_neighbours * partners)
-    expected = partners[:, None] * own + rates @ others
-    likelihoods = (weights * (together * np.log(expected) - expected)).sum(axis=1)
-    best = int(likelihoods.argmax())
-    alone = float((weights * together).sum() / (weights * others[1]).sum()) * others[1]
-    gain = float(likelihoods[best] - (weights * (together * np.log(alone) - alone)).sum())
-    return np.logaddexp(likelihoods - likelihoods[best], -MOST_EVIDENCE), float(partners[best]), gain
+    # chance is counted too: its error is that of so many distances
+    weight = 1.0 / (1.0 + total / max(float(apart.sum()), 1.0))
+    # the last noise is without end: of no partner
+    own = _half_normal(np.append(NOISES, 1e12))[:, :kept]
+    fits = [
+        _fit(together[:kept], (share * near + (1.0 - share) * chance)[:kept], errors, own, most, total, weight)
+        for share in SHARES
+    ]
+    marginal, best, partners = (np.stack(each) for each in zip(*fits, strict=True))
+    chosen = np.unravel_index(int(best[:, :-1].argmax()), best[:, :-1].shape)
+    likelihoods = np.logaddexp.reduce(np.logaddexp(marginal, np.log(STRANGERS) + best[:, -1:]), axis=0)[:-1]
+    gain = float(best[chosen] - best[:, -1].max())
+    return np.logaddexp(likelihoods - likelihoods.max(), -MOST_EVIDENCE), float(partners[chosen]), gain
+
+
+def _fit(
+    together: Array, foreign: Array, errors: Array, own: Array, most: float, total: float, weight: float
+) -> tuple[Array, Array, Array]:
+    """Return the log-likelihoods (s,) of noises over all numbers of partners, those of the best, and these numbers.
+
+    Distances have the densities `own` (s, classes) or `foreign` (classes,), the latter times the exponential of a sum
+    of `errors` (e, classes), each times a standard normal number. Newton's method for these and the partners.
+    """
+    from scipy.special import log_ndtr  # costly to import
+
+    partners, sizes = np.full(len(own), 0.3 * most), np.zeros((len(own), len(errors)))
+    for left in reversed(range(ROUNDS)):
+        density = foreign * np.exp(sizes @ errors)
+        others = (total - partners[:, None]) * density
+        expected = others + partners[:, None] * own
+        excess, change = together / expected - 1.0, own - density
+        slopes = weight * (others * excess) @ errors.T - sizes
+        info = weight * (errors * (others**2 / expected)[:, None]) @ errors.T + np.eye(len(errors))
+        cross = weight * (others * change / expected) @ errors.T
+        step, moved = np.moveaxis(np.linalg.solve(info, np.stack([slopes, cross], axis=2)), 2, 0)
+        slope = weight * (change * excess).sum(axis=1) - (moved * slopes).sum(axis=1)
+        curvature = weight * (change**2 / expected).sum(axis=1) - (moved * cross).sum(axis=1)
+        root = np.sqrt(np.maximum(curvature, 1e-3 / most**2))
+        if left:
+            least, greatest = partners / MOST_CHANGE[1], np.minimum(most, partners * MOST_CHANGE[1])
+            new = np.clip(partners + slope / root**2, least, greatest)
+            sizes = sizes + np.clip(step - moved * (new - partners)[:, None], -MOST_CHANGE[0], MOST_CHANGE[0])
+            partners = new
+    best = weight * (together * np.log(expected) - expected).sum(axis=1) - 0.5 * (sizes**2).sum(axis=1)
+    best = best - 0.5 * np.linalg.slogdet(info)[1]
+    # the normal density of partners between 0 and the most
+    centre = partners + slope / root**2
+    low, high = -centre * root, (most - centre) * root
+    low, high = np.where(low > 0.0, -high, low), np.where(low > 0.0, -low, high)
+    inside = log_ndtr(high) + np.log1p(-np.exp(np.minimum(log_ndtr(low) - log_ndtr(high), -1e-12)))
+    mass = inside + 0.5 * (slope / root) ** 2 + 0.5 * np.log(2.0 * np.pi) - np.log(root * most)
+    return best + mass, best, partners
 
 
 def _background(apart: Array) -> Array:

@@ -46,6 +46,7 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
         0,
     )
     values = draft.values()
+    lines += _comment(["Images do not show the unit: is it that of the centres of the cameras?"], 0)
     lines += [f"units: {{length: {draft.unit}}}", f"seed: {values.pop('seed', 0)}", ""]
     lines += _cameras(draft, cameras_file)
     values.setdefault("report", {})
