@@ -7,7 +7,6 @@ from typing import Any
 
 import typer
 
-from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Session
 from stereophd.cli.terminal import print_report
 from stereophd.report.tables import SummaryTable, table_text
@@ -45,7 +44,7 @@ def say_what_is_kept(out: Path) -> None:
 def _table(rows: Sequence[Mapping[str, Any]], found: Mapping[str, Any]) -> SummaryTable:
     """Return a row for each input; below are the messages of those that failed."""
     names = tuple(name for name in rows[0] if name not in _NOT_IN_TABLE)
-    messages = [f"{row['folder']}: {with_flags(row['message'])}" for row in rows if row["message"]]
+    messages = [f"{row['folder']}: {row['message']}" for row in rows if row["message"]]
     words = tuple(column for column, name in enumerate(names) if name in ("folder", "status"))
     cells = tuple(tuple(_text(row[name]) for name in names) for row in rows)
     return SummaryTable("", names, cells, (*messages, f"{found['done']} done, {found['failed']} failed"), words)

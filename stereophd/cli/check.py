@@ -4,7 +4,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from stereophd.cli import options
-from stereophd.cli.flags import with_flags
 from stereophd.cli.terminal import exit_if_strict, load, print_report
 from stereophd.wording import counted
 
@@ -32,6 +31,6 @@ def _lines(checks: list[dict[str, Any]]) -> list[str]:
     for one in sorted(checks, key=lambda found: found["status"] == "warning"):
         lines.append(f"{MARKS[one['status']]:>11}  {one['name']}: {one['message']}")
         if one["remedy"] and one["status"] == "warning":
-            lines.append(with_flags(f"{'':>11}  remedy: {one['remedy']}"))
+            lines.append(f"{'':>11}  remedy: {one['remedy']}")
     count = sum(one["status"] == "warning" for one in checks)
     return [*lines, f"{counted(len(checks), 'check')}, {counted(count, 'warning')}"]

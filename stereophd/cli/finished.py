@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Form, Session, argument, option
 from stereophd.cli.terminal import print_report
 from stereophd.commands.options import Replacing, ReportOptions
@@ -43,5 +42,5 @@ def export_command(
     from stereophd.commands.export import export
 
     report = export(form, source, out, options, replacing.force)
-    notes = [with_flags(f"{note[:1].upper()}{note[1:]}.") for note in report["notes"]]
+    notes = [f"{note[:1].upper()}{note[1:]}." for note in report["notes"]]
     print_report(session, report, lambda: [*notes, f"Written: {out} ({report['what']})"])

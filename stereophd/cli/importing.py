@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from stereophd import options
-from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Form, Out, Session, argument, option
 from stereophd.cli.terminal import print_report
 from stereophd.cli.unused_options import refuse
@@ -52,7 +51,7 @@ def import_command(
 
 def _lines(report: dict[str, Any], out: Path) -> list[str]:
     """Return the summary of an import as text."""
-    lines = [with_flags(f"assumed: {sentence}") for sentence in report["assumed"]]
+    lines = [f"assumed: {sentence}" for sentence in report["assumed"]]
     for name, row in report["cameras"].items():
         size = " x ".join(map(str, row["image_size_px"])) + " px" if "image_size_px" in row else "no camera"
         if "frames" not in row:

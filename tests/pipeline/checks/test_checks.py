@@ -113,6 +113,10 @@ def test_a_principal_point_of_another_resolution_is_scaled_alike(
 
 MISTAKES = {
     "rotation_transposed": lambda c: _turned(c, c.pose.rotation.T),
+    # what a negated rotation vector beside the right translation becomes
+    "rotation_transposed beside t": lambda c: _turned(
+        c, c.pose.rotation.T, c.pose.rotation @ c.pose.rotation @ c.pose.center
+    ),
     "center_is_translation": lambda c: _turned(c, c.pose.rotation, -c.pose.rotation @ c.pose.center),
     "opengl_axes": lambda c: _turned(c, OPENGL @ c.pose.rotation),
     "intrinsics_resolution": lambda c: replace(c, fx=2 * c.fx, fy=2 * c.fy, cx=2 * c.cx, cy=2 * c.cy),
@@ -123,7 +127,7 @@ MISTAKES = {
 def test_a_mistake_is_named(samples: list[CameraSample], cause: str) -> None:
     wrong = [MISTAKES[cause](camera) for camera in CAMERAS]
     named = [found for found in _geometry(_with(samples, *wrong)) if found.status == "warning"]
-    assert [found.cause for found in named] == [cause]
+    assert [found.cause for found in named] == cause.split()[:1]
     assert named[0].remedy
 
 
@@ -302,7 +306,7 @@ def test_a_small_promise_is_not_called_a_small_overlap(monkeypatch: pytest.Monke
     little = replace(_many(2), given=(Meeting(0.3, 0.28, 0.02, 1.0, 3.0, 100),), expected=(0.05,))
     (found,) = check_geometry(little, thorough=False)
     assert (found.status, found.remedy) == ("not checked", None)
-    assert "promise too little" in found.message
+    assert "hardly more than chance" in found.message
     assert "overlap" not in found.message
 
 

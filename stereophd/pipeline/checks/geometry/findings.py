@@ -43,7 +43,7 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
         if found.score >= LEAST_SCORE:
             yield Finding("geometry.rays", "ok", text, value, expected)
         elif _deficit(geometry, k) is None:
-            why = "these settings promise too little more than chance to tell whether their rays meet"
+            why = "by these settings right cameras, too, would show hardly more than chance: not judged"
             yield Finding("geometry.rays", "not checked", f"{text}; {why}", value, expected)
         elif found.score < CHANCE_SCORE and {pair.a, pair.b} & alone:
             yield Finding(
