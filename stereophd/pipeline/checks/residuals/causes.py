@@ -44,28 +44,33 @@ class CauseFit:
         )
 
 
+# What cannot be asked explains nothing.
+NO_FIT = CauseFit(0.0, float("inf"), 0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class PairFits:
     """How much each cause explains of the distances of a pair of cameras."""
 
-    # `clock`, `lens_a`, `lens_b`, `pose`: An offset of B's clock; the first radial coefficient of A and of B; turns
-    # and shifts of B.
+    # `clock`, `lens_a`, `lens_b`, `lenses`, `pose`: An offset of B's clock; the first radial coefficient of A, of B,
+    # and of both where neither has a lens; turns and shifts of B.
     clock: CauseFit
     lens_a: CauseFit
     lens_b: CauseFit
+    lenses: CauseFit
     pose: CauseFit
 
     def of(self, cause: str) -> CauseFit:
         """Return the fit of a cause, of the better camera."""
         if cause == "lens":
             return max(self.lens_a, self.lens_b, key=lambda fit: fit.explained)
-        return self.clock if cause == "clock" else self.pose
+        return {"clock": self.clock, "lenses": self.lenses, "pose": self.pose}[cause]
 
     def decisive(self, tracks: int) -> set[str]:
         """Return the causes that explain the distances beyond doubt, given the number of pairs of tracks."""
         smooth = self.pose.explained >= POSE_EXPLAINED and self.pose.effect >= POSE_EFFECT
         pose = {"pose"} if smooth and tracks >= POSE_TRACKS else set()
-        return pose | {cause for cause in ("clock", "lens") if self.of(cause).is_decisive}
+        return pose | {cause for cause in ("clock", "lens", "lenses") if self.of(cause).is_decisive}
 
 
 def explain(pair: Partners, first: Camera, second: Camera) -> PairFits:
@@ -83,10 +88,12 @@ def explain(pair: Partners, first: Camera, second: Camera) -> PairFits:
         slope(lambda x, k=k: between(first, _moved(second, k, x, size), pair.pixels_b), STEP_ANGLE)  # type: ignore[misc]
         for k in range(6)
     ]
+    both = _fit(pair, slope(lambda k: between(_bent(first, k), _bent(second, k), pair.pixels_b), STEP_K1))
     return PairFits(
         _fit(pair, slope(lambda s: between(first, second, pair.pixels_b + s * pair.velocity_b), STEP_S)),
         _fit(pair, slope(lambda k: between(_bent(first, k), second, pair.pixels_b), STEP_K1)),
         _fit(pair, slope(lambda k: between(first, _bent(second, k), pair.pixels_b), STEP_K1)),
+        both if first.lens.model == second.lens.model == "none" else NO_FIT,
         _fit(pair, *columns),
     )
 
@@ -100,7 +107,7 @@ def _fit(pair: Partners, *slopes: Array) -> CauseFit:
     design = np.stack(slopes, axis=1)
     design = design / np.maximum(np.abs(design).max(axis=0), 1e-12)
     if not np.isfinite(design).all():
-        return CauseFit(0.0, float("inf"), 0.0, 0.0)
+        return NO_FIT
     fold = np.arange(len(design)) * FOLDS // max(len(design), 1)
     fitted = np.zeros(len(design))
     for part in range(FOLDS):

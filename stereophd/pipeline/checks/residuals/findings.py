@@ -26,7 +26,10 @@ PREFERENCE = 1.35
 ALIKE = 0.97
 # Lateness of one clock over that of a pair, from which it is what the pair shows.
 LEAST_CHANGE = 0.5
-CAUSES = {"clock": "clock_offset", "lens": "lens_inaccurate", "pose": "pose_inaccurate"}
+ESTIMATE_LENS = "let calibrate estimate it (calibration.priors.NAME.distortion_std: {k1: 0.1})"
+CAUSES = {
+    "clock": "clock_offset", "lens": "lens_inaccurate", "lenses": "lens_missing", "pose": "pose_inaccurate",
+}  # fmt: skip
 
 
 def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
@@ -71,6 +74,9 @@ def _warning(
     totals: dict[tuple[str, int], float] = {}
     count = [sum(c in (pair.a, pair.b) for pair, _ in everything) for c in range(len(samples))]
     for pair, fits in suspicious:
+        if "lenses" in decisive:
+            # of all cameras, which are named by the first
+            totals["lenses", 0] = totals.get(("lenses", 0), 0.0) + fits.lenses.explained / len(everything)
         for camera, lens in ((pair.a, fits.lens_a), (pair.b, fits.lens_b)):
             for cause, explained in (
                 ("clock", fits.clock.explained), ("lens", lens.explained), ("pose", fits.pose.explained / PREFERENCE),
@@ -84,6 +90,8 @@ def _warning(
     (cause, _), best = max(totals.items(), key=lambda one: one[1])
     cameras = [c for (one, c), total in totals.items() if one == cause and total >= ALIKE * best]
     names = " or ".join(samples[c].camera.name for c in sorted(cameras))
+    if cause == "lenses":
+        cameras, names = [], " and ".join(one.camera.name for one in samples if one.camera.lens.model == "none")
     share = max(fits.of(cause).explained for _, fits in suspicious)
     text = f"{names}: the distances of its rays from those of other cameras"
     change, value = None, max(fits.of(cause).effect for _, fits in suspicious)
@@ -95,7 +103,12 @@ def _warning(
         remedy, value, change = shift_remedy(-late), late, shifted(samples[latest], -late)
     elif cause == "lens":
         text += " grow from the centre of the image outwards: its lens coefficients seem to be off"
-        remedy = "calibrate the lens again, or let calibrate estimate it (calibration.prior)"
+        remedy = f"calibrate the lens again, or {ESTIMATE_LENS}"
+    elif cause == "lenses":
+        weights = np.array([fits.lenses.error**-2 for _, fits in suspicious])
+        value = float(weights @ [fits.lenses.value for _, fits in suspicious] / weights.sum())
+        text += f" grow from the centre of the image outwards: their lenses seem to be missing, near k1 = {value:.2g}"
+        remedy = f"state the lens distortion of all cameras, or {ESTIMATE_LENS}"
     else:
         text += " depend on the place in the image: its pose seems to be slightly off"
         remedy = "let calibrate refine the poses, starting from these cameras"
