@@ -67,7 +67,7 @@ def _frames(sample: CameraSample) -> Iterator[Finding]:
             "log.frame_rate", "warning",
             f"{name}: {sample.interval_s:.4g} s between frames, times up to {sample.times[-1]:.6g} s: they seem to be "
             "in milliseconds",
-            round(found, 6), rate, name, f"{IN_SECONDS}, or state frame_rate_hz if the interval is right",
+            round(found, 6), rate, name, f"{IN_SECONDS}; or state frame_rate_hz if the interval is right",
             "milliseconds",
         )  # fmt: skip
     elif rate is not None and min(abs(found / rate - 1.0), abs(by_number / rate - 1.0)) > RATE_TOLERANCE:

@@ -74,9 +74,6 @@ def _warning(
     totals: dict[tuple[str, int], float] = {}
     count = [sum(c in (pair.a, pair.b) for pair, _ in everything) for c in range(len(samples))]
     for pair, fits in suspicious:
-        if "lenses" in decisive:
-            # of all cameras, which are named by the first
-            totals["lenses", 0] = totals.get(("lenses", 0), 0.0) + fits.lenses.explained / len(everything)
         for camera, lens in ((pair.a, fits.lens_a), (pair.b, fits.lens_b)):
             for cause, explained in (
                 ("clock", fits.clock.explained), ("lens", lens.explained), ("pose", fits.pose.explained / PREFERENCE),
@@ -85,15 +82,18 @@ def _warning(
                 if cause not in decisive or not changes:
                     continue
                 totals[cause, camera] = totals.get((cause, camera), 0.0) + explained / count[camera]
-    if not totals:
+    joint = sum(fits.lenses.explained for _, fits in suspicious) if "lenses" in decisive else 0.0
+    if not totals and not joint:
         return None
-    (cause, _), best = max(totals.items(), key=lambda one: one[1])
+    (cause, camera), best = max(totals.items(), key=lambda one: one[1], default=(("lenses", 0), 0.0))
     cameras = [c for (one, c), total in totals.items() if one == cause and total >= ALIKE * best]
     names = " or ".join(samples[c].camera.name for c in sorted(cameras))
-    if cause == "lenses":
-        cameras, names = [], " and ".join(one.camera.name for one in samples if one.camera.lens.model == "none")
+    if joint and joint >= ALIKE * best * count[camera]:
+        # one camera explains no more of the pairs that it has than all together
+        alone = f", or that of {names} alone" if ALIKE * joint <= best * count[camera] else ""
+        cause, cameras, names = "lenses", [], f"all cameras that state no lens{alone}"
     share = max(fits.of(cause).explained for _, fits in suspicious)
-    text = f"{names}: the distances of its rays from those of other cameras"
+    text = f"{names}: the distances of rays from those of other cameras"
     change, value = None, max(fits.of(cause).effect for _, fits in suspicious)
     if cause == "clock":
         # of two cameras the log does not show which one
@@ -107,8 +107,8 @@ def _warning(
     elif cause == "lenses":
         weights = np.array([fits.lenses.error**-2 for _, fits in suspicious])
         value = float(weights @ [fits.lenses.value for _, fits in suspicious] / weights.sum())
-        text += f" grow from the centre of the image outwards: their lenses seem to be missing, near k1 = {value:.2g}"
-        remedy = f"state the lens distortion of all cameras, or {ESTIMATE_LENS}"
+        text += f" grow from the centre of the image outwards: lens coefficients seem to be missing, near k1 = {value:.2g}"
+        remedy = f"state the lens distortion, or {ESTIMATE_LENS}"
     else:
         text += " depend on the place in the image: its pose seems to be slightly off"
         remedy = "let calibrate refine the poses, starting from these cameras"
