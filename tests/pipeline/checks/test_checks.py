@@ -374,9 +374,7 @@ def test_the_noise_of_broken_tracks_is_that_of_one_camera_tracks(scatter: float 
 
 @pytest.mark.parametrize("p_detect", [0.95, 0.99999])
 @pytest.mark.parametrize(("sigma", "status"), [(1.0, "ok"), (0.1, "warning"), (30.0, "warning")])
-def test_noise_is_asked_whatever_the_detector_states_of_misses(
-    sigma: float, status: str, p_detect: float
-) -> None:
+def test_noise_is_asked_whatever_the_detector_states_of_misses(sigma: float, status: str, p_detect: float) -> None:
     missed = sample_log(_missed(_frames(CAMERAS, count=300)), CAMERAS)
     wrong = [one.with_camera(replace(one.camera, detector=Detector([sigma] * 2, p_detect, 1.0))) for one in missed]
     assert [one.status for one in check_files(wrong) if one.name == "detector.sigma"] == [status] * 2

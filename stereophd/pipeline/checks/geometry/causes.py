@@ -61,35 +61,25 @@ class Explanation:
     change: str | None  # As that of a `Finding`
 
 
-def best_explanation(
-    geometry: Geometry, thorough: bool = True, clocks_only: bool = False, tolerances: tuple[float, ...] = TOLERANCES
-) -> Explanation | None:
+def best_explanation(geometry: Geometry, thorough: bool = True, clocks_only: bool = False) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
     Every alternative (with `clocks_only` only clock offsets) is tried on a few detections, and the best of them on all.
-    If `thorough`, the first look takes more detections, and finer steps of the clock. Tolerances are those of a
-    meeting, in standard deviations.
+    If `thorough`, the first look takes more detections, and finer steps of the clock.
     """
     size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
     few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
     views = geometry.views
-    quick = replace(geometry, pairs=few, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in few))
-    if tolerances != TOLERANCES:
-        given = tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in geometry.pairs)
-        geometry = replace(geometry, given=given)
+    quick = replace(geometry, pairs=few, given=tuple(meeting(p, views[p.a], views[p.b]) for p in few))
     trials = [
         *([] if clocks_only else _camera_trials(geometry)),
         *_clock_trials(geometry, () if clocks_only else RATES, SHIFT_STEPS if thorough else QUICK_STEPS),
     ]
-    looks = [(trial, trial.explain(quick, tolerances)) for trial in trials]
+    looks = [(trial, trial.explain(quick)) for trial in trials]
     promising = [(t, one) for t, one in looks if one is not None and one.excess >= one.given + 0.5 * LEAST_GAIN]
     best_first = sorted(promising, key=lambda look: -look[1].excess)[:FINALISTS]
     finalists = [trial for trial, _ in promising if any(trial is other for other, _ in best_first)]
-    found = [
-        one
-        for one in (trial.explain(geometry, tolerances) for trial in finalists)
-        if one is not None and _is_decisive(one)
-    ]
+    found = [one for one in (trial.explain(geometry) for trial in finalists) if one is not None and _is_decisive(one)]
     if not found:
         return None
     best = max(one.excess for one in found)
@@ -120,7 +110,7 @@ class Trial:
     samples: list[CameraSample] | None = None  # With other times; None: as they are
     change: str | None = None  # As that of a `Finding`
 
-    def explain(self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES) -> Explanation | None:
+    def explain(self, geometry: Geometry) -> Explanation | None:
         """Return how much the change explains of the pairs concerned; None if it concerns none."""
         after, before = [], []
         for k, (pair, given) in enumerate(zip(geometry.pairs, geometry.given, strict=True)):
@@ -134,7 +124,7 @@ class Trial:
                 rays_a, rays_b = geometry.rays[k]
                 known = None if pair.a in self.scope else rays_a, None if pair.b in self.scope else rays_b
             if found is not None:
-                after.append(meeting(found, self.views[pair.a], self.views[pair.b], tolerances, known))
+                after.append(meeting(found, self.views[pair.a], self.views[pair.b], known))
                 before.append(given)
         if not after:
             return None

@@ -8,7 +8,6 @@ from stereophd.pipeline.checks.geometry.measure import (
     LEAST_EXPECTED,
     LEAST_SCORE,
     MOST_CHANCE,
-    SHARP,
     Geometry,
     pairs_of,
 )
@@ -28,8 +27,6 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
     explanation = None
     if geometry.pairs and (suspicious or thorough):
         explanation = best_explanation(geometry, thorough, clocks_only=not suspicious)
-    if explanation is None and geometry.is_blurred():
-        explanation = best_explanation(geometry, thorough, tolerances=SHARP)
     if explanation is not None:
         yield _named(geometry, explanation)
     alone = set() if explanation is not None else _alone(geometry)

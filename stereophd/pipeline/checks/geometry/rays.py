@@ -212,21 +212,15 @@ def signed_of_rays(first: Camera, second: Camera, rays_a: Array, rays_b: Array) 
     return sampson_distances(essential, rays_a, rays_b, *scales)
 
 
-def meeting(
-    found: Candidates,
-    first: Reading,
-    second: Reading,
-    tolerances: tuple[float, ...] = TOLERANCES,
-    known: Rays = (None, None),
-) -> Meeting:
+def meeting(found: Candidates, first: Reading, second: Reading, known: Rays = (None, None)) -> Meeting:
     """Return how often the rays meet, at the tolerance with the highest score (`known`: see `distances`)."""
     least = distances(found, first, second, known)[0].min(axis=2)
     count = len(least[0])
-    shares = (least <= np.array(tolerances)[:, None, None]).mean(axis=2)
+    shares = (least <= np.array(TOLERANCES)[:, None, None]).mean(axis=2)
     chances, stds = shares[:, 1:].mean(axis=1), shares[:, 1:].std(axis=1, ddof=1)
     best: Meeting | None = None
     for tolerance, share, chance, std in zip(
-        tolerances, shares[:, 0].tolist(), chances.tolist(), stds.tolist(), strict=True
+        TOLERANCES, shares[:, 0].tolist(), chances.tolist(), stds.tolist(), strict=True
     ):
         spread = math.hypot(std, math.sqrt(max(chance * (1 - chance), 0.25 / count) / count))
         excess = (share - chance) / max(1.0 - chance, 1e-9)

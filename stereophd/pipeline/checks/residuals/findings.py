@@ -105,9 +105,9 @@ def _warning(
         text += " grow from the centre of the image outwards: its lens coefficients seem to be off"
         remedy = f"calibrate the lens again, or {ESTIMATE_LENS}"
     elif cause == "lenses":
-        weights = np.array([fits.lenses.error**-2 for _, fits in suspicious])
+        weights = np.array([1.0 / max(fits.lenses.error, 1e-9) ** 2 for _, fits in suspicious])
         value = float(weights @ [fits.lenses.value for _, fits in suspicious] / weights.sum())
-        text += f" grow from the centre of the image outwards: lens coefficients seem to be missing, near k1 = {value:.2g}"
+        text += f" grow from the centre of the image outwards: the lens seems to be missing, near k1 = {value:.2g}"
         remedy = f"state the lens distortion, or {ESTIMATE_LENS}"
     else:
         text += " depend on the place in the image: its pose seems to be slightly off"

@@ -109,7 +109,7 @@ def check_knocks(summary: Mapping[str, Any], before: tuple[Finding, ...]) -> Ite
     doubts = [one.name for one in warnings_of(before) if one.name in LIKE_KNOCKS and one.cause != "pose_inaccurate"]
     for knock in summary["knocks"]:
         if doubts:
-            why = f"{knock['camera']} seems to be knocked, but what {doubts[0]} warns of looks the same: mend that first"
+            why = f"{knock['camera']} seems to be knocked; what {doubts[0]} warns of looks the same: mend that first"
             yield Finding("tracking.knocked", "not checked", why)
             continue
         name, others = knock["camera"], "".join(f", or {other}" for other in knock["others"])
