@@ -7,7 +7,6 @@ from typing import Annotated
 
 import typer
 
-from stereophd.cli.flags import with_flags
 from stereophd.cli.options import Form, Session, argument, option
 from stereophd.cli.terminal import print_report
 from stereophd.cli.unused_options import report as report_unused
@@ -73,5 +72,5 @@ def export_command(
     from stereophd.commands.export import export
 
     report = export(form, source, out, options, replacing.force)
-    notes = [with_flags(f"{note[:1].upper()}{note[1:]}.") for note in report["notes"]]
+    notes = [f"{note[:1].upper()}{note[1:]}." for note in report["notes"]]
     print_report(session, report, lambda: [*notes, f"Written: {out} ({report['what']})"])

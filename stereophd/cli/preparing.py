@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 from stereophd import options as declared
-from stereophd.cli.flags import with_flags
 from stereophd.cli.options import ConfigWords, Form, Out, Session, Set, Strict, argument, option
 from stereophd.cli.terminal import exit_if_strict, load, print_report
 from stereophd.cli.unused_options import refuse
@@ -63,7 +62,7 @@ def import_command(
 
 def _imported(report: dict[str, Any], out: Path) -> list[str]:
     """Return the summary of an import as text."""
-    lines = [with_flags(f"assumed: {sentence}") for sentence in report["assumed"]]
+    lines = [f"assumed: {sentence}" for sentence in report["assumed"]]
     for name, row in report["cameras"].items():
         size = " x ".join(map(str, row["image_size_px"])) + " px" if "image_size_px" in row else "no camera"
         if "frames" not in row:
@@ -143,6 +142,6 @@ def _findings(checks: list[dict[str, Any]]) -> list[str]:
     for one in sorted(checks, key=lambda found: found["status"] == "warning"):
         lines.append(f"{MARKS[one['status']]:>11}  {one['name']}: {one['message']}")
         if one["remedy"] and one["status"] == "warning":
-            lines.append(with_flags(f"{'':>11}  remedy: {one['remedy']}"))
+            lines.append(f"{'':>11}  remedy: {one['remedy']}")
     count = sum(one["status"] == "warning" for one in checks)
     return [*lines, f"{counted(len(checks), 'check')}, {counted(count, 'warning')}"]

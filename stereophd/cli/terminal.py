@@ -128,7 +128,8 @@ def print_report(
         from stereophd.io.outputs.json_text import plain
 
         shown = _lines(plain(report)) if text is None else text()
-        print_data("\n".join([*([shown] if isinstance(shown, str) else shown), *_remedied(session, report)]))
+        lines = map(with_flags, [shown] if isinstance(shown, str) else shown)
+        print_data("\n".join([*lines, *_remedied(session, report)]))
 
 
 def _remedied(session: Session, report: Mapping[str, Any]) -> list[str]:

@@ -215,11 +215,8 @@ def _track(
     stream = open_stream(loaded.config, cameras, log_path)
     run = TrackingRun(loaded, 1, multi_filter, multi_filter.motion, cameras, report)
     summary = run.write(run.records(stream), out, metadata, uncertainty=uncertainty)
-    findings = [
-        found
-        for found in check_log(loaded, log_path, thorough=False, cameras=cameras)
-        if found.name.startswith(WITH_CAMERAS)
-    ]
-    noise = check_noise(summary, cameras, stream.has_noise)
+    checked = check_log(loaded, log_path, thorough=False, cameras=cameras)
+    findings = [found for found in checked if found.name.startswith(WITH_CAMERAS)]
+    noise = check_noise(summary, cameras, stream.has_noise, checked)
     losses = check_losses(summary, stream.counts)
     return summary, (*findings, *check_tracking(summary, stream.counts, cameras), *noise, *losses)

@@ -99,7 +99,8 @@ def import_recording(
             assert recording.length_unit is not None
             write_cameras(out.path(CAMERAS_FILE), cameras, recording.length_unit, record)
         _check(recording, summaries)
-        findings = _check_files(cameras, summaries, out.path(DETECTIONS_FILE)) if summaries else []
+        # frame rates that follow from the log would agree with any times
+        findings = _check_files(recording.cameras, summaries, out.path(DETECTIONS_FILE)) if summaries else []
         report = {
             "report_version": REPORT_VERSION,
             "command": "import",

@@ -152,10 +152,10 @@ class _Outputs:
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))
         findings += tuple(check_detections(summary, tracking.cameras))
-        findings += tuple(check_knocks(summary))
+        findings += tuple(check_knocks(summary, findings))
         if not tracking.boxes:
             # the middle of a box is not the image of the middle of a body
-            findings += tuple(check_noise(summary, tracking.cameras, self.stream.has_noise))
+            findings += tuple(check_noise(summary, tracking.cameras, self.stream.has_noise, findings))
         findings += tuple(check_losses(summary, counts))
         findings += tuple(check_estimated_detectors(tracking.detectors))
         report = {

@@ -46,7 +46,7 @@ from stereophd.pipeline.live.recording import read_recording, write_log
 from stereophd.pipeline.live.run import LiveRun, warm_up_messages, without_collections
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.run import TrackingRun, build_tracking, estimated_cameras
+from stereophd.pipeline.tracking.run import TrackingRun, build_tracking
 from stereophd.pipeline.workers.aside import Aside
 from stereophd.pipeline.workers.worker_process import WorkerProcess
 
@@ -262,7 +262,7 @@ def _check(loaded: LoadedConfig) -> None:
     """Refuse what needs the whole log."""
     if isinstance(loaded.config.filter, SingleSettings):
         raise InputError(f"{loaded.path}: filter.kind: expected a filter of several objects (live), found single")
-    if estimated_cameras(loaded):
+    if loaded.estimated_cameras:
         raise InputError(
             f"{loaded.path}: detector: expected the detectors of all cameras for a live run, found estimate; estimate "
             "them from a recording first (`stereophd track`)"

@@ -46,6 +46,12 @@ class LoadedConfig:
         """Name -> camera, in the order that decides ties; empty where the configuration names none."""
         return self.config.cameras if isinstance(self.config.cameras, dict) else {}
 
+    @property
+    def estimated_cameras(self) -> list[str]:
+        """Names of the cameras whose detectors are to be estimated from the log."""
+        everything = self.config.detector == "estimate"
+        return [name for name, camera in self.cameras.items() if camera.detector.estimate or everything]
+
     @cached_property
     def resolved(self) -> dict[str, Any]:
         """All values including defaults, cameras inline, as JSON-able data; loading it gives the same."""

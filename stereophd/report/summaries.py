@@ -212,8 +212,9 @@ def _findings(checks: Sequence[Mapping[str, Any]]) -> SummaryTable:
     rows = tuple(
         (check["name"], check["camera"] or "all", check["message"], check["remedy"] or "-") for check in warnings
     )
-    fine = sum(check["status"] == "ok" for check in checks)
+    fine, missing = (sum(check["status"] == status for check in checks) for status in ("ok", "not checked"))
     note = f"{fine} of {len(checks)} checks passed" + (f", {len(warnings)} warn" if warnings else "")
+    note += f", {missing} not made" if missing else ""
     return SummaryTable(CHECKS, ("check", "camera", "finding", "remedy"), rows, (note,))
 
 

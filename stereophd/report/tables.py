@@ -22,7 +22,7 @@ def table_text(table: SummaryTable) -> str:
     """Return a table as text for a terminal: its title, and its rows and notes indented below it."""
     if table.title == CHECKS:
         lines = [
-            f"{name} ({camera}): {state}{'' if remedy == '-' else f' Remedy: {remedy}.'}"
+            f"{name} ({camera}): {state}{'' if remedy == '-' else f'. Remedy: {remedy}.'}"
             for name, camera, state, remedy in table.rows
         ]
     else:

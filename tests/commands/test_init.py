@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 import pytest
 import yaml
 
@@ -193,6 +194,23 @@ def test_cameras_that_do_not_fit_leave_the_usual_values(
     with caplog.at_level(logging.WARNING, "stereophd"):
         report = init(tmp_path / "out", scene / "detections.parquet", tmp_path / "cameras.yaml")
     assert any(found["cause"] == "rotation_transposed" for found in report["checks"])
+
+
+def test_a_wrong_frame_rate_is_named_and_passes_for_no_noise(scene: Path, tmp_path: Path) -> None:
+    """The rays of the camera miss by a hundred pixels: that was written as noise, and hid the cause."""
+    table = pd.read_parquet(scene / "detections.parquet").drop(columns="object_id")
+    late = table["camera"] == "right"
+    table.loc[late, "time_s"] *= 2.0
+    table.sort_values("time_s", kind="stable").to_parquet(tmp_path / "log.parquet", index=False)
+    described = yaml.safe_load((scene / "cameras.yaml").read_text())
+    for camera in described["cameras"].values():
+        del camera["detector"], camera["frame_rate_hz"]
+    (tmp_path / "cameras.yaml").write_text(yaml.safe_dump(described))
+    report = init(tmp_path / "out", tmp_path / "log.parquet", tmp_path / "cameras.yaml")
+    assert [one["cause"] for one in report["checks"] if one["status"] == "warning"] == ["frame_rate"]
+    for detector in report["detectors"].values():
+        assert max(detector["sigma_px"]) < 2.0
+        assert "true rate" in detector["source"]
 
 
 def test_a_configuration_of_the_user_stays(scene: Path, tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
+from stereophd.core.settings import LARGEST_TIME_S
 from stereophd.errors import InputError
 from stereophd.io.documents import check_instant
 from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, ImportOptions, Piece
@@ -230,6 +231,10 @@ class _Camera:
 
     def _finished(self, rows: Array, is_first: bool, is_last: bool) -> Array:
         rows = self._timed(rows.copy())
+        if LARGEST_TIME_S < (largest := float(np.abs(rows[:, TIME]).max())) < math.inf:
+            raise InputError(
+                f"camera {self._name}: expected times in seconds, found {largest:.4g}; give their unit (`time_unit`)"
+            )
         count = len(rows)
         rows = _without_duplicates(rows)
         self._summary.duplicate_rows += count - len(rows)

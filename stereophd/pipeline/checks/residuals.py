@@ -31,7 +31,10 @@ PREFERENCE = 1.35
 ALIKE = 0.97
 # Lateness of one clock over that of a pair, from which it is what the pair shows.
 LEAST_CHANGE = 0.5
-CAUSES = {"clock": "clock_offset", "lens": "lens_inaccurate", "pose": "pose_inaccurate"}
+ESTIMATE_LENS = "let calibrate estimate it (calibration.priors.NAME.distortion_std: {k1: 0.1})"
+CAUSES = {
+    "clock": "clock_offset", "lens": "lens_inaccurate", "lenses": "lens_missing", "pose": "pose_inaccurate",
+}  # fmt: skip
 
 
 def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
@@ -84,13 +87,18 @@ def _warning(
                 if cause not in decisive or not changes:
                     continue
                 totals[cause, camera] = totals.get((cause, camera), 0.0) + explained / count[camera]
-    if not totals:
+    joint = sum(fits.lenses.explained for _, fits in suspicious) if "lenses" in decisive else 0.0
+    if not totals and not joint:
         return None
-    (cause, _), best = max(totals.items(), key=lambda one: one[1])
+    (cause, camera), best = max(totals.items(), key=lambda one: one[1], default=(("lenses", 0), 0.0))
     cameras = [c for (one, c), total in totals.items() if one == cause and total >= ALIKE * best]
     names = " or ".join(samples[c].camera.name for c in sorted(cameras))
+    if joint and joint >= ALIKE * best * count[camera]:
+        # one camera explains no more of the pairs that it has than all together
+        alone = f", or that of {names} alone" if ALIKE * joint <= best * count[camera] else ""
+        cause, cameras, names = "lenses", [], f"all cameras that state no lens{alone}"
     share = max(fits.of(cause).explained for _, fits in suspicious)
-    text = f"{names}: the distances of its rays from those of other cameras"
+    text = f"{names}: the distances of rays from those of other cameras"
     change, value = None, max(fits.of(cause).effect for _, fits in suspicious)
     if cause == "clock":
         # of two cameras the log does not show which one
@@ -100,7 +108,12 @@ def _warning(
         remedy, value, change = shift_remedy(-late), late, shifted(samples[latest], -late)
     elif cause == "lens":
         text += " grow from the centre of the image outwards: its lens coefficients seem to be off"
-        remedy = "calibrate the lens again, or let calibrate estimate it (calibration.prior)"
+        remedy = f"calibrate the lens again, or {ESTIMATE_LENS}"
+    elif cause == "lenses":
+        weights = np.array([1.0 / max(fits.lenses.error, 1e-9) ** 2 for _, fits in suspicious])
+        value = float(weights @ [fits.lenses.value for _, fits in suspicious] / weights.sum())
+        text += f" grow from the centre of the image outwards: the lens seems to be missing, near k1 = {value:.2g}"
+        remedy = f"state the lens distortion, or {ESTIMATE_LENS}"
     else:
         text += " depend on the place in the image: its pose seems to be slightly off"
         remedy = "let calibrate refine the poses, starting from these cameras"
@@ -151,28 +164,33 @@ class CauseFit:
         )
 
 
+# What cannot be asked explains nothing.
+NO_FIT = CauseFit(0.0, float("inf"), 0.0, 0.0)
+
+
 @dataclass(frozen=True)
 class PairFits:
     """How much each cause explains of the distances of a pair of cameras."""
 
-    # `clock`, `lens_a`, `lens_b`, `pose`: An offset of B's clock; the first radial coefficient of A and of B; turns
-    # and shifts of B.
+    # `clock`, `lens_a`, `lens_b`, `lenses`, `pose`: An offset of B's clock; the first radial coefficient of A, of B,
+    # and of both where neither has a lens; turns and shifts of B.
     clock: CauseFit
     lens_a: CauseFit
     lens_b: CauseFit
+    lenses: CauseFit
     pose: CauseFit
 
     def of(self, cause: str) -> CauseFit:
         """Return the fit of a cause, of the better camera."""
         if cause == "lens":
             return max(self.lens_a, self.lens_b, key=lambda fit: fit.explained)
-        return self.clock if cause == "clock" else self.pose
+        return {"clock": self.clock, "lenses": self.lenses, "pose": self.pose}[cause]
 
     def decisive(self, tracks: int) -> set[str]:
         """Return the causes that explain the distances beyond doubt, given the number of pairs of tracks."""
         smooth = self.pose.explained >= POSE_EXPLAINED and self.pose.effect >= POSE_EFFECT
         pose = {"pose"} if smooth and tracks >= POSE_TRACKS else set()
-        return pose | {cause for cause in ("clock", "lens") if self.of(cause).is_decisive}
+        return pose | {cause for cause in ("clock", "lens", "lenses") if self.of(cause).is_decisive}
 
 
 def explain(pair: Partners, first: Camera, second: Camera) -> PairFits:
@@ -190,10 +208,12 @@ def explain(pair: Partners, first: Camera, second: Camera) -> PairFits:
         slope(lambda x, k=k: between(first, _moved(second, k, x, size), pair.pixels_b), STEP_ANGLE)  # type: ignore[misc]
         for k in range(6)
     ]
+    both = _fit(pair, slope(lambda k: between(_bent(first, k), _bent(second, k), pair.pixels_b), STEP_K1))
     return PairFits(
         _fit(pair, slope(lambda s: between(first, second, pair.pixels_b + s * pair.velocity_b), STEP_S)),
         _fit(pair, slope(lambda k: between(_bent(first, k), second, pair.pixels_b), STEP_K1)),
         _fit(pair, slope(lambda k: between(first, _bent(second, k), pair.pixels_b), STEP_K1)),
+        both if first.lens.model == second.lens.model == "none" else NO_FIT,
         _fit(pair, *columns),
     )
 
@@ -207,7 +227,7 @@ def _fit(pair: Partners, *slopes: Array) -> CauseFit:
     design = np.stack(slopes, axis=1)
     design = design / np.maximum(np.abs(design).max(axis=0), 1e-12)
     if not np.isfinite(design).all():
-        return CauseFit(0.0, float("inf"), 0.0, 0.0)
+        return NO_FIT
     fold = np.arange(len(design)) * FOLDS // max(len(design), 1)
     fitted = np.zeros(len(design))
     for part in range(FOLDS):

@@ -53,12 +53,10 @@ def check_log_alone(loaded: LoadedConfig, log_path: Path | str) -> tuple[Finding
 
 def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) -> tuple[Finding, ...]:
     """Return the findings about a log alone, without those about detectors that are to be estimated."""
-    config = loaded.config
-    estimated = [name for name, c in loaded.cameras.items() if c.detector.estimate or config.detector == "estimate"]
     return tuple(
         found
         for found in check_files(samples, whole)
-        if not (found.name.startswith("detector.") and found.camera in estimated)
+        if not (found.name.startswith("detector.") and found.camera in loaded.estimated_cameras)
     )
 
 
@@ -69,6 +67,9 @@ def check_samples(
 ) -> tuple[Finding, ...]:
     """Check a part of a log that is in memory (see `check_log`); `whole` states whether it is the whole log."""
     config = loaded.config
+    # a noise that is not stated is what it is about one-camera tracks, whatever poses and clocks are
+    estimated = loaded.estimated_cameras
+    samples = [one.with_measured_noise if one.camera.name in estimated else one for one in samples]
     findings = [*_of_files(loaded, samples, whole)]
     if any(found.cause == "pixels_normalised" for found in findings):
         return tuple(findings)
@@ -77,11 +78,14 @@ def check_samples(
         return (*findings, Finding("geometry.rays", "not checked", why))
     geometry = measure(samples, expected_depths(config, samples), thorough)
     findings += check_geometry(geometry, thorough)
-    if not any(found.name == "geometry.cause" for found in warnings_of(tuple(findings))):
+    blamed = {found.name for found in warnings_of(tuple(findings))}
+    if "geometry.cause" not in blamed:
         if config.object.shape == "point":
             # the middle of a box is not the image of the middle of a body
             findings += check_residuals(samples)
-        findings += check_settings(config, measure_scene(geometry), samples, whole)
+        # speeds and accelerations follow from the times
+        if "log.frame_rate" not in blamed:
+            findings += check_settings(config, measure_scene(geometry), samples, whole)
     return tuple(findings)
 
 

@@ -7,13 +7,15 @@ import numpy as np
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.checks import KINDS
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import Finding, warnings_of
 from stereophd.wording import instant, percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
 LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
 # Residuals over what the stated noise leads to expect, outside which the noise is wrong, and the fewest that show it.
 RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
+# Checks before the run whose warnings look like a knock.
+LIKE_KNOCKS = ("detector.sigma", "geometry.cause", "geometry.residuals")
 # Frames of a camera from which unexplained detections are judged: against this many times the stated clutter, so many
 # standard errors, and this share of all detections, which tracks need to begin and to end.
 LEAST_FRAMES, CLUTTER_FACTOR, CLUTTER_ERRORS, LEAST_UNEXPLAINED = 30, 2.0, 4.0, 0.3
@@ -100,9 +102,17 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
             )  # fmt: skip
 
 
-def check_knocks(summary: Mapping[str, Any]) -> Iterator[Finding]:
-    """Yield a warning for a camera that was knocked during the recording (``knocks`` of the figures of the run)."""
+def check_knocks(summary: Mapping[str, Any], before: tuple[Finding, ...]) -> Iterator[Finding]:
+    """Yield a warning for a camera that was knocked during the recording (``knocks`` of the figures of the run).
+
+    A wrong noise, lens or clock that the checks `before` the run found looks like a knock.
+    """
+    doubts = [one.name for one in warnings_of(before) if one.name in LIKE_KNOCKS and one.cause != "pose_inaccurate"]
     for knock in summary["knocks"]:
+        if doubts:
+            why = f"{knock['camera']} seems to be knocked; what {doubts[0]} warns of looks the same: mend that first"
+            yield Finding("tracking.knocked", "not checked", why)
+            continue
         name, others = knock["camera"], "".join(f", or {other}" for other in knock["others"])
         yield Finding(
             "tracking.knocked", "warning",
@@ -115,12 +125,16 @@ def check_knocks(summary: Mapping[str, Any]) -> Iterator[Finding]:
         )  # fmt: skip
 
 
-def check_noise(summary: Mapping[str, Any], cameras: tuple[Camera, ...], noise_in_log: bool) -> Iterator[Finding]:
+def check_noise(
+    summary: Mapping[str, Any], cameras: tuple[Camera, ...], noise_in_log: bool, before: tuple[Finding, ...] = ()
+) -> Iterator[Finding]:
     """Yield a finding for every camera: do the residuals of the tracks have the size that the stated noise promises?
 
     Of the figures of the run, as in ``report.json``, ``cameras`` are used. With `noise_in_log` the log states the noise
-    of every detection, so that the detectors state none.
+    of every detection, so that the detectors state none. Tracks break where the stated noise is too small, and their
+    residuals say little of it: the checks `before` the run measured it about one-camera tracks.
     """
+    measured = {one.camera: one.expected for one in before if one.name == "detector.sigma"}
     for camera in cameras:
         figures = summary["cameras"][camera.name]
         ratio, name = figures["residual_ratio"], camera.name
@@ -129,19 +143,26 @@ def check_noise(summary: Mapping[str, Any], cameras: tuple[Camera, ...], noise_i
             yield Finding("tracking.noise", "not checked", f"{name}: {why}", camera=name)
             continue
         stated = float(np.sqrt((camera.detector.sigma**2).mean()))
-        seen = f"{ratio * stated:.2g}"
         text = f"{name}: residuals are {ratio:.2g} times what the stated noise of {stated:.3g} px leads to expect"
         if RESIDUAL_RATIOS[0] <= ratio <= RESIDUAL_RATIOS[1]:
             yield Finding("tracking.noise", "ok", text, round(ratio, 3), 1.0, name)
             continue
         if ratio > 1.0:
             effect = "tracks are too sure of themselves, break and multiply; or the cameras or the motion do not fit"
+            better = measured.get(name)
         else:
             effect = "tracks follow their detections too little, and are less sure than they could be"
+            better = ratio * stated
+        remedy, cause = "let track estimate it (detector: estimate)", "sigma"
+        change: str | None = "detector=estimate"
+        if isinstance(better, float) and ratio > 1.0 and better < RESIDUAL_RATIOS[1] * stated:
+            cause, change = "residuals", None
+            remedy = "one-camera tracks confirm the noise: look at poses, lenses, clocks and motion.acceleration_std"
+        elif isinstance(better, float):
+            remedy = f"set cameras.{name}.detector.sigma_px near {better:.2g}, or {remedy}"
+            change = f"cameras.{name}.detector.sigma_px=[{better:.2g}, {better:.2g}]"
         yield Finding(
-            "tracking.noise", "warning", f"{text}: {effect}", round(ratio, 3), 1.0, name,
-            f"set cameras.{name}.detector.sigma_px near {seen}, or let track estimate it (detector: estimate)", "sigma",
-            f"cameras.{name}.detector.sigma_px=[{seen}, {seen}]",
+            "tracking.noise", "warning", f"{text}: {effect}", round(ratio, 3), 1.0, name, remedy, cause, change
         )  # fmt: skip
 
 

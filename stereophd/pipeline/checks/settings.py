@@ -210,7 +210,7 @@ def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
         centers = np.array([sample.camera.pose.center for sample in samples])
         apart = np.linalg.norm(centers[:, None] - centers, axis=2)[np.triu_indices(len(centers), 1)]
         # the name of the unit leaves no trace in the data: only the user can tell
-        size = f"the cameras are {number(apart.min())} to {number(apart.max())} {unit} apart: is units.length right?"
+        size = f"the cameras are {number(apart.min())} to {number(apart.max())} {unit} apart"
         yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}, {size}", round(covered, 3), 1.0)
 
 

@@ -17,6 +17,7 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.cameras.models import CameraConfig, DetectorConfig
 from stereophd.pipeline.build import build_labelled_filter
+from stereophd.pipeline.checks.geometry.causes import best_explanation
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
@@ -67,12 +68,32 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     if bodies is not None:
         return replace(bodies, calibration=tuple(_calibration(bodies)))
     cameras, priors = starting_detectors(cameras, unknown, samples)
-    samples = [replace(sample, camera=camera) for sample, camera in zip(samples, cameras, strict=True)]
+    samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
+    sharp = [sample.with_measured_noise if sample.camera.name in unknown else sample for sample in samples]
+    if (cause := _mistake(draft, sharp)) is not None:
+        # rays that miss each other for this reason say nothing of the noise
+        samples = sharp
+        cameras = tuple(sample.camera for sample in samples)
+        why = f"detector: the noise about one-camera tracks; rays miss each other for another reason: {cause}"
+        notes = {name: (*draft.camera_notes.get(name, ()), why) for name in unknown}
+        draft = replace(draft, camera_notes=draft.camera_notes | notes)
     draft = _with_cameras(draft, cameras, unknown)
     rough = _rough(draft, samples)
     if rough is not None:
-        draft = _with_filter(draft.with_choices(rough), draft, priors, log_path)
+        usual, draft = draft, draft.with_choices(rough)
+        # tracks of wrong cameras tell nothing either
+        draft = draft if cause else _with_filter(draft, usual, priors, log_path)
     return replace(draft, calibration=tuple(_calibration(draft)))
+
+
+def _mistake(draft: Draft, samples: list[CameraSample]) -> str | None:
+    """Return the mistake in cameras or clocks that makes far more rays meet with this noise; None if there is none."""
+    if any(sample.boxes or not sample.camera.pose.is_static for sample in samples):
+        return None
+    geometry = measure(samples, expected_depths(_bare(draft).config, samples), thorough=False)
+    suspicious = any(geometry.is_suspicious(k) for k in range(len(geometry.pairs)))
+    found = best_explanation(geometry, thorough=False) if suspicious else None
+    return None if found is None else f"{' and '.join(samples[c].camera.name for c in found.cameras)}: {found.text}"
 
 
 def _with_bodies(
@@ -161,6 +182,11 @@ def _plain(cameras: Mapping[str, CameraConfig]) -> dict[str, Any]:
     return {name: camera.model_dump(mode="json", exclude_none=True) for name, camera in cameras.items()}
 
 
+def _bare(draft: Draft) -> LoadedConfig:
+    """Return the cameras alone as a loaded configuration."""
+    return make_config({"units": {"length": draft.unit}, "cameras": _plain(draft.cameras)})
+
+
 def loaded_draft(draft: Draft, name: str) -> LoadedConfig:
     """Return the draft as a loaded configuration."""
     return make_config({**draft.values(), "cameras": _plain(draft.cameras)}, name)
@@ -198,8 +224,7 @@ def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> tuple[Dr
 
 def _rough(draft: Draft, samples: list[CameraSample]) -> dict[str, Choice] | None:
     """Return settings from rays and one-camera tracks, wide enough to track with; None where cameras share nothing."""
-    bare = make_config({"units": {"length": draft.unit}, "cameras": _plain(draft.cameras)})
-    geometry = measure(samples, expected_depths(bare.config, samples))
+    geometry = measure(samples, expected_depths(_bare(draft).config, samples))
     scene = measure_scene(geometry, MEETING_SCORE)
     tracks = "from one-camera tracks at these depths"
     if scene.depths is not None and scene.depths[0] > 0.0:

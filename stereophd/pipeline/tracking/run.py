@@ -82,7 +82,7 @@ class TrackingRun:
 
     def with_estimated_detectors(self, stream: EventStream) -> TrackingRun:
         """Return the run with detectors estimated from the log; the same where the configuration gives them all."""
-        estimated = estimated_cameras(self.loaded)
+        estimated = self.loaded.estimated_cameras
         if not estimated:
             return self
         config, path = self.loaded.config, self.loaded.path
@@ -174,7 +174,7 @@ def build_tracking(loaded: LoadedConfig, threads: int = 1, cameras: tuple[Camera
         return TrackingRun(loaded, threads, multi_filter, multi_filter.motion, cameras, config.report)
     motion = build_motion(config, loaded.path)
     estimator = build_single(config, motion, cameras, loaded.path)
-    if estimated_cameras(loaded):
+    if loaded.estimated_cameras:
         raise InputError(f"{loaded.path}: detector: expected given where filter.kind is single, found estimate")
     for camera in cameras:
         if camera.readout_s != 0.0:
@@ -213,12 +213,6 @@ def with_detectors(described: Mapping[str, CameraConfig], cameras: Sequence[Came
         )
         out[camera.name] = described[camera.name].model_copy(update={"detector": detector})
     return out
-
-
-def estimated_cameras(loaded: LoadedConfig) -> list[str]:
-    """Return the names of the cameras whose detectors are to be estimated from the log."""
-    everything = loaded.config.detector == "estimate"
-    return [name for name, camera in loaded.cameras.items() if camera.detector.estimate or everything]
 
 
 def with_boxes(stream: EventStream) -> Iterator[Event]:

@@ -68,6 +68,23 @@ def test_times_without_frames(tmp_path: Path, imported: Import) -> None:
     ]
 
 
+def test_times_without_their_unit_get_a_plain_word(tmp_path: Path, imported: Import) -> None:
+    """Nanoseconds of the epoch are no time; milliseconds agree with the frame rate that follows from them."""
+    start = 1_732_545_000_000
+    for name, factor in (("ns", 1_000_000), ("ms", 1)):
+        rows = "".join(f"{(start + 33 * k) * factor},{k},{10 + k},20\n" for k in range(30))
+        (tmp_path / f"{name}.csv").write_text("time_s,frame,u_px,v_px\n" + rows)
+    with pytest.raises(InputError, match=r"camera ns: .* give their unit \(`time_unit`\)"):
+        imported("csv", tmp_path / "ns.csv")
+    cameras = tmp_path / "cameras.yaml"
+    cameras.write_text(
+        "units: {length: m}\ncameras:\n  ms: {image_size_px: [640, 480], pose: {center: [0, 0, 0]},"
+        " intrinsics: {fx: 500, fy: 500, cx: 320, cy: 240}}\n"
+    )
+    report, _ = imported("csv", tmp_path / "ms.csv", cameras=cameras)
+    assert [one["cause"] for one in report["checks"] if one["status"] == "warning"] == ["milliseconds"]
+
+
 @pytest.mark.parametrize(
     ("text", "camera"),
     [

@@ -100,6 +100,15 @@ def test_a_lens_left_out_is_named() -> None:
     assert (found.cause, found.camera) == ("lens_inaccurate", "right")
 
 
+@pytest.mark.parametrize(("k1", "cause"), [(-0.15, "lens_missing"), (0.0, None)])
+def test_a_lens_left_out_for_all_cameras_is_named(k1: float, cause: str | None) -> None:
+    """The same lens everywhere bends all rays alike, and no camera alone explains that."""
+    found = _findings(seen=tuple(replace(camera, lens=Lens("radial", k1=k1)) for camera in CAMERAS))
+    assert {one.cause for one in found} == {cause}
+    if cause:
+        assert found[0].value == pytest.approx(k1, rel=0.25)
+
+
 def test_a_turned_camera_is_named() -> None:
     pose = CAMERAS[1].pose
     turned = replace(CAMERAS[1], pose=Pose(rotation_from_vector([0.005, 0.0, 0.003]) @ pose.rotation, pose.center))
@@ -172,7 +181,7 @@ def test_clocks_that_contradict_each_other_are_no_finding() -> None:
     pairs = [(0, 1), (1, 2), (2, 0)]  # each later than the one before, in a circle
     empty = np.zeros((10, 2))
     partners = [Partners(a, b, empty, empty, empty, np.zeros(10), np.zeros(10, dtype=np.int64)) for a, b in pairs]
-    together = [(pair, PairFits(clock, none, none, none)) for pair in partners]
+    together = [(pair, PairFits(clock, none, none, none, none)) for pair in partners]
     samples = sample_log([Frame(0.0, c, 0, np.zeros((1, 2))) for c in range(3)], CAMERAS)
     assert _warning(samples, together, together, {"clock"}) is None
 

@@ -17,6 +17,7 @@ from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.core.two_views import turns
 from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run_figures import check_knocks
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.tracking import knocked as test_of_knocks
@@ -84,9 +85,13 @@ def test_a_knocked_camera_is_named(
     assert KNOCK_S <= knock.time_s < KNOCK_S + 1.0
     assert knock.since_s == pytest.approx(KNOCK_S, abs=0.3)
     assert np.sum(turn_deg) == 0.0 or knock.turn_deg == pytest.approx(np.sum(turn_deg), rel=0.3)
-    (finding,) = check_knocks(figures.report({}, 0, 0))
+    (finding,) = check_knocks(figures.report({}, 0, 0), ())
     assert finding.status == "warning"
     assert finding.camera == name
+    # a wrong noise or clock looks the same
+    for doubt, status in (("detector.sigma", "not checked"), ("log.pixels", "warning")):
+        (finding,) = check_knocks(figures.report({}, 0, 0), (Finding(doubt, "warning", "it is wrong"),))
+        assert finding.status == status
 
 
 def test_a_knock_that_tracks_may_have_followed_names_every_camera(loaded: LoadedConfig) -> None:
@@ -99,7 +104,7 @@ def test_a_knock_that_tracks_may_have_followed_names_every_camera(loaded: Loaded
 def test_cameras_that_stay_raise_no_alarm(loaded: LoadedConfig) -> None:
     found, figures = knocks(loaded, events(loaded, "left", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)))
     assert found == []
-    assert not list(check_knocks(figures.report({}, 0, 0)))
+    assert not list(check_knocks(figures.report({}, 0, 0), ()))
 
 
 @pytest.mark.parametrize("name", ["nearest_detections", "turn_ratios", "frame_ratios"])

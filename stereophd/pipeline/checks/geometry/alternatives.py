@@ -58,12 +58,20 @@ def _pose_alternatives() -> Iterator[Alternative]:
     def from_both(rotation: Array, center: Array) -> Array:
         return np.asarray(-rotation @ center)
 
+    def beside_translation(rotation: Array, center: Array) -> Array:
+        return np.asarray(rotation @ rotation @ center)
+
     to_world = "give the rotation from world to camera axes (transpose the matrix, negate the vector)"
     as_center = "give the optical centre -R^T t instead of the translation t of x_camera = R x + t"
     opengl = "turn the camera axes by 180 degrees about x (negate rows 2 and 3 of the rotation matrix)"
     yield Alternative(
         "rotation_transposed", "the rotation seems to be camera-to-world (transposed)", to_world,
         moved(np.transpose, same),
+    )  # fmt: skip
+    yield Alternative(
+        "rotation_transposed", "the rotation R of x_camera = R x + t seems to be transposed, beside the right t",
+        "transpose R (negate its vector) before the centre -R^T t follows from it",
+        moved(np.transpose, beside_translation),
     )  # fmt: skip
     yield Alternative(
         "center_is_translation", "the centre seems to be the translation t of x_camera = R x + t", as_center,

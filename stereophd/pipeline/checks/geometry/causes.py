@@ -167,7 +167,7 @@ def _camera_trials(geometry: Geometry) -> Iterator[Trial]:
         views[b] = Reading(replace(first, detector=second.detector))
         yield Trial(
             (a, b), "cameras_exchanged", "their entries seem to be exchanged",
-            "exchange the entries of the two cameras", views,
+            "exchange the entries of the two cameras, or the names of their recordings (import with `rename`)", views,
         )  # fmt: skip
 
 
@@ -208,7 +208,8 @@ def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> I
             times = sample.times[0] + (sample.times - sample.times[0]) * rate
             yield Trial(
                 (c,), "frame_rate", f"its times seem to run at {1 / rate:.4g} times the true rate",
-                f"check its frame rate; multiply its times by {rate:.4g} (clock.rate)", geometry.views,
+                f"check its frame rate; import again with the true one (`rates`), or multiply its times by {rate:.4g} "
+                "(clock.rate)", geometry.views,
                 _with_times(geometry, c, times),
             )  # fmt: skip
 

@@ -29,7 +29,7 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
     if geometry.pairs and (suspicious or thorough):
         explanation = best_explanation(geometry, thorough, clocks_only=not suspicious)
     # what is far off makes rays meet at a wide tolerance, which the remedy must not be compared with
-    if explanation is None and (suspicious or geometry.is_blurred()):
+    if explanation is None and suspicious:
         explanation = best_explanation(geometry, thorough, tolerances=SHARP)
     if explanation is not None:
         yield _named(geometry, explanation)
@@ -41,10 +41,12 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
             f"{percent(found.chance)}"
         )
         value, expected = round(found.excess, 3), round(geometry.expected[k], 3)
-        if found.score >= LEAST_SCORE:
+        if explanation is not None and {pair.a, pair.b} & set(explanation.cameras):
+            yield Finding("geometry.rays", "not checked", f"{text}; see geometry.cause", value, expected)
+        elif found.score >= LEAST_SCORE:
             yield Finding("geometry.rays", "ok", text, value, expected)
         elif _deficit(geometry, k) is None:
-            why = "these settings promise too little more than chance to tell whether their rays meet"
+            why = "by these settings right cameras, too, would show hardly more than chance: not judged"
             yield Finding("geometry.rays", "not checked", f"{text}; {why}", value, expected)
         elif found.score < CHANCE_SCORE and {pair.a, pair.b} & alone:
             yield Finding(

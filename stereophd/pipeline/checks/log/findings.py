@@ -10,8 +10,10 @@ from stereophd.wording import instant, percent
 
 # Relative difference of frame rates that is reported.
 RATE_TOLERANCE = 0.02
-# A camera without a stated frame rate and with a longer interval seems to have its times in milliseconds, s.
-LONGEST_INTERVAL_S = 10.0
+# A camera without a stated frame rate and with a longer interval seems to have its times in milliseconds, s; and any
+# camera with times beyond the year 5000.
+LONGEST_INTERVAL_S, LATEST_S = 10.0, 1e11
+IN_SECONDS = "import again with their unit (`time_unit`), or divide time_s by 1000"
 # Share of both sides of the image that the detections must fill, given this many false ones, which lie everywhere.
 CORNER_SHARE, CORNER_COUNT = 0.55, 100
 # Standard deviations outside these limits are implausible, px.
@@ -60,7 +62,15 @@ def _frames(sample: CameraSample) -> Iterator[Finding]:
     # frames without a row are not frames of another rate
     per_number = np.diff(sample.times) / np.maximum(np.diff(sample.frames), 1)
     by_number = 1.0 / max(float(np.median(per_number)), 1e-300)
-    if rate is not None and min(abs(found / rate - 1.0), abs(by_number / rate - 1.0)) > RATE_TOLERANCE:
+    if abs(sample.times[-1]) > LATEST_S or (rate is None and sample.interval_s > LONGEST_INTERVAL_S):
+        yield Finding(
+            "log.frame_rate", "warning",
+            f"{name}: {sample.interval_s:.4g} s between frames, times up to {sample.times[-1]:.6g} s: they seem to be "
+            "in milliseconds",
+            round(found, 6), rate, name, f"{IN_SECONDS}; or state frame_rate_hz if the interval is right",
+            "milliseconds",
+        )  # fmt: skip
+    elif rate is not None and min(abs(found / rate - 1.0), abs(by_number / rate - 1.0)) > RATE_TOLERANCE:
         numbers = sample.frames - sample.frames[0]
         is_number = bool(np.allclose(sample.times - sample.times[0], numbers, atol=1e-6)) and rate > 1.5
         factor = rate / found
@@ -69,20 +79,13 @@ def _frames(sample: CameraSample) -> Iterator[Finding]:
             remedy = f"divide time_s by the frame rate, {rate:g} Hz"
         elif 900.0 < factor < 1100.0:
             cause, text = "milliseconds", "the times seem to be in milliseconds"
-            remedy = "divide time_s by 1000"
+            remedy = IN_SECONDS
         else:
             cause, text = "frame_rate", "the times do not fit the stated frame rate"
             remedy = "check the frame rate from which the times were computed"
         yield Finding(
             "log.frame_rate", "warning", f"{name}: frames come at {found:.4g} Hz, frame_rate_hz is {rate:g}: {text}",
             round(found, 6), rate, name, remedy, cause,
-        )  # fmt: skip
-    elif rate is None and sample.interval_s > LONGEST_INTERVAL_S:
-        yield Finding(
-            "log.frame_rate", "warning",
-            f"{name}: {sample.interval_s:.4g} s between frames: the times seem to be in milliseconds",
-            round(found, 6), None, name, "divide time_s by 1000, or state frame_rate_hz if the interval is right",
-            "milliseconds",
         )  # fmt: skip
     else:
         yield Finding("log.frame_rate", "ok", f"{name}: frames come at {found:.4g} Hz", round(found, 6), rate, name)
@@ -156,7 +159,8 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
     # where noise or motion outrun the chains, or chance links them, what they leave over are objects, and what they
     # hold is not one object; what is missed before and after is left over too
     continued = sample.continued_share or 0.0
-    follows = continued >= LEAST_CONTINUED * detector.p_detect and sample.linking[1] <= MOST_BY_CHANCE
+    is_linked = sample.linking[1] <= MOST_BY_CHANCE
+    follows = continued >= LEAST_CONTINUED * detector.p_detect and is_linked
     missed = max(rate - detector.clutter_per_frame, 0.0) * (1.0 - continued) ** 2
     isolated = sample.isolated_per_frame - missed
     # chains that hold less than half of the detections say nothing of the others: a board that leaps moves them all
@@ -170,19 +174,7 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             f"set clutter_per_frame near {isolated:.2g}, or estimate it (detector: estimate)", "clutter",
             f"cameras.{camera.name}.detector.clutter_per_frame={isolated:.2g}",
         )  # fmt: skip
-    noise, least = sample.noise_px or (np.nan, np.nan)
-    stated = float(detector.sigma.mean())
-    too_large, better = noise * NOISE_FACTOR < stated, f"{max(noise, LEAST_SIGMA_PX):.2g}"
-    if follows and (least > NOISE_FACTOR * stated or too_large):
-        effect = ": rays meet anywhere with it, so that neither clocks nor poses show their errors" if too_large else ""
-        yield Finding(
-            "detector.sigma", "warning",
-            f"{camera.name}: detections scatter by about {noise:.2g} px about one-camera tracks, but sigma_px is "
-            f"{stated:g}{effect}",
-            stated, round(noise, 4), camera.name,
-            f"set sigma_px near {better}, or estimate it (detector: estimate)", "sigma",
-            f"cameras.{camera.name}.detector.sigma_px=[{better}, {better}]",
-        )  # fmt: skip
+    yield _noise(sample, is_linked)
     sigma = float(detector.sigma.max())
     if not float(detector.sigma.min()) >= LEAST_SIGMA_PX or sigma > LARGEST_SIGMA_SHARE * camera.width:
         yield Finding(
@@ -208,6 +200,25 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             float(camera.cx), 0.5 * camera.width, camera.name, "state cx and cy in pixels of this image size",
             "principal_point_resolution",
         )  # fmt: skip
+
+
+def _noise(sample: CameraSample, is_linked: bool) -> Finding:
+    """Return whether the stated noise is that of the detections of chains, which must not be those of chance."""
+    name, stated = sample.camera.name, float(sample.camera.detector.sigma.mean())
+    if sample.noise_px is None or not is_linked:
+        why = "chance links them" if sample.noise_px else "too few lie on one-camera tracks"
+        return Finding("detector.sigma", "not checked", f"{name}: the noise of detections: {why}", stated, camera=name)
+    noise, least = sample.noise_px
+    text = f"{name}: detections scatter by about {noise:.2g} px about one-camera tracks, sigma_px is {stated:g}"
+    too_large, better = noise * NOISE_FACTOR < stated, f"{max(noise, LEAST_SIGMA_PX):.2g}"
+    if least <= NOISE_FACTOR * stated and not too_large:
+        return Finding("detector.sigma", "ok", text, stated, round(noise, 4), name)
+    effect = ": rays meet anywhere with it, so that neither clocks nor poses show their errors" if too_large else ""
+    return Finding(
+        "detector.sigma", "warning", f"{text}{effect}", stated, round(noise, 4), name,
+        f"set sigma_px near {better}, or estimate it (detector: estimate)", "sigma",
+        f"cameras.{name}.detector.sigma_px=[{better}, {better}]",
+    )  # fmt: skip
 
 
 def _periods(samples: list[CameraSample]) -> Iterator[Finding]:

@@ -4,8 +4,10 @@ Checks look at raw pixels and at the times of frames, before any filter. A one-c
 successive frames that are mutually nearest, within a gate that separates objects from clutter.
 """
 
+from __future__ import annotations
+
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -33,6 +35,8 @@ PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.
 # Differences from which noise is told, and the relative error of a variance from their median over the root of their
 # number: they overlap.
 LEAST_DIFFERENCES, VARIANCE_ERROR = 60, 3.5
+# Least noise that one-camera tracks are taken to show, px: where objects turn hard they may show none.
+LEAST_MEASURED_PX = 0.1
 # Frames of the shortest track that counts, and the share of the links that chance may give: neighbours in a crowd of
 # noisy detections leap, and lie nearer together than the noise.
 LEAST_LENGTH, MOST_BY_CHANCE = 6, 1 / 3
@@ -48,6 +52,23 @@ class CameraSample:
     first: Integers  # The detections of frame k are those from ``first[k]`` to ``first[k + 1]``
     pixels: Array  # (n, 2): Distorted pixels
     boxes: bool = False  # Whether these are the middles of boxes
+
+    def with_camera(self, camera: Camera) -> CameraSample:
+        """Return the frames with another description of their camera; their one-camera tracks stay."""
+        other = replace(self)
+        other.__dict__.update(self.__dict__ | {"camera": camera})
+        return other
+
+    @property
+    def with_measured_noise(self) -> CameraSample:
+        """The frames with the noise about their one-camera tracks as that of the detector; unchanged where none shows.
+
+        Wrong poses and clocks do not show in it, nor do errors that last, such as those of boxes.
+        """
+        if self.boxes or self.noise_px is None or self.linking[1] > MOST_BY_CHANCE:
+            return self
+        given, sigma = self.camera.detector, max(self.noise_px[0], LEAST_MEASURED_PX)
+        return self.with_camera(replace(self.camera, detector=replace(given, sigma=np.full(2, sigma))))
 
     @property
     def detections_per_frame(self) -> float:
