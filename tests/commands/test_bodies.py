@@ -50,6 +50,7 @@ def test_a_log_has_boxes_and_tracks_have_extents(log: Path, tmp_path: Path) -> N
     assert [found["message"] for found in report["checks"] if found["status"] == "warning"] == []
     # the noise of points says nothing about the middles of boxes
     assert {camera["residual_ratio"] for camera in report["cameras"].values()} == {None}
+    assert "detector.sigma" not in {found["name"] for found in report["checks"]}
     tracks = pq.read_table(tmp_path / "out" / "tracks.parquet")
     for name, mean, spread in (("height", 1.7, 0.4), ("width", 0.5, 0.3)):
         assert np.abs(tracks[name].to_numpy() - mean).max() < spread

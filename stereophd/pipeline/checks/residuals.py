@@ -47,7 +47,7 @@ def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
     pairs = [found for a, b in pairs_of(len(samples)) if (found := partners(samples, motion, a, b))]
     fits = [explain(pair, samples[pair.a].camera, samples[pair.b].camera) for pair in pairs]
     together = list(zip(pairs, fits, strict=True))
-    ignored = {"pose"} if any(sample.boxes for sample in samples) else set()
+    ignored = {"pose"} if any(sample.box_height_px is not None for sample in samples) else set()
     causes = [fit.decisive(pair.track_count) - ignored for pair, fit in together]
     suspicious = [both for both, decisive in zip(together, causes, strict=True) if decisive]
     if suspicious and (warning := _warning(samples, suspicious, together, set().union(*causes))) is not None:

@@ -52,11 +52,16 @@ def check_log_alone(loaded: LoadedConfig, log_path: Path | str) -> tuple[Finding
 
 
 def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) -> tuple[Finding, ...]:
-    """Return the findings about a log alone, without those about detectors that are to be estimated."""
+    """Return the findings about a log alone, without those about detectors that are to be estimated.
+
+    The noise of points is no concern of bodies, whose boxes have errors that last.
+    """
+    unasked = () if loaded.config.object.shape == "point" else ("detector.sigma",)
     return tuple(
         found
         for found in check_files(samples, whole)
         if not (found.name.startswith("detector.") and found.camera in loaded.estimated_cameras)
+        and found.name not in unasked
     )
 
 
@@ -70,6 +75,8 @@ def check_samples(
     # a noise that is not stated is what it is about one-camera tracks, whatever poses and clocks are
     estimated = loaded.estimated_cameras
     samples = [one.with_measured_noise if one.camera.name in estimated else one for one in samples]
+    if config.object.shape != "point":
+        samples = [one.with_noise_of_middles for one in samples]
     findings = [*_of_files(loaded, samples, whole)]
     if any(found.cause == "pixels_normalised" for found in findings):
         return tuple(findings)

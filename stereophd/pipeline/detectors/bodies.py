@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from stereophd.core.arrays import Integers
-from stereophd.core.bodies.boxes import FLOOR_PX, box_variances, boxes_of, share_in_image
+from stereophd.core.bodies.boxes import box_variances, boxes_of, share_in_image, with_noise_of_middles
 from stereophd.core.bodies.filter import LEAST_HIDDEN, BodyState
 from stereophd.core.bodies.occlusion import hidden_shares
 from stereophd.core.bodies.outline import BOTTOM, TOP, outline_boxes
@@ -47,12 +47,7 @@ def point_noise(cameras: Sequence[Camera], parts: Sequence[Sequence[Event]]) -> 
             event.sizes[:, 1] for part in parts for event in part if event.camera == number and event.sizes is not None
         ]
         height = float(np.median(np.concatenate(sizes))) if sum(map(len, sizes)) else 0.0
-        detector = camera.detector
-        u, top, bottom, _ = detector.box_noise
-        sigma = np.hypot(FLOOR_PX, height * np.array([u, np.hypot(top, bottom) / 2.0]))
-        out.append(
-            replace(camera, detector=Detector(sigma, detector.p_detect, detector.clutter_per_frame, detector.box_noise))
-        )
+        out.append(with_noise_of_middles(camera, height))
     return tuple(out)
 
 

@@ -64,7 +64,8 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     draft = _with_frame_rates(draft, samples)
     if draft.must_be_calibrated:  # everything else follows from rays, which need poses
         return draft
-    bodies = _with_bodies(draft, cameras, unknown, log_path) if all(sample.boxes for sample in samples) else None
+    only_boxes = all(sample.box_height_px is not None for sample in samples)
+    bodies = _with_bodies(draft, cameras, unknown, log_path) if only_boxes else None
     if bodies is not None:
         return replace(bodies, calibration=tuple(_calibration(bodies)))
     cameras, priors = starting_detectors(cameras, unknown, samples)
@@ -88,7 +89,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
 
 def _mistake(draft: Draft, samples: list[CameraSample]) -> str | None:
     """Return the mistake in cameras or clocks that makes far more rays meet with this noise; None if there is none."""
-    if any(sample.boxes or not sample.camera.pose.is_static for sample in samples):
+    if any(sample.box_height_px is not None or not sample.camera.pose.is_static for sample in samples):
         return None
     geometry = measure(samples, expected_depths(_bare(draft).config, samples), thorough=False)
     suspicious = any(geometry.is_suspicious(k) for k in range(len(geometry.pairs)))

@@ -51,7 +51,7 @@ class CameraSample:
     frames: Integers  # (f,) of int: Frame numbers
     first: Integers  # The detections of frame k are those from ``first[k]`` to ``first[k + 1]``
     pixels: Array  # (n, 2): Distorted pixels
-    boxes: bool = False  # Whether these are the middles of boxes
+    box_height_px: float | None = None  # Median height of the boxes whose middles these are; None of points
 
     def with_camera(self, camera: Camera) -> CameraSample:
         """Return the frames with another description of their camera; their one-camera tracks stay."""
@@ -60,12 +60,22 @@ class CameraSample:
         return other
 
     @property
+    def with_noise_of_middles(self) -> CameraSample:
+        """The frames with the noise of the middles of boxes, which is a part of their height; unchanged of points."""
+        if self.box_height_px is None:
+            return self
+        # imported here: it loads the kernels of bodies
+        from stereophd.core.bodies.boxes import with_noise_of_middles
+
+        return self.with_camera(with_noise_of_middles(self.camera, self.box_height_px))
+
+    @property
     def with_measured_noise(self) -> CameraSample:
         """The frames with the noise about their one-camera tracks as that of the detector; unchanged where none shows.
 
         Wrong poses and clocks do not show in it, nor do errors that last, such as those of boxes.
         """
-        if self.boxes or self.noise_px is None or self.linking[1] > MOST_BY_CHANCE:
+        if self.box_height_px is not None or self.noise_px is None or self.linking[1] > MOST_BY_CHANCE:
             return self
         given, sigma = self.camera.detector, max(self.noise_px[0], LEAST_MEASURED_PX)
         return self.with_camera(replace(self.camera, detector=replace(given, sigma=np.full(2, sigma))))
@@ -243,13 +253,14 @@ def _of_camera(camera: Camera, frames: list[Frame]) -> CameraSample:
     counts = np.array([len(frame.pixels) for frame in frames], dtype=np.int64)
     most = max(BURST_LEAST, BURST_SHARE * float(np.median(counts))) if frames else 0.0
     frames, counts = [frame for frame in frames if len(frame.pixels) <= most], counts[counts <= most]
+    heights = [frame.sizes[:, 1] for frame in frames if frame.sizes is not None and not np.isnan(frame.sizes).all()]
     return CameraSample(
         camera,
         np.array([frame.time_s for frame in frames], dtype=np.float64),
         np.array([frame.frame for frame in frames], dtype=np.int64),
         np.concatenate([[0], np.cumsum(counts)]).astype(np.int64),
         np.concatenate([frame.pixels for frame in frames]) if frames else np.empty((0, 2)),
-        any(frame.sizes is not None for frame in frames),
+        float(np.nanmedian(np.concatenate(heights))) if heights else None,
     )
 
 
