@@ -102,7 +102,7 @@ def _scan_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     yield "  not scored", str(scans["not_scored"]), why
     if (found := report["alignment"]["found"]) is not None:
         clock = found["clock"]
-        turn = sum(angle**2 for angle in found["rotation_deg"]) ** 0.5
+        turn = sum(angle * angle for angle in found["rotation_deg"]) ** 0.5
         yield "  tracks aligned", report["alignment"]["frame"], f"turned by {turn:.4g} deg, scale {found['scale']:.6g}"
         if report["alignment"]["clock"]:
             yield "  clock aligned", _number(clock["shift_s"], " s"), f"rate {clock['rate']:.7g}"

@@ -60,7 +60,8 @@ def fit_totals(tracking: Mapping[str, Any]) -> FitTotals:
 
     def rms(key: str) -> float | None:
         known = [(c["residuals"], c[key]) for c in cameras if c.get(key)]
-        return (sum(n * value**2 for n, value in known) / residuals) ** 0.5 if known and residuals else None
+        # products of floats that are too large are infinite; powers would raise
+        return (sum(n * value * value for n, value in known) / residuals) ** 0.5 if known and residuals else None
 
     return FitTotals(detections, explained, rms("residual_rms_px"), rms("residual_ratio"))
 

@@ -1,0 +1,16 @@
+"""Sentences and tables about a report."""
+
+from __future__ import annotations
+
+import math
+
+from stereophd.report.summaries import fit_totals
+
+
+def test_figures_too_large_for_a_square_are_infinite() -> None:
+    """Reports may be damaged: found by the fuzzer."""
+    camera = {"detections": 2, "explained_detections": 2.0, "residuals": 2}
+    usual = fit_totals({"cameras": {"left": {**camera, "residual_rms_px": 3.0, "residual_ratio": 1.0}}})
+    assert (usual.residual_px, usual.ratio) == (3.0, 1.0)
+    damaged = fit_totals({"cameras": {"left": {**camera, "residual_rms_px": 1e200, "residual_ratio": 1e200}}})
+    assert (damaged.residual_px, damaged.ratio) == (math.inf, math.inf)
