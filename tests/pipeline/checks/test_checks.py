@@ -400,7 +400,7 @@ def test_a_noise_that_is_not_stated_is_that_about_one_camera_tracks(samples: lis
         measured = sample.with_measured_noise
         assert measured.camera.detector.sigma == pytest.approx([1.0, 1.0], abs=0.4)
         assert measured.tracks is sample.tracks
-        boxes = replace(sample, boxes=True)
+        boxes = replace(sample, box_height_px=60.0)
         assert boxes.with_measured_noise is boxes
 
 

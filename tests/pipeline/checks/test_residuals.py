@@ -64,7 +64,11 @@ def _findings(
             found = pixels + rng.normal(0, 1, pixels.shape)
             frames.append(Frame(time + late_s * (c == 1), c, k, found[camera.contains(found)]))
     frames.sort(key=lambda frame: (frame.time_s, frame.camera))
-    return list(check_residuals([replace(sample, boxes=boxes) for sample in sample_log(frames, cameras)]))
+    return list(
+        check_residuals(
+            [replace(sample, box_height_px=60.0 if boxes else None) for sample in sample_log(frames, cameras)]
+        )
+    )
 
 
 def test_a_correct_set_up_leaves_white_noise() -> None:

@@ -29,7 +29,7 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
     if geometry.pairs and (suspicious or thorough):
         explanation = best_explanation(geometry, thorough, clocks_only=not suspicious)
     # what is far off makes rays meet at a wide tolerance, which the remedy must not be compared with
-    if explanation is None and suspicious:
+    if explanation is None and (suspicious or geometry.is_blurred()):
         explanation = best_explanation(geometry, thorough, tolerances=SHARP)
     if explanation is not None:
         yield _named(geometry, explanation)
