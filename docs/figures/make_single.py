@@ -18,7 +18,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from stereophd.core.arrays import Array
-from stereophd.core.bounds.cramer_rao import detection_information, inverse_information, to_disparity
+from stereophd.core.bounds.cramer_rao import detection_information, disparity_jacobian, inverse_information
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens
@@ -51,7 +51,8 @@ def draw_uncertainty(path: Path) -> None:
     left, right = _camera("left", 0.0, 0.0, sigma), _camera("right", 15.0, 0.0, sigma)
     space = DisparitySpace(left, 15.0)
     world = inverse_information(sum(detection_information(c, point[None])[0] for c in (left, right)))
-    covariance = to_disparity(world, space, point)
+    jacobian = disparity_jacobian(space, point)
+    covariance = jacobian @ world @ jacobian.T
     mean = space.from_world(point[None])[0]
     figure, (one, two) = plt.subplots(1, 2, figsize=(9.0, 4.2), layout="constrained", width_ratios=(1, 1.25))
 

@@ -32,7 +32,7 @@ from random import Random
 from hypothesis.control import BuildContext
 from hypothesis.internal.conjecture.data import ConjectureData
 
-from stereophd.cli import memory
+from stereophd.cli import terminal
 
 from .cases import Case, cases, tried
 from .valid_files import USES, write_all
@@ -45,8 +45,8 @@ BATCH, LONGEST_S, SILENCE_S, MEMORY = 250, 60, 600.0, 6_000_000_000
 def batch(folder: Path, number: int, pipe: int) -> None:
     """Try the cases of a seed; a line of JSON for each, before and after it."""
     resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
-    memory.prepare()  # once: it takes as long as the rest of a case
-    memory.prepare = lambda: None
+    terminal.prepare_memory()  # once: it takes as long as the rest of a case
+    terminal.prepare_memory = lambda: None
     strategy = cases(folder)
     for k in range(BATCH):
         data = ConjectureData(random=Random(f"{number} {k}"))
