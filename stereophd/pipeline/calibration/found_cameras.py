@@ -40,7 +40,7 @@ from stereophd.validated import NO_LENGTH
 STATED, LEAST_ROTATION, LEAST_SHARE, LEAST_FRAMES = 5.0, np.deg2rad(3.0), 0.05, 1.0
 # Prior of an unknown focal length (relative), of the rate of an unknown clock, and of a first radial coefficient.
 FOCAL_STD, RATE_STD, LENS_STD = float(np.log(1.6)), 1e-3, 0.1
-# What determined cameras are known to at least: rad, share of the distance, relative focal length, frames.
+# What determined cameras are known to at least: rad, share of the size of the rig, relative focal length, frames.
 MOST_ROTATION, MOST_SHARE, MOST_FOCAL, MOST_FRAMES = np.deg2rad(2.0), 0.05, 0.05, 1.0
 UNIT = "no length is known: the unit of length is the distance of the first two cameras that were joined"
 
@@ -92,12 +92,20 @@ class FoundCameras:
         return replace(outcome, doubt=outcome.doubt or "; ".join(self._left_open(problem, outcome)), details=details)
 
     def _left_open(self, problem: CalibrationProblem, outcome: Outcome) -> list[str]:
-        """Values whose absolute deviations are too large."""
+        """Values whose absolute deviations are too large.
+
+        The place of a camera counts beside the size of the rig, not beside its own distance: the direction of a camera
+        next to the reference is hard to know, and tells little of where objects are.
+        """
         parameters, out = outcome.parameters, []
         stds = dict(zip(parameters.names, np.sqrt(np.diag(outcome.covariance)).tolist(), strict=True))
+        cameras = parameters.build(outcome.values)
+        origin = cameras[problem.reference].pose.center
+        apart = {camera.name: float(np.linalg.norm(camera.pose.center - origin)) for camera in cameras}
+        size = max(apart.values())
         for name in posed_cameras(parameters):
             spread = pose_spread(parameters, problem.reference, outcome.values, outcome.covariance, name)
-            if not (spread.rotation <= MOST_ROTATION and spread.direction <= MOST_SHARE):
+            if not (spread.rotation <= MOST_ROTATION and spread.direction * apart[name] <= MOST_SHARE * size):
                 out.append(
                     f"{name} is known to {np.rad2deg(spread.rotation):.1f} degrees in rotation and "
                     f"{np.rad2deg(spread.direction):.1f} in direction"
