@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.distances.ospa import ScanScores
 from stereophd.core.metrics.errors import mean_of
-from stereophd.core.metrics.matching.near_pairs import NearPairs, couples, most_gain
+from stereophd.core.metrics.matching.near_pairs import NearPairs, couples, least_cost
 from stereophd.core.metrics.scans import UNLABELLED, PointSets
 
 # An object is mostly tracked if it is matched in at least this share of its scans, and mostly lost below the rest.
@@ -189,7 +189,7 @@ def identity_score(estimates: PointSets, truth: PointSets, near: NearPairs) -> d
     """
     pairs = couples(estimates, truth, near)
     common = np.bincount(pairs.number, minlength=len(pairs.objects)).astype(np.float64)
-    right = int(common[most_gain(pairs.objects, pairs.tracks, common)].sum())
+    right = int(common[least_cost(pairs.objects, pairs.tracks, -common, 0.0)].sum())
     n_truth, n_estimates = len(truth.label), len(estimates.label)
     wholes = {"idf1": (n_truth + n_estimates) / 2.0, "id_precision": n_estimates, "id_recall": n_truth}
     return {name: right / whole if whole else float("nan") for name, whole in wholes.items()}

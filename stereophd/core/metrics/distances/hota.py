@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.metrics.matching.near_pairs import NearPairs, couples, most_gain
+from stereophd.core.metrics.matching.near_pairs import NearPairs, couples, least_cost
 from stereophd.core.metrics.scans import PointSets
 
 THRESHOLDS = np.arange(1, 20) / 20.0
@@ -42,7 +42,7 @@ def hota(estimates: PointSets, truth: PointSets, near: NearPairs) -> Hota:
     similarity, number, count = 1.0 - near.ratio, pairs.number, len(pairs.objects)
     either = (object_scans[pairs.objects] + track_scans[pairs.tracks]).astype(np.float64)
     overlap = np.bincount(number, _overlap(near, similarity), count)
-    chosen = most_gain(near.estimate, near.truth, (overlap / (either - overlap))[number] * similarity)
+    chosen = least_cost(near.estimate, near.truth, (-overlap / (either - overlap))[number] * similarity, 0.0)
     similarity, number = similarity[chosen], number[chosen]
     parts = np.empty((len(THRESHOLDS), 3))
     for row, threshold in enumerate(THRESHOLDS):

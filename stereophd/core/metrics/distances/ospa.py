@@ -21,7 +21,7 @@ from typing import NamedTuple
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.metrics.matching.near_pairs import NearPairs, most_gain, near_pairs
+from stereophd.core.metrics.matching.near_pairs import NearPairs, least_cost, near_pairs
 from stereophd.core.metrics.scans import PointSets
 
 
@@ -86,7 +86,7 @@ def score_scans(
     """
     check_parameters(order, cutoff)
     near = near_pairs(estimates, truth, cutoff, mahalanobis=mahalanobis)
-    pairs = near.take(most_gain(near.estimate, near.truth, 1.0 - near.ratio**order))
+    pairs = near.take(least_cost(near.estimate, near.truth, near.ratio**order, 1.0))
     count = np.bincount(pairs.scan, minlength=estimates.scans)
     located: Array = np.bincount(pairs.scan, pairs.ratio**order, estimates.scans).astype(np.float64)
     m, n = estimates.counts, truth.counts

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.distances.ospa import Ospa, check_parameters, ospa_of_sums
-from stereophd.core.metrics.matching.near_pairs import NearPairs, most_gain
+from stereophd.core.metrics.matching.near_pairs import NearPairs, least_cost
 from stereophd.core.metrics.scans import UNLABELLED, PointSets
 
 # Windows are summed for about this many (scan, track, object) at once, some 20 megabytes in all.
@@ -93,7 +93,7 @@ def ospa2_of_windows(
         k, i, j = np.nonzero(ratio < 1.0)
         size = ratio.shape
         powers = ratio[k, i, j] ** order
-        chosen = most_gain(k * size[1] + i, k * size[2] + j, 1.0 - powers)
+        chosen = least_cost(k * size[1] + i, k * size[2] + j, powers, 1.0)
         located: Array = np.bincount(k[chosen], powers[chosen], size[0]).astype(np.float64)
         count = np.bincount(k[chosen], minlength=size[0])
         values[:, first:last] = ospa_of_sums(located, count, tracks.sum(axis=1), targets.sum(axis=1), order, cutoff)

@@ -26,7 +26,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.distances.ospa import ScanScores
-from stereophd.core.metrics.matching.near_pairs import NearPairs, most_gain, near_pairs
+from stereophd.core.metrics.matching.near_pairs import NearPairs, least_cost, near_pairs
 from stereophd.core.metrics.scans import UNLABELLED, PointSets
 
 NEVER = -1
@@ -44,8 +44,8 @@ class _Run:
     # (q,) Identity of the track, UNLABELLED without one, and number of the object.
     track: Integers
     target: Integers
-    # (q,) What the pair saves of the cost of an assignment.
-    gain: Array
+    # (q,) Cost of the pair, over that of points without a pair.
+    cost: Array
     targets: int
     # (q,) Whether the optimal assignment of the scan has the pair.
     optimal: Booleans
@@ -131,13 +131,13 @@ def _number(estimates: PointSets, truth: PointSets, near: NearPairs, order: floa
     labels, label = np.unique(truth.label, return_inverse=True)
     start = np.searchsorted(near.scan, np.arange(estimates.scans + 1)).astype(np.int64)
     track, target = estimates.label[near.estimate], label[near.truth].astype(np.int64)
-    gain = 1.0 - near.ratio**order
-    optimal = np.zeros(len(gain), dtype=np.bool_)
-    optimal[most_gain(near.estimate, near.truth, gain)] = True
+    cost = near.ratio**order
+    optimal = np.zeros(len(cost), dtype=np.bool_)
+    optimal[least_cost(near.estimate, near.truth, cost, 1.0)] = True
     rows = np.flatnonzero(optimal & (track > UNLABELLED))
     key = target[rows] * len(start) + near.scan[rows]
     in_order = np.argsort(key, kind="stable")
-    return _Run(near, start, track, target, gain, len(labels), optimal, rows[in_order], key[in_order])
+    return _Run(near, start, track, target, cost, len(labels), optimal, rows[in_order], key[in_order])
 
 
 def _suspects(run: _Run) -> Integers:
@@ -192,4 +192,4 @@ def _assign(run: _Run, rows: Integers, memory: _Memory) -> Integers:
     free = ~(np.isin(run.near.estimate[rows], run.near.estimate[kept]) | np.isin(target, run.target[kept]))
     remaining = rows[free]
     estimate, true_point = run.near.estimate[remaining], run.near.truth[remaining]
-    return np.concatenate([kept, remaining[most_gain(estimate, true_point, run.gain[remaining])]])
+    return np.concatenate([kept, remaining[least_cost(estimate, true_point, run.cost[remaining], 1.0)]])

@@ -100,17 +100,18 @@ def _numbered_tracks(label: Integers) -> tuple[Integers, int]:
     return out, len(names) + int(np.count_nonzero(~known))
 
 
-def most_gain(rows: Integers, columns: Integers, gain: Array) -> Integers:
-    """Choose pairs that share no row and no column, of the greatest total gain (q,), not negative; return their places.
+def least_cost(rows: Integers, columns: Integers, cost: Array, unpaired: float) -> Integers:
+    """Choose pairs that share no row and no column, of the least total cost (q,); return their places.
 
     Rows and columns (q,) are any numbers, such as those of estimates and true points, and the places are in rising
-    order. Where the best partners of all rows differ they are the optimum: their sum bounds every choice. Otherwise
-    pairs that no chain of pairs connects are assigned apart, so that the work does not grow with the number of all rows
-    times that of all columns.
+    order. No pair costs more than what stays `unpaired`. Costs are not turned into gains, 1 less a small cost, whose
+    last digits rounding would take. Where the best partners of all rows differ they are the optimum: their sum bounds
+    every choice. Otherwise pairs that no chain of pairs connects are assigned apart, so that the work does not grow
+    with the number of all rows times that of all columns.
     """
-    if len(gain) == 0:
+    if len(cost) == 0:
         return np.zeros(0, dtype=np.int64)
-    order = np.lexsort((gain, rows))
+    order = np.lexsort((-cost, rows))
     best = order[np.append(np.diff(rows[order]) > 0, True)]
     wanted, times = np.unique(columns[best], return_inverse=True, return_counts=True)[1:]
     clashing = best[times[wanted] > 1]
@@ -130,10 +131,10 @@ def most_gain(rows: Integers, columns: Integers, gain: Array) -> Integers:
     others = others[np.argsort(part[others], kind="stable")]
     for places in np.split(others, np.flatnonzero(np.diff(part[others])) + 1):
         i, j = (np.unique(names[places], return_inverse=True)[1] for names in (row, column))
-        table = np.zeros((i.max() + 1, j.max() + 1))
-        table[i, j] = gain[places]
+        table = np.full((i.max() + 1, j.max() + 1), unpaired)
+        table[i, j] = cost[places]
         partner = np.full(len(table), -1)
-        assigned, partners = linear_sum_assignment(table, maximize=True)
+        assigned, partners = linear_sum_assignment(table)
         partner[assigned] = partners
         chosen.append(places[partner[i] == j])
     return np.sort(np.concatenate(chosen))

@@ -12,7 +12,7 @@ from stereophd.core.metrics.distances.hota import THRESHOLDS, hota
 from stereophd.core.metrics.distances.ospa import ScanScores, score_scans
 from stereophd.core.metrics.identities import identity_score, identity_switches
 from stereophd.core.metrics.matching.clear_mot import beside_another, match_within
-from stereophd.core.metrics.matching.near_pairs import most_gain, near_pairs
+from stereophd.core.metrics.matching.near_pairs import least_cost, near_pairs
 from stereophd.core.metrics.scans import PointSets
 
 CUTOFF = 10.0
@@ -239,12 +239,16 @@ def test_an_estimate_without_identity_is_a_track_of_its_own():
     assert hota(estimates, truth, near).association == pytest.approx(np.full(19, (2 * 0.5 + 2 * 0.25) / 4))
 
 
-def test_pairs_of_most_gain_are_those_of_enumeration():
+@pytest.mark.parametrize("size", [1.0, 1e-20])
+def test_pairs_of_least_cost_are_those_of_enumeration(size):
+    """Small costs count as well: powers of distances far below the cutoff."""
     random = np.random.default_rng(8)
     for _ in range(30):
-        table = np.where(random.random((3, 4)) < 0.6, random.random((3, 4)), 0.0)
-        rows, columns = np.nonzero(table)
-        chosen = most_gain(rows, columns, table[rows, columns])
+        is_near = random.random((3, 4)) < 0.6
+        table = np.where(is_near, size * random.random((3, 4)), 1.0)
+        rows, columns = np.nonzero(is_near)
+        chosen = least_cost(rows, columns, table[rows, columns], 1.0)
         assert len(set(rows[chosen])) == len(set(columns[chosen])) == len(chosen)
-        best = max(sum(table[row, order[row]] for row in range(3)) for order in permutations(range(4), 3))
-        assert table[rows, columns][chosen].sum() == pytest.approx(best)
+        found = table[rows, columns][chosen].sum() + (3 - len(chosen))
+        best = min(sum(table[row, order[row]] for row in range(3)) for order in permutations(range(4), 3))
+        assert found == pytest.approx(best, rel=1e-9)
