@@ -218,6 +218,12 @@ def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, floa
             yield advance
 
 
+def _print_progress(line: str) -> None:
+    """Print a line on stderr; a run goes on where that is closed or full."""
+    with contextlib.suppress(OSError, ValueError):
+        print(line, file=sys.stderr, flush=True)
+
+
 @contextlib.contextmanager
 def stages_shown(session: Session, show: Callable[[str], None] | None = None) -> Iterator[None]:
     """Show the stages that a run logs (`PROGRESS`); with --verbose they are messages as all others.
@@ -230,7 +236,7 @@ def stages_shown(session: Session, show: Callable[[str], None] | None = None) ->
 
     def emit(record: logging.LogRecord) -> None:
         if vars(record).get("at_once"):
-            print(record.getMessage(), file=sys.stderr, flush=True)
+            _print_progress(record.getMessage())
         elif show is not None:
             show(record.getMessage())
 
@@ -262,8 +268,7 @@ def _lines_of_progress(session: Session, label: str) -> Iterator[Callable[[float
     def watch() -> None:
         while not ended.wait(PACE_S):
             told = ", ".join(filter(None, (stage, share))) or "begun"
-            with contextlib.suppress(OSError, ValueError):  # full, or closed
-                print(f"{label}, {time.monotonic() - began:.0f} s: {told}", file=sys.stderr, flush=True)
+            _print_progress(f"{label}, {time.monotonic() - began:.0f} s: {told}")
 
     thread = threading.Thread(target=watch, name="progress", daemon=True)
     thread.start()

@@ -56,6 +56,11 @@ def _check_calibrate(loaded: LoadedConfig) -> None:
     from stereophd.pipeline.calibration.problem import build_scale, pmb_filter
     from stereophd.pipeline.calibration.unknowns import build_parameters
 
+    if any(camera.must_be_found for camera in loaded.cameras.values()):
+        from stereophd.pipeline.calibration.found_cameras import refuse_search
+
+        refuse_search(loaded)
+        return
     parameters, _ = build_parameters(loaded)
     build_scale(loaded, parameters)
     pmb_filter(loaded, parameters.cameras)

@@ -16,7 +16,7 @@ from stereophd.io.outputs.disk import write_error
 from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
-from stereophd.pipeline.initial.draft import draft_from_log
+from stereophd.pipeline.initial.draft import draft_from_log, loaded_draft
 from stereophd.pipeline.initial.template import MARK, SCALES, Draft, Kind, config_text, template
 from stereophd.pipeline.inspection.log import summarise_log
 from stereophd.site import page
@@ -49,6 +49,10 @@ def init(
     draft = _with_overrides(_begin(cameras_file, log_path, options.length_unit, kind), overrides)
     if log_path is not None and draft.cameras:
         draft = draft_from_log(draft, log_path)
+    if draft.must_be_calibrated:
+        from stereophd.pipeline.calibration.found_cameras import refuse_search
+
+        refuse_search(loaded_draft(draft, str(cameras_file)))
     sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
     source = f"from {' and '.join(sources)}" if sources else "without a log"
     _write(target, config_text(draft, stereophd.__version__, source, CAMERAS_FILE), force)

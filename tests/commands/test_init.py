@@ -75,14 +75,16 @@ def test_the_printed_command_works_as_it_is(
     assert (tmp_path / "my study" / "tracks" / "tracks.parquet").exists()
 
 
-@pytest.mark.parametrize("with_log", [True, False])
+@pytest.mark.parametrize(("with_log", "known"), [(True, ()), (False, ()), (False, ("2",))])
 def test_cameras_of_which_nothing_is_known_are_calibrated_first(
-    with_log: bool, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    with_log: bool, known: tuple[str, ...], scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The next command is `calibrate`, and it takes the configuration as it is: it ends without input errors."""
     values = yaml.safe_load((scene / "cameras.yaml").read_text())
-    for camera in values["cameras"].values():
-        camera["pose"] = "unknown"
+    if not with_log:  # names that YAML would take for numbers
+        values["cameras"] = {str(number): camera for number, camera in enumerate(values["cameras"].values(), 1)}
+    for name, camera in values["cameras"].items():
+        camera["pose"] = camera["pose"] if name in known else "unknown"
         camera.pop("frame_rate_hz", None)
     guess = tmp_path / "guess.yaml"
     guess.write_text(yaml.safe_dump(values))
@@ -90,13 +92,26 @@ def test_cameras_of_which_nothing_is_known_are_calibrated_first(
     assert run(["init", str(tmp_path / "study"), "--cameras", str(guess), *log]) == 0
     name, command, config, *_ = shlex.split(capsys.readouterr().out.splitlines()[-1])
     assert (name, command) == ("stereophd", "calibrate")
+    assert run(["config", "check", config, "--for", "calibrate"]) == 0
     loaded = load_config(config)
     assert loaded.config.calibration is not None
-    assert loaded.config.calibration.reference == next(iter(loaded.cameras))
-    assert all(camera.pose.unknown for camera in loaded.cameras.values())
+    assert loaded.config.calibration.reference == (known or tuple(loaded.cameras))[0]
     assert all((camera.frame_rate_hz is not None) == with_log for camera in loaded.cameras.values())
-    words = ["calibrate", config, str(scene / "detections.parquet"), "--out", str(tmp_path / "out"), "--time", "1"]
-    assert run(words) == 0
+    if with_log:
+        words = ["calibrate", config, str(scene / "detections.parquet"), "--out", str(tmp_path / "out"), "--time", "1"]
+        assert run(words) == 0
+
+
+def test_what_the_search_for_cameras_does_not_do_is_refused_before_anything_is_written(
+    scene: Path, tmp_path: Path
+) -> None:
+    values = yaml.safe_load((scene / "cameras.yaml").read_text())
+    next(iter(values["cameras"].values()))["clock"] = {"offset_s": "unknown"}
+    guess = tmp_path / "guess.yaml"
+    guess.write_text(yaml.safe_dump(values))
+    with pytest.raises(InputError, match=r"all poses but that of the reference are found together|clock is taken"):
+        init(tmp_path / "study", None, guess)
+    assert not (tmp_path / "study").exists()
 
 
 def test_every_value_has_its_source(written: tuple[Path, dict[str, Any]]) -> None:

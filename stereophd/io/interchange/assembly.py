@@ -232,9 +232,7 @@ class _Camera:
     def _finished(self, rows: Array, is_first: bool, is_last: bool) -> Array:
         rows = self._timed(rows.copy())
         if LARGEST_TIME_S < (largest := float(np.abs(rows[:, TIME]).max())) < math.inf:
-            raise InputError(
-                f"camera {self._name}: expected times in seconds, found {largest:.4g}; give their unit (`time_unit`)"
-            )
+            raise InputError(f"camera {self._name}: expected times in seconds, found {largest:.4g}")
         count = len(rows)
         rows = _without_duplicates(rows)
         self._summary.duplicate_rows += count - len(rows)

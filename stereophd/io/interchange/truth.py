@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -54,7 +55,7 @@ def wide_truth(path: Path, frame_column: str | None = None) -> TruePoints:
 def native_truth(path: Path, options: ImportOptions) -> TruePoints | None:
     """Return the points of a table with the columns of a native truth, or None for any other table or file.
 
-    Raises InputError for a native truth as a Parquet file, which needs no import.
+    Its times are in seconds. Raises InputError for a native truth as a Parquet file, which needs no import.
     """
     kind = kind_of_file(path)
     if kind == PARQUET:
@@ -65,7 +66,9 @@ def native_truth(path: Path, options: ImportOptions) -> TruePoints | None:
     if kind != CSV or not set(NATIVE) <= set(header_of(path)[1]):
         return None
     return long_truth(
-        path, {"time": ("time_s",), "object": ("object_id",), **{axis: (axis,) for axis in "xyz"}}, options
+        path,
+        {"time": ("time_s",), "object": ("object_id",), **{axis: (axis,) for axis in "xyz"}},
+        replace(options, time_unit="s"),
     )
 
 

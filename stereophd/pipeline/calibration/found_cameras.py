@@ -143,8 +143,7 @@ def with_found_cameras(
     names = tuple(name for name, camera in loaded.cameras.items() if camera.must_be_found)
     if not names:
         return loaded, None
-    section = calibration_section(loaded)
-    _check(loaded, section, names)
+    section = refuse_search(loaded)
     # apart from one another, so that the filter can be built; each camera is tracked alone
     cameras = tuple(
         replace(config.build(name), pose=Pose(np.eye(3), [float(number), 0.0, 0.0]))
@@ -179,9 +178,12 @@ def with_found_cameras(
     return with_unit(placed, NO_LENGTH, rig.depth(reference) / expected), found
 
 
-def _check(loaded: LoadedConfig, section: CalibrationConfig, names: tuple[str, ...]) -> None:
-    """Refuse what the search does not do."""
-    where = f"{loaded.path}: calibration"
+def refuse_search(loaded: LoadedConfig) -> CalibrationConfig:
+    """Return the section; raise InputError for what the search for cameras of unknown poses and clocks does not do."""
+    section, where = calibration_section(loaded), f"{loaded.path}: calibration"
+    names = [name for name, camera in loaded.cameras.items() if camera.must_be_found]
+    if len(loaded.cameras) < 2:
+        raise InputError(f"{loaded.path}: cameras: expected two or more to calibrate, found {len(loaded.cameras)}")
     known = [name for name, camera in loaded.cameras.items() if not camera.pose.unknown and name != section.reference]
     if known:
         raise InputError(
@@ -193,7 +195,7 @@ def _check(loaded: LoadedConfig, section: CalibrationConfig, names: tuple[str, .
             f"{where}.scale.kind: expected none or baseline with unknown poses, found {section.scale.kind}"
         )
     if section.reference not in loaded.cameras:
-        return  # said when the unknowns are built
+        return section  # said when the unknowns are built
     if loaded.cameras[section.reference].clock.unknown:
         raise InputError(
             f"{where}.reference: expected a camera whose clock is taken as true, found {section.reference}"
@@ -204,6 +206,7 @@ def _check(loaded: LoadedConfig, section: CalibrationConfig, names: tuple[str, .
                 raise InputError(
                     f"{where}.priors.{name}.{quantity.prior}: expected none of an unknown camera, found one"
                 )
+    return section
 
 
 POSE_PRIORS = ("center_std", "rotation_std_deg", "velocity_std", "rotation_rate_std_deg_s", "clock_offset_std_s")

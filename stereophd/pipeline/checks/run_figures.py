@@ -105,10 +105,15 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
 def check_knocks(summary: Mapping[str, Any], before: tuple[Finding, ...]) -> Iterator[Finding]:
     """Yield a warning for a camera that was knocked during the recording (``knocks`` of the figures of the run).
 
-    A wrong noise, lens or clock that the checks `before` the run found looks like a knock.
+    A noise stated too small, a lens or a clock of these cameras, of which the checks `before` the run warn, looks like
+    a knock.
     """
-    doubts = [one.name for one in warnings_of(before) if one.name in LIKE_KNOCKS and one.cause != "pose_inaccurate"]
+    alike = [
+        one for one in warnings_of(before)
+        if one.name in LIKE_KNOCKS and one.cause != "pose_inaccurate" and not _is_overstated(one)
+    ]  # fmt: skip
     for knock in summary["knocks"]:
+        doubts = [one.name for one in alike if one.camera in (None, knock["camera"], *knock["others"])]
         if doubts:
             why = f"{knock['camera']} seems to be knocked; what {doubts[0]} warns of looks the same: mend that first"
             yield Finding("tracking.knocked", "not checked", why)
@@ -125,6 +130,14 @@ def check_knocks(summary: Mapping[str, Any], before: tuple[Finding, ...]) -> Ite
         )  # fmt: skip
 
 
+def _is_overstated(found: Finding) -> bool:
+    """Whether a finding is about a noise that is stated larger than it was measured, which hides knocks."""
+    stated, measured = found.value, found.expected
+    if found.name != "detector.sigma" or not isinstance(stated, float) or not isinstance(measured, float):
+        return False
+    return stated > measured
+
+
 def check_noise(
     summary: Mapping[str, Any], cameras: tuple[Camera, ...], noise_in_log: bool, before: tuple[Finding, ...] = ()
 ) -> Iterator[Finding]:
@@ -134,7 +147,7 @@ def check_noise(
     of every detection, so that the detectors state none. Tracks break where the stated noise is too small, and their
     residuals say little of it: the checks `before` the run measured it about one-camera tracks.
     """
-    measured = {one.camera: one.expected for one in before if one.name == "detector.sigma"}
+    measured = {one.camera: one.expected for one in before if one.name == "detector.sigma" and one.expected}
     for camera in cameras:
         figures = summary["cameras"][camera.name]
         ratio, name = figures["residual_ratio"], camera.name

@@ -107,7 +107,7 @@ def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
     Parameters
     ----------
     samples : sequence of CameraSample
-        Frames of every camera; the stated detectors are not used.
+        Frames of every camera, of two or more; the stated detectors are not used.
     """
     unit = [replace(sample, camera=with_noise(sample.camera, 1.0)) for sample in samples]
     pairs = pairs_of(len(unit))

@@ -134,12 +134,12 @@ def read_truth(path: Path) -> tuple[Truth, str | None]:
 
 
 def is_truth(path: Path) -> bool:
-    """Whether a file is a table with the columns of a truth."""
+    """Whether a file may be a truth: a table with its columns, or one that cannot be read."""
     try:
         with open_parquet(path) as parquet:
             return {"time_s", "object_id", *POSITION} <= set(parquet.schema_arrow.names)
     except InputError:
-        return False
+        return True
 
 
 def read_sightings(path: Path, cameras: Sequence[Camera] | None) -> Sightings:

@@ -28,7 +28,7 @@ from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detec
 from stereophd.pipeline.detectors.statistics import NoisePrior
 from stereophd.pipeline.initial.acceleration import estimate_acceleration
 from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter, shared_depths
-from stereophd.pipeline.initial.template import Choice, Draft, rounded
+from stereophd.pipeline.initial.template import Choice, Draft, rounded, scalar
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
 from stereophd.pipeline.tracking.run import with_detectors
 from stereophd.wording import counted, number
@@ -71,12 +71,13 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     cameras, priors = starting_detectors(cameras, unknown, samples)
     samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
     sharp = [sample.with_measured_noise if sample.camera.name in unknown else sample for sample in samples]
+    measured = {new.camera.name for new, old in zip(sharp, samples, strict=True) if new is not old}
     if (cause := _mistake(draft, sharp)) is not None:
         # rays that miss each other for this reason say nothing of the noise
         samples = sharp
         cameras = tuple(sample.camera for sample in samples)
         why = f"detector: the noise about one-camera tracks; rays miss each other for another reason: {cause}"
-        notes = {name: (*draft.camera_notes.get(name, ()), why) for name in unknown}
+        notes = {name: (*draft.camera_notes.get(name, ()), why) for name in measured}
         draft = replace(draft, camera_notes=draft.camera_notes | notes)
     draft = _with_cameras(draft, cameras, unknown)
     rough = _rough(draft, samples)
@@ -146,18 +147,18 @@ def _calibration(draft: Draft) -> Iterator[str]:
     middle = float(np.sqrt(depths[0] * depths[1]))
     yield "# For `stereophd calibrate`: poses that are known roughly, within these standard deviations."
     yield "# calibration:"
-    yield f"#   reference: {names[0]}"
+    yield f"#   reference: {scalar(names[0])}"
     yield "#   priors:"
     for name, camera in zip(names[1:], cameras[1:], strict=True):
         angle = max(LEAST_ANGLE_DEG, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
         apart = float(np.linalg.norm(camera.pose.center - cameras[0].pose.center))
         std = max(np.deg2rad(angle) * middle, LEAST_CENTER * apart)
-        yield f"#     {name}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
+        yield f"#     {scalar(name)}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
     apart = float(np.linalg.norm(cameras[1].pose.center - cameras[0].pose.center))
     yield "#   # Moving objects do not show the scale. A distance that you have measured, such as that of two cameras,"
     yield f"#   # fixes it ({draft.unit}); without it the scale is that of the centres above, as far as they are known."
     yield (
-        f"#   scale: {{kind: baseline, cameras: [{names[0]}, {names[1]}], distance: {rounded(apart, 4)}, "
+        f"#   scale: {{kind: baseline, cameras: {scalar(names[:2])}, distance: {rounded(apart, 4)}, "
         f"std: {rounded(0.005 * apart)}}}"
     )
 

@@ -53,7 +53,7 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
     others = [section for section in values if section not in (*SECTIONS, "units")]
     for section in (*SECTIONS, *others):
         if section in draft.choices:  # a plain value, or a section given whole
-            lines += [f"{section}: {_scalar(values[section])}", ""]
+            lines += [f"{section}: {scalar(values[section])}", ""]
         elif section in values:
             lines += [f"{section}:", *_entries(draft, values[section], section, 1)]
             smoothing = section == "report" and "smooth" not in values["report"]
@@ -73,7 +73,7 @@ def _entries(draft: Draft, values: dict[str, Any], path: str, level: int) -> Ite
             yield from _entries(draft, value, place, level + 1)
             continue
         yield from _comment([draft.choices[place].reason], level)
-        yield f"{indent}{key}: {_scalar(value)}"
+        yield f"{indent}{key}: {scalar(value)}"
 
 
 def _comment(sentences: Iterable[str], level: int) -> Iterator[str]:
@@ -85,7 +85,8 @@ def _comment(sentences: Iterable[str], level: int) -> Iterator[str]:
         )  # fmt: skip
 
 
-def _scalar(value: Any) -> str:
+def scalar(value: Any) -> str:
+    """Return a value as YAML on one line, quoted where it must be."""
     text: str = yaml.safe_dump(value, default_flow_style=True, width=1000)
     return text.removesuffix("\n").removesuffix("\n...")
 
@@ -219,16 +220,11 @@ def template(unit: str, cameras: dict[str, CameraConfig], kind: Kind) -> Draft:
         ),
     }
     draft = Draft(unit, cameras, choices)
-    return replace(draft, calibration=_nothing_known(draft)) if draft.must_be_calibrated else draft
-
-
-def _nothing_known(draft: Draft) -> tuple[str, ...]:
-    """Return a section ``calibration`` for cameras of which nothing is known."""
-    first, second, *_ = *draft.cameras, "another camera"
-    return (
-        "calibration:",
-        "  # Unknown poses and clocks are found from the tracks. This camera is the origin, with the true clock.",
-        f"  reference: {first}",
-        f"  # A distance that you have measured ({draft.unit}). Without one the distance of two cameras becomes 1.",
-        f"  # scale: {{kind: baseline, cameras: [{first}, {second}], distance: 1.0, std: 0.01}}",
-    )
+    if draft.must_be_calibrated:
+        known = [name for name, camera in cameras.items() if not camera.must_be_found]
+        reason = (
+            "poses and clocks that are unknown are found from the tracks; this camera is the origin, with the true "
+            "clock; without a measured distance (scale: {kind: baseline, ...}) the distance of two cameras is 1"
+        )
+        return draft.with_choices({"calibration.reference": Choice(next(iter([*known, *cameras])), reason)})
+    return draft

@@ -105,7 +105,29 @@ def test_a_known_distance_gives_the_scale(tmp_path: Path, log: Path) -> None:
 def test_unknowns_that_were_freed_are_judged_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(found_cameras, "posed_cameras", lambda _: ())
     found = FoundCameras(("right",), None, "", has_scale=True, intervals={"right": 0.1})
-    problem = SimpleNamespace(parameters=SimpleNamespace(names=("right.clock_offset",)), reference="left")
-    freed = SimpleNamespace(names=("right.clock_offset", "right.focal"))
+    problem = SimpleNamespace(parameters=SimpleNamespace(names=("right.clock_offset",)), reference=0)
+    left = SimpleNamespace(name="left", pose=SimpleNamespace(center=np.zeros(3)))
+    freed = SimpleNamespace(names=("right.clock_offset", "right.focal"), build=lambda _: (left,))
     outcome = SimpleNamespace(parameters=freed, values=np.zeros(2), covariance=np.diag([0.05, 0.1]) ** 2)
     assert found._left_open(problem, outcome) == ["the focal length of right is known to 10 %"]
+
+
+def test_the_place_of_a_camera_counts_beside_the_size_of_the_rig(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The direction of a camera next to the reference is hard to know, and moves no track by much."""
+    monkeypatch.setattr(found_cameras, "posed_cameras", lambda _: ("near",))
+    spread = SimpleNamespace(rotation=0.002, direction=0.06)
+    monkeypatch.setattr(found_cameras, "pose_spread", lambda *_: spread)
+    found = FoundCameras(("near",), None, "", has_scale=True, intervals={"near": 0.1})
+
+    def left_open(far: float) -> list[str]:
+        places = {"reference": 0.0, "near": 1.0, "far": far}
+        cameras = [
+            SimpleNamespace(name=name, pose=SimpleNamespace(center=np.array([x, 0.0, 0.0])))
+            for name, x in places.items()
+        ]
+        parameters = SimpleNamespace(names=(), build=lambda _: cameras)
+        outcome = SimpleNamespace(parameters=parameters, values=np.zeros(0), covariance=np.zeros((0, 0)))
+        return found._left_open(SimpleNamespace(parameters=parameters, reference=0), outcome)
+
+    assert left_open(far=5.0) == []
+    assert left_open(far=1.0) == ["near is known to 0.1 degrees in rotation and 3.4 in direction"]
