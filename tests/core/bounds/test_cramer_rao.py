@@ -123,3 +123,18 @@ def test_several_trajectories_at_once() -> None:
     for k in range(2):
         alone = bounds.posterior_bounds(first[k], transition[None], noise[None], gained[:, k])
         np.testing.assert_allclose(together[:, k], alone, rtol=1e-12)
+
+
+def test_the_bound_of_the_average_information_is_the_lower_one() -> None:
+    """A bound is a convex function of the information: its mean over trajectories is the sharper one."""
+    random = np.random.default_rng(3)
+    transition, noise, _ = ConstantVelocity([0.1] * 3).transition(1.0)
+    factors = random.normal(size=(5, 40, 6, 6))
+    factors[1:, :, 1:] = 0.0  # a detection tells one direction, which differs between trajectories
+    information = np.swapaxes(factors, -1, -2) @ factors
+    steps = np.tile(transition, (4, 1, 1)), np.tile(noise, (4, 1, 1))
+    each = bounds.posterior_bounds(information[0], *steps, information[1:]).mean(axis=1)
+    average = information.mean(axis=1)
+    lower = bounds.posterior_bounds(average[0], *steps, average[1:])
+    for mean, bound in zip(each, lower, strict=True):
+        assert np.linalg.eigvalsh(mean - bound).min() > 0.0
