@@ -10,6 +10,7 @@ Reference: A. F. Garcia-Fernandez, A. S. Rahmathullah, L. Svensson, "A metric on
 trajectories for evaluation of multi-target tracking algorithms", IEEE Trans. Signal Processing 68, 2020.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,6 +22,8 @@ from stereophd.errors import InputError
 
 # Weights that the linear program may have: it takes about a minute.
 MOST_WEIGHTS = 300_000
+# Larger costs, as a power of ten, are infinite for the solver.
+LARGEST_EXPONENT = 18
 
 
 @dataclass(frozen=True)
@@ -48,7 +51,13 @@ def trajectory_gospa(
     Estimates have identities; `near` holds all pairs nearer than the cutoff. A switch costs `switch_cost`, in the unit
     of the distance. Raises InputError when the linear program would be too large.
     """
-    scans, half = estimates.scans, cutoff**order / 2.0
+    scans = estimates.scans
+    if order * math.log10(max(cutoff, switch_cost)) > LARGEST_EXPONENT:
+        raise InputError(
+            f"`switch_cost`: expected powers of it and of the cutoff below 1e{LARGEST_EXPONENT}, found {switch_cost:g} "
+            f"and {cutoff:g} with order {order:g}"
+        )
+    half, half_switch = cutoff**order / 2.0, switch_cost**order / 2.0
     both = couples(estimates, truth, near)
     count = len(both.objects)
     if count * scans > MOST_WEIGHTS:
@@ -59,7 +68,7 @@ def trajectory_gospa(
     errors = (near.ratio * cutoff) ** order
     gain = np.zeros((count, scans))
     gain[both.number, near.scan] = errors - 2.0 * half
-    weights, changes = _solve(gain, both.objects, both.tracks, switch_cost**order / 2.0)
+    weights, changes = _solve(gain, both.objects, both.tracks, half_switch)
     matched = weights[both.number, near.scan]
     assigned = float(matched.sum())
     switched = float(changes.sum())
@@ -67,7 +76,7 @@ def trajectory_gospa(
         localisation=float(errors @ matched),
         missed=half * (len(truth.label) - assigned),
         false=half * (len(estimates.label) - assigned),
-        switched=switch_cost**order / 2.0 * switched,
+        switched=half_switch * switched,
         switches=switched / 2.0,
         scans=scans,
     )
