@@ -39,6 +39,8 @@ NOT_NAN = Predicate(lambda value: not math.isnan(value))
 LARGEST_LENGTH = 1e15
 SMALLEST_LENGTH = 1e-12
 LARGEST_TIME_S = 1e13
+# Times beyond the year 5000 are of a smaller unit than seconds.
+LATEST_S = 1e11
 SMALLEST_TIME_S = 1e-9
 LARGEST_PX = 1e9
 LARGEST_DEGREES = 36_000.0

@@ -1,13 +1,12 @@
 """Times of tables, in the unit that the user states."""
 
 from stereophd.core.arrays import Array
+from stereophd.core.settings import LATEST_S
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ImportOptions
 from stereophd.wording import instant
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-# Later times, s, are of a smaller unit than is stated: those of the epoch now are 2e9.
-LATEST_S = 1e11
 
 
 def in_seconds(times: Array, options: ImportOptions, where: str) -> Array:

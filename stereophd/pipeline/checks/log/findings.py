@@ -4,15 +4,15 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from stereophd.core.settings import LATEST_S
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.log.sample import MOST_BY_CHANCE, CameraSample
 from stereophd.wording import instant, percent
 
 # Relative difference of frame rates that is reported.
 RATE_TOLERANCE = 0.02
-# A camera without a stated frame rate and with a longer interval seems to have its times in milliseconds, s; and any
-# camera with times beyond the year 5000.
-LONGEST_INTERVAL_S, LATEST_S = 10.0, 1e11
+# A camera without a stated frame rate and with a longer interval seems to have its times in milliseconds, s.
+LONGEST_INTERVAL_S = 10.0
 IN_SECONDS = "import again with their unit (`time_unit`), or divide time_s by 1000"
 # Share of both sides of the image that the detections must fill, given this many false ones, which lie everywhere.
 CORNER_SHARE, CORNER_COUNT = 0.55, 100
