@@ -39,7 +39,7 @@ def find(name: str, readable: bool = False) -> Format:
 
 
 def description(name: str) -> str:
-    """Return what the module of a format says of it; empty of a format that does not exist."""
+    """Return the docstring of the module of a format; empty if the format does not exist."""
     return (import_member(PACKAGE, name).__doc__ or "") if name in names() else ""
 
 

@@ -111,7 +111,7 @@ class Publisher:
         self._socket = bind("PUB", address)
         #: Where it is bound: a port that the system chose in place of ``*``.
         self.address: str = self._socket.last_endpoint.decode()
-        # Whoever comes later is told where the cameras are.
+        # Sent again for those who connect later.
         self._ready: Ready | None = None
         self._told_s = -math.inf
 
@@ -122,7 +122,7 @@ class Publisher:
         self._socket.send(_encode(document))
 
     def tell(self, event: LiveEvent) -> None:
-        """See `RowSink`; where the cameras are is said again every few seconds."""
+        """See `RowSink`; the places of the cameras are sent again every few seconds."""
         if isinstance(event, Ready):
             self._ready, self._told_s = event, time.monotonic()
         self._socket.send(_encode(event))

@@ -28,7 +28,7 @@ Arrivals = Iterator[Message | None]
 
 
 def from_stream(stream: BinaryIO, name: str = "standard input") -> Arrivals:
-    """Yield the frames of a stream of JSON lines or of Arrow IPC, told apart by the first bytes.
+    """Yield the frames of a stream of JSON lines or of Arrow IPC, distinguished by the first bytes.
 
     Raises InputError when the stream is neither.
     """

@@ -56,7 +56,7 @@ class FoundCameras:
     intervals: dict[str, float]  # of each camera, s
 
     def report(self) -> dict[str, Any]:
-        """Return what ``report.json`` says of the search."""
+        """Return the search's part of ``report.json``."""
         out: dict[str, Any] = {"cameras": list(self.names), "reason": self.reason}
         if not self.has_scale:
             out["unit_of_length"] = UNIT

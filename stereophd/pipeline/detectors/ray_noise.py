@@ -13,7 +13,7 @@ detection; any number is as probable, and none has a probability of its own) and
 strangers hide the partners, it is nearly even, and what small noise cannot hide speaks against small noise. It needs
 neither a track, a depth nor a first guess, and holds from a tenth of a pixel to a hundred.
 
-The likelihoods of all pairs are joined in the noise of the cameras. A prior says what detectors are like: log-normal,
+The likelihoods of all pairs are joined in the noise of the cameras. The prior of a detector's noise is log-normal,
 68 % between 0.4 and 8 px, and the cameras of one log resemble each other. The answer is the mean of draws from the
 posterior of all cameras together, and its error their spread: a pair tells only the sum of two variances. A camera with
 little data takes its value from the others, and without any data the answer is the prior's median.

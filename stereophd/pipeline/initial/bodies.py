@@ -26,7 +26,7 @@ from stereophd.pipeline.build import build_bodies
 from stereophd.pipeline.initial.template import Choice, rounded
 from stereophd.pipeline.tracking.loop import run_estimator
 
-# Frames of each camera that are paired, and pairs from which a size is told.
+# Frames of each camera that are paired, and pairs from which a size is estimated.
 MOST_FRAMES, LEAST_PAIRS = 60, 30
 # Smaller boxes, px, tell no depth: objects that make them are points.
 SMALLEST_PX = 20.0

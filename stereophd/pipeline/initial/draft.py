@@ -46,7 +46,7 @@ REGION_NEARER, REGION_FARTHER = 0.4, 2.5
 # Largest standard deviation of a reported position, and the cutoff of scores, over the middle depth.
 UNCERTAIN, CUTOFF = 0.1, 0.1
 CAUSES_OF_DETECTORS = ("clutter", "sigma")
-# What the figures of a filter say of points only.
+# Figures of a filter that concern points only.
 UNUSED_BY_BODIES = {"region.depth", "report.max_position_std", "evaluation.cutoff"}
 
 

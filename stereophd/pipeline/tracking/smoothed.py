@@ -36,7 +36,7 @@ SEEN_EXISTENCE = 0.5
 # Smoothed states explain the detections of a track worse than filtered ones if one of twenty has a residual more than
 # this many times the filter's, and this many times what noise gives (95 % of a chi-square with 2 degrees of freedom).
 WORSE, QUANTILE, NOISE = 2.0, 0.95, 5.99
-# Number of detections from which this is told.
+# Least number of detections for this comparison.
 LEAST_DETECTIONS = 4
 
 

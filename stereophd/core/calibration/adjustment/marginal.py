@@ -41,7 +41,7 @@ motion of unit variance that is seen with the information b is estimated with w 
 the normal equations find w^2 for u in the mean; the information of z ~ N(0, 1 + b) about u is 2 w^2.
 
 **Covariance.** The normal equations lack second derivatives of the residuals, too. Where objects turn within the time
-in which they move by some noises of their detections, a later clock is made up for by other velocities: by residuals
+in which they move by some noises of their detections, other velocities compensate for a later clock: by residuals
 times the change of the knots' weights with time. The normal equations believe the velocities that the noise has bent,
 and state clocks up to four times too sure. `exact_covariance` differentiates the gradient of the objective instead.
 """

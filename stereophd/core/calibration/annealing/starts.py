@@ -37,7 +37,7 @@ PAIRED_INFLATION = 3.5
 # Pairings of a start that are followed, and share of the best one's gain from which another is followed too.
 MOST_PAIRINGS, AMBIGUOUS = 3, 0.9
 # The detections that a start explains are as near as their noise allows up to this mean square of the residuals, in
-# squared sigmas per coordinate; up to the second one the noise may be stated too small, and the answer says so. A
+# squared sigmas per coordinate; up to the second one the noise may be stated too small, and a warning reports it. A
 # detection that the last adjustment left out counts no more than `LEFT_OUT`, wherever it lies.
 NOISE_AS_STATED, MOST_RESIDUAL = 2.0, 9.0
 # Two starts agree when their difference is within this many standard deviations, root mean square over parameters.

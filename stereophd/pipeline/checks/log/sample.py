@@ -29,11 +29,11 @@ LEAST_SURE = 4.0
 ALL_DISTANCES = 20_000
 # Frames and detections in chains from which it is judged how often a chain goes on.
 LEAST_CONTINUED_FRAMES, LEAST_CONTINUED = 8, 20
-# A place in an image is told apart to this many pixels; it lasts if it detects in so many frames and in this share of
-# them, unless this share of all detections is at such places: then the scene rests.
+# Places in an image are distinguished to this many pixels; one lasts if it detects in so many frames and in this share
+# of them, unless this share of all detections is at such places: then the scene rests.
 PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.5
-# Differences from which noise is told, and the relative error of a variance from their median over the root of their
-# number: they overlap.
+# Differences from which noise is estimated, and the relative error of a variance from their median over the root of
+# their number: they overlap.
 LEAST_DIFFERENCES, VARIANCE_ERROR = 60, 3.5
 # Least noise that one-camera tracks are taken to show, px: where objects turn hard they may show none.
 LEAST_MEASURED_PX = 0.1
