@@ -13,7 +13,14 @@ from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.outputs.provenance import length_unit as unit_of
-from stereophd.io.tables.reading import cast_column, check_columns, damaged_is_input_error, open_parquet, read_metadata
+from stereophd.io.tables.reading import (
+    cast_column,
+    check_columns,
+    damaged_is_input_error,
+    finite_column,
+    open_parquet,
+    read_metadata,
+)
 from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, STD, STRING, TRACKS
 
 TEXTS = ("camera", "status")
@@ -24,9 +31,6 @@ COLUMNS = ("time_s", "camera", "frame", "track_id", "x", "y", "z", "vx", "vy", "
 REGULAR = 1e-3
 # Most times of a file at a fixed rate: days at hundreds a second.
 MOST_TIMES = 50_000_000
-
-# Without these a row is no estimate.
-REQUIRED_VALUES = ("time_s", "track_id")
 
 
 def optional_columns(path: Path) -> list[str]:
@@ -47,11 +51,11 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
         present = check_columns(parquet.schema_arrow, kinds, OPTIONAL, path)
         kinds |= {name: OPTIONAL[name] for name in present}
         with damaged_is_input_error(path):
-            for batch in _wanted_status(parquet, list(kinds), options.tentative):
+            for batch in _wanted_status(parquet, list(kinds), options.tentative, path):
                 rows: dict[str, Any] = {}
                 for name in kinds:
                     column = cast_column(batch.column(name), name, kinds[name], path)
-                    if column.null_count and name in REQUIRED_VALUES:
+                    if column.null_count and name == "track_id":
                         raise InputError(f"{path}: column {name}: expected a value in every row, found a row without")
                     if name in TEXTS:
                         rows[name] = column.to_pylist()
@@ -72,9 +76,12 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
         raise InputError(f"{path}: expected the tracks {sorted(missing)}, found none of that identity")
 
 
-def _wanted_status(parquet: ParquetFile, columns: list[str], tentative: bool) -> Iterator[RecordBatch]:
-    """Yield the rows of a table of tracks in pieces: the confirmed ones, or all."""
+def _wanted_status(parquet: ParquetFile, columns: list[str], tentative: bool, path: Path) -> Iterator[RecordBatch]:
+    """Yield the rows of a table of tracks in pieces: the confirmed ones, or all; InputError where a time is none."""
+    start = 0
     for batch in parquet.iter_batches(batch_size=16384, columns=columns, use_threads=False):
+        finite_column(batch, "time_s", path, start)
+        start += len(batch)
         if tentative or "status" not in columns:
             yield batch
         else:

@@ -202,14 +202,17 @@ def read_pieces(
             start += len(batch)
 
 
-def finite_column(table: pa.Table, name: str, path: Path | str) -> NDArray[np.float64]:
-    """Return a column of a whole table as numbers; InputError, with its row, where one is none, or above `LARGEST`."""
+def finite_column(table: pa.Table | pa.RecordBatch, name: str, path: Path | str, start: int = 0) -> NDArray[np.float64]:
+    """Return a column of a table, or of the piece from row `start`, as numbers.
+
+    Raises InputError, with its row, where one is none, or above `LARGEST`.
+    """
     values: NDArray[np.float64] = np.array(table[name], dtype=np.float64)
     bad = np.flatnonzero(~(np.abs(values) <= LARGEST))
     if bad.size:
         found = values[bad[0]]
         expected = f"one of at most {LARGEST:g}" if np.isfinite(found) else "a finite number"
-        raise InputError(f"{path}: row {bad[0]}: column {name}: expected {expected}, found {found}")
+        raise InputError(f"{path}: row {start + bad[0]}: column {name}: expected {expected}, found {found}")
     return values
 
 
