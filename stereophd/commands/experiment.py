@@ -23,7 +23,8 @@ from stereophd.experiments.engine.results import (
 )
 from stereophd.experiments.engine.summary import QuantityCheck
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, memory_of, plan_parts
-from stereophd.io.outputs.atomic import OutputFolder, output_lock
+from stereophd.io.outputs.atomic import OutputFolder
+from stereophd.io.outputs.locks import output_lock
 from stereophd.options import takes
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size, size_of_experiment
@@ -48,8 +49,6 @@ def experiment(
     settings = loaded.config.experiment
     if settings is None:
         raise InputError(f"{loaded.path}: experiment: expected a section `experiment`, found none")
-    if options.jobs < 1:
-        raise InputError(f"`jobs`: expected at least 1, found {options.jobs}")
     parts = plan_parts(loaded, settings)
     out = Path(out_dir)
     size = size_of_experiment(loaded, settings.runs, len(parts), memory_of(parts))

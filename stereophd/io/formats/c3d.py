@@ -11,7 +11,7 @@ import numpy as np
 
 from stereophd.io.interchange.base import ExportOptions, Format, need_package
 from stereophd.io.interchange.tracks import length_unit, on_grid
-from stereophd.io.outputs.atomic import TEMPORARY_PREFIX
+from stereophd.io.outputs.disk import TEMPORARY_PREFIX
 
 
 def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str]:
