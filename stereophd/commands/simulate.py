@@ -118,8 +118,7 @@ def _simulate_run(task: tuple[LoadedConfig, int, dict[str, Path]], progress: Pro
     """Write the files of one run of a configuration, and return how many frames, detections and objects they hold."""
     loaded, run, paths = task
     config = loaded.config
-    settings = config.simulate
-    assert settings is not None  # checked in simulate
+    settings = simulate_section(loaded)
     scene = build_scene(config, loaded.build_cameras(), RUN_OBJECTS.seed(config.seed, run))
     record = {**provenance("simulate", loaded.record), "run": run}
     metadata = to_metadata(record)
