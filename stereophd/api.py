@@ -303,13 +303,11 @@ def track(
     """
     from stereophd.commands.batches import track_logs
     from stereophd.commands.track import track as run
+    from stereophd.commands.track import with_reports
 
     work = _Work(out)
     log = None if isinstance(detections, list | tuple) else work.log(detections)
-    loaded = work.config(config, cameras, log, seed, overrides)
-    wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
-    wanted += ["report.associations=true"] if associations or options.plots else []
-    loaded = as_config(loaded, wanted)
+    loaded = with_reports(work.config(config, cameras, log, seed, overrides), smooth, associations or options.plots)
     if log is None:
         return work.outputs(track_logs(loaded, [work.log(each) for each in detections], work.out, options=options))
     return work.outputs(run(loaded, log, work.out, options=options), log)

@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
-from typing import Annotated, TextIO
+from typing import Annotated, Any
 
 import typer
 
@@ -260,7 +260,6 @@ def _prepare_streams() -> None:
 
 def _quieten_warnings() -> None:
     """Send warnings of libraries to the log (-vv shows them), and drop those of worker processes."""
-    import os
     import warnings
 
     if sys.warnoptions:
@@ -271,12 +270,7 @@ def _quieten_warnings() -> None:
 
 
 def _log_warning(
-    message: Warning | str,
-    category: type[Warning],
-    filename: str,
-    lineno: int,
-    file: TextIO | None = None,
-    line: str | None = None,
+    message: Warning | str, category: type[Warning], filename: str, lineno: int, *_: Any, **__: Any
 ) -> None:
     import logging
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated
 
-import typer
-
 from stereophd.cli.options import Form, Session, argument, option
 from stereophd.cli.terminal import print_report
 from stereophd.cli.unused_options import report as report_unused
@@ -15,10 +13,7 @@ from stereophd.io.interchange.options import ExportOptions
 
 Anything = Annotated[Path, argument("FILE|DIR", "Log, table, cameras, configuration or folder.")]
 CameraFiles = Annotated[
-    list[Path],
-    typer.Argument(
-        metavar="CAMERAS", help="cameras.yaml, or folders of calibrate or track that hold them.", show_default=False
-    ),
+    list[Path], argument("CAMERAS", "cameras.yaml, or folders of calibrate or track that hold them.")
 ]
 World = Annotated[
     str,

@@ -9,7 +9,7 @@ import shlex
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -85,12 +85,12 @@ def _message_line(record: logging.LogRecord) -> str:
     return f"{level}: {with_flags(record.getMessage())}"
 
 
-def load(words: SceneWords, further: Sequence[str] = ()) -> LoadedConfig:
-    """Load the configuration of a command; `further` overrides come after those of the command line."""
+def load(words: SceneWords) -> LoadedConfig:
+    """Load the configuration of a command."""
     from stereophd.config.loading import load_config
 
     cameras = words.cameras if isinstance(words, ConfigWords) else None
-    return load_config(words.config, [*(words.overrides or ()), *further], words.seed, cameras)
+    return load_config(words.config, words.overrides or (), words.seed, cameras)
 
 
 def print_data(text: str) -> None:
@@ -142,13 +142,6 @@ def _remedied(session: Session, report: Mapping[str, Any]) -> list[str]:
     changes = [word for change in dict.fromkeys(check["change"] for check in warned) for word in ("--set", change)]
     force = ["--force"] if "--force" in flags else []
     return ["The same with these remedies:", f"  {shlex.join(['stereophd', *words, *force, *changes])}"]
-
-
-def print_run(session: Session, report: Mapping[str, Any]) -> None:
-    """Print the report of a run of track or calibrate: JSON, or a verdict and tables."""
-    from stereophd.report.summaries import summary_text
-
-    print_report(session, report, lambda: summary_text(report))
 
 
 def print_scored(session: Session, run: Callable[[], Mapping[str, Any]], text: Callable[[Any], str]) -> dict[str, Any]:

@@ -8,17 +8,16 @@ import typer
 from stereophd.cli.batch import are_many, finish_batch, say_what_is_kept
 from stereophd.cli.options import ConfigWords, Session, Strict, argument
 from stereophd.cli.options import option as shared_option
-from stereophd.cli.terminal import exit_if_strict, load, print_report, print_run, progress_bar
+from stereophd.cli.terminal import exit_if_strict, load, print_report, progress_bar
 from stereophd.cli.unused_options import refuse, report, report_jobs_beside_dask
 from stereophd.commands.options import LiveOptions, TrackOptions
 from stereophd.errors import InputError
 
 Logs = Annotated[
     list[Path] | None,
-    typer.Argument(
-        metavar="LOG...",
-        help="Detection logs (Parquet), or patterns such as 'day1/*.parquet'; - : frames from standard input, live.",
-        show_default=False,
+    argument(
+        "LOG...",
+        "Detection logs (Parquet), or patterns such as 'day1/*.parquet'; - : frames from standard input, live.",
     ),
 ]
 Out = Annotated[
@@ -66,11 +65,9 @@ def track_command(
     )
     if options.overlap_s is not None and options.pieces_s is None:
         raise InputError("--overlap: expected --pieces SECONDS too, found none")
-    loaded = load(words)
-    wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
-    wanted += ["report.associations=true"] if associations or options.plots else []
-    if wanted:
-        loaded = load(words, wanted)
+    from stereophd.commands.track import track, with_reports
+
+    loaded = with_reports(load(words), smooth, associations or options.plots)
     many = are_many(log)
     if options.dask is not None and not many and options.pieces_s is None:
         raise InputError(
@@ -88,7 +85,6 @@ def track_command(
 
                 done = track_logs(loaded, log, out, options=options, progress=progress)
             else:
-                from stereophd.commands.track import track
                 from stereophd.pipeline.batch.names import expand
 
                 done = track(loaded, expand(log)[0], out, options=options, progress=progress)
@@ -98,7 +94,9 @@ def track_command(
     if many:
         finish_batch(session, done, strict)
     else:
-        print_run(session, done)
+        from stereophd.report.summaries import summary_text
+
+        print_report(session, done, lambda: summary_text(done))
         exit_if_strict(strict, done)
 
 

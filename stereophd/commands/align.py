@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 from scipy.linalg import block_diag
 
 from stereophd.commands.options import AlignOptions
@@ -22,7 +21,7 @@ from stereophd.io.cameras.writing import plain_cameras, write_cameras
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, to_metadata
-from stereophd.io.tables.reading import damaged_is_input_error, open_parquet
+from stereophd.io.tables.reading import arrays_of, damaged_is_input_error, open_parquet
 from stereophd.io.tables.schemas import EXTENTS, STD
 from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
@@ -159,7 +158,7 @@ def write_moved(path: Path, target: Path, found: Registration, metadata: Mapping
         schema = parquet.schema_arrow.remove_metadata()
         with TableWriter(target, schema, metadata) as writer:
             for batch in parquet.iter_batches():
-                columns = {name: _values(batch.column(name)) for name in schema.names}
+                columns = arrays_of(batch)
                 columns["time_s"] = found.times(columns["time_s"])
                 for names, move in ((("x", "y", "z"), found.positions), (("vx", "vy", "vz"), found.velocities)):
                     if set(names) <= columns.keys():
@@ -175,12 +174,3 @@ def write_moved(path: Path, target: Path, found: Registration, metadata: Mapping
                         columns[field.name] = found.scale * columns[field.name]
                 if batch.num_rows:
                     writer.append(columns)
-
-
-def _values(column: pa.Array) -> Any:
-    """Return the values of a column as `TableWriter` takes them."""
-    if pa.types.is_fixed_size_list(column.type):
-        return np.asarray(column.flatten(), dtype=np.float64).reshape(len(column), -1)
-    if pa.types.is_string(column.type) or column.null_count:
-        return column.to_pylist()
-    return np.asarray(column)

@@ -18,8 +18,9 @@ from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
 from stereophd.errors import GateError, InputError
 from stereophd.io.cameras.writing import write_cameras
-from stereophd.io.outputs.atomic import OutputFolder, output_lock
+from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
+from stereophd.io.outputs.locks import output_lock
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.io.tables.schemas import history_schema, posterior_schema
 from stereophd.io.tables.writing import TableWriter

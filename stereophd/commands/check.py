@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.config.loading import LoadedConfig
-from stereophd.errors import InputError
 from stereophd.io.outputs.provenance import provenance
 from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.finding import warnings_of
@@ -76,11 +75,9 @@ def _check_simulate(loaded: LoadedConfig) -> None:
 
 
 def _check_experiment(loaded: LoadedConfig) -> None:
-    from stereophd.experiments.engine.work import check_experiment
+    from stereophd.experiments.engine.work import experiment_section, plan_parts
 
-    if loaded.config.experiment is None:
-        raise InputError(f"{loaded.path}: experiment: expected a section `experiment`, found none")
-    check_experiment(loaded)
+    plan_parts(loaded, experiment_section(loaded))
 
 
 # Needs of each command. The commands themselves check the same, and then the log.

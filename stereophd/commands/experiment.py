@@ -9,7 +9,6 @@ from pathlib import Path
 
 from stereophd.commands.options import ExperimentOptions
 from stereophd.config.loading import LoadedConfig
-from stereophd.errors import InputError
 from stereophd.experiments.engine.execution import execute, read_runs, unfinished_experiment
 from stereophd.experiments.engine.results import (
     RUNS_FILE,
@@ -22,8 +21,9 @@ from stereophd.experiments.engine.results import (
     write_results,
 )
 from stereophd.experiments.engine.summary import QuantityCheck
-from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, memory_of, plan_parts
-from stereophd.io.outputs.atomic import OutputFolder, output_lock
+from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, experiment_section, memory_of, plan_parts
+from stereophd.io.outputs.atomic import OutputFolder
+from stereophd.io.outputs.locks import output_lock
 from stereophd.options import takes
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.sizes import check_size, size_of_experiment
@@ -45,11 +45,7 @@ def experiment(
     total. Raises InputError if the configuration lacks something, a setting of a method or case is wrong, the folder
     cannot be used, or no scheduler answers; StereophdError if a run failed again and again: finished runs are kept.
     """
-    settings = loaded.config.experiment
-    if settings is None:
-        raise InputError(f"{loaded.path}: experiment: expected a section `experiment`, found none")
-    if options.jobs < 1:
-        raise InputError(f"`jobs`: expected at least 1, found {options.jobs}")
+    settings = experiment_section(loaded)
     parts = plan_parts(loaded, settings)
     out = Path(out_dir)
     size = size_of_experiment(loaded, settings.runs, len(parts), memory_of(parts))

@@ -4,17 +4,15 @@
 all others are known. Its status decides: what the data do not determine is tried again with more of them.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections import deque
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import yaml
 
-from stereophd.config.loading import variant
+from stereophd.config.loading import LoadedConfig, variant
 from stereophd.core.calibration.unknowns.observability import DETERMINED
 from stereophd.errors import InputError
 from stereophd.io.streams.messages import Message
@@ -22,9 +20,6 @@ from stereophd.pipeline.live.recording import write_log
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.workers.aside import Aside
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 # Times after a knock at which its frames are tried, s; frames of the last span are kept.
 TRIES_S, SPAN_S = (5.0, 10.0, 20.0, 40.0, 60.0), 60.0

@@ -17,7 +17,6 @@ from stereophd.config.simulate import SimulateConfig
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_OBJECTS
 from stereophd.core.simulation.detections import CLUTTER_ID, Scene, simulate_frames, truth_rows
-from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.logs.rows import LogWriter
 from stereophd.io.outputs.atomic import OutputFolder
@@ -56,10 +55,6 @@ def simulate(
     fits into the view, the number of runs or jobs is bad, or the output folder cannot be used.
     """
     config, settings, runs = loaded.config, check_simulation(loaded), options.runs
-    if runs is not None and runs < 1:
-        raise InputError(f"runs: expected at least 1, found {runs}")
-    if options.jobs == 0:
-        raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
     check_size(size_of_simulation(loaded, runs or 1), f"{loaded.path}: simulate", out_dir, options.force_size)
     if runs is None:
         with OutputFolder(out_dir, FILES, options.force) as out:
@@ -123,8 +118,7 @@ def _simulate_run(task: tuple[LoadedConfig, int, dict[str, Path]], progress: Pro
     """Write the files of one run of a configuration, and return how many frames, detections and objects they hold."""
     loaded, run, paths = task
     config = loaded.config
-    settings = config.simulate
-    assert settings is not None  # checked in simulate
+    settings = simulate_section(loaded)
     scene = build_scene(config, loaded.build_cameras(), RUN_OBJECTS.seed(config.seed, run))
     record = {**provenance("simulate", loaded.record), "run": run}
     metadata = to_metadata(record)

@@ -13,10 +13,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from stereophd.commands.options import TrackOptions
-from stereophd.config.loading import LoadedConfig
+from stereophd.config.loading import LoadedConfig, as_config
 from stereophd.io.cameras.writing import write_cameras
-from stereophd.io.outputs.atomic import OutputFolder, output_lock
+from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
+from stereophd.io.outputs.locks import output_lock
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.options import takes
 from stereophd.pipeline.cameras_covariance import stated_uncertainty
@@ -57,6 +58,12 @@ PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residua
 # The last is of a live run, which tracks its recording at the end.
 FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS, "detections.parquet")
 REPORT_VERSION = 1
+
+
+def with_reports(loaded: LoadedConfig, smooth: bool, associations: bool) -> LoadedConfig:
+    """Return a configuration that states smoothing and associations, if they are wanted, besides its own."""
+    wanted = ["report.smooth={}"] if smooth and loaded.config.report.smooth is None else []
+    return as_config(loaded, [*wanted, *(["report.associations=true"] if associations else [])])
 
 
 @takes(TrackOptions)

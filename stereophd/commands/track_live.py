@@ -26,7 +26,8 @@ from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
-from stereophd.io.outputs.atomic import OutputFolder, output_folder, output_lock
+from stereophd.io.outputs.atomic import OutputFolder, output_folder
+from stereophd.io.outputs.locks import output_lock
 from stereophd.io.streams.documents import (
     CameraPlace,
     Checkpoint,

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
@@ -20,13 +20,11 @@ from stereophd.config.yaml import Place, Tree, apply_override, key_path, parse_o
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.cameras.models import CameraConfig, CamerasFile
+from stereophd.io.interchange.options import ImportOptions
 from stereophd.io.outputs.json_text import infinity_as_text
 from stereophd.io.outputs.provenance import ConfigRecord, sha256_of
 from stereophd.io.tables.trajectories import pack_poses, read_trajectory
 from stereophd.wording import LOGGER
-
-if TYPE_CHECKING:
-    from stereophd.io.interchange.base import ImportOptions
 
 AnyModel = TypeVar("AnyModel", bound=BaseModel)
 

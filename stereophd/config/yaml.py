@@ -219,8 +219,10 @@ def parse_yaml(text: str | bytes, source: str, numbered: bool = True) -> Tree:
     `numbered` says whether lines are worth naming (not for the value of an option). Raises InputError for text that is
     not YAML or not text, several documents, a duplicate key, or a value that is not plain.
     """
+    builder = _Builder(source, numbered)
     try:
         node = compose_yaml(text, source, _CoreLoader)
+        data = None if node is None else builder.build(node, ())
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
         last = text.count(b"\n" if isinstance(text, bytes) else "\n")  # type: ignore[arg-type]
@@ -231,15 +233,7 @@ def parse_yaml(text: str | bytes, source: str, numbered: bool = True) -> Tree:
         raise InputError(f"{source}: expected YAML text, found {str(error).splitlines()[0]}") from error
     except RecursionError as error:
         raise InputError(f"{source}: expected YAML, found lists or mappings nested too deeply") from error
-    builder = _Builder(source, numbered)
-    root_place = Place(source, 1 if numbered else None)
-    if node is None:
-        return Tree(None, {(): root_place})
-    try:
-        data = builder.build(node, ())
-    except RecursionError as error:
-        raise InputError(f"{source}: expected YAML, found lists or mappings nested too deeply") from error
-    builder.places[()] = root_place
+    builder.places[()] = Place(source, 1 if numbered else None)
     return Tree(data, builder.places)
 
 

@@ -68,15 +68,10 @@ def build_scene(config: Config, cameras: Sequence[Camera], seed: np.random.SeedS
     given_seed, drawn_seed, body_seed, walker_seed = seed.spawn(4)
     objects: tuple[SceneObject, ...] = _given_objects(settings, grid.start_s, given_seed)
     if settings.objects is not None:
-        box = settings.objects.box
+        drawn = settings.objects
+        low, high = np.array([drawn.box.x, drawn.box.y, drawn.box.z]).T
         drawing = Drawing(
-            count=settings.objects.count,
-            low=np.array([box.x[0], box.y[0], box.z[0]]),
-            high=np.array([box.x[1], box.y[1], box.z[1]]),
-            velocity_std=settings.objects.velocity_std,
-            stay_in_view=settings.objects.stay_in_view,
-            births_per_s=settings.objects.births_per_s,
-            mean_lifetime_s=settings.objects.mean_lifetime_s,
+            drawn.count, low, high, drawn.velocity_std, drawn.stay_in_view, drawn.births_per_s, drawn.mean_lifetime_s
         )
         objects += draw_objects(drawing, cameras, grid, motion, drawn_seed, len(objects))
     objects += _body_points(settings, grid.start_s, body_seed, len(objects))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,12 +19,17 @@ from stereophd.experiments.kinds.move import (
 )
 from tests.core.single import scenes
 
+# How far the image reaches on all sides where its border must have no effect, px.
+WIDE = 10_000_000
+
 
 def figure_four() -> MoveCase:
-    space = DisparitySpace(scenes.camera("left", 0.0, 0.0))
-    point, stds = np.array([400.0, 300.0, 7.0]), np.array([4.0, 4.0, 2.0])
+    camera = scenes.camera("left", 0.0, 0.0)
+    wide = replace(camera, cx=camera.cx + WIDE, cy=camera.cy + WIDE, width=2 * WIDE, height=2 * WIDE)
+    space = DisparitySpace(wide)
+    point, stds = np.array([400.0 + WIDE, 300.0 + WIDE, 7.0]), np.array([4.0, 4.0, 2.0])
     mean, covariance = gaussian_of_object(space, point, stds, np.array([2.0, 2.0, 0.5]), 0.5, np.random.default_rng(1))
-    return MoveCase(space, space, mean, covariance, 15.0, ConstantVelocity([math.sqrt(0.08)] * 3, 6.0), in_view=False)
+    return MoveCase(space, space, mean, covariance, 15.0, ConstantVelocity([math.sqrt(0.08)] * 3, 6.0))
 
 
 def test_divergence() -> None:

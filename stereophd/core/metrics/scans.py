@@ -53,7 +53,5 @@ class PointSets:
         return self._rows(start, np.flatnonzero(np.repeat(keep, self.counts)))
 
     def _rows(self, start: Integers, rows: Integers) -> PointSets:
-        covariance = None if self.covariance is None else self.covariance[rows]
-        confirmed = None if self.confirmed is None else self.confirmed[rows]
-        part = None if self.cameras_part is None else self.cameras_part[rows]
-        return PointSets(start, self.position[rows], self.velocity[rows], self.label[rows], covariance, confirmed, part)
+        columns = {name: values for name, values in vars(self).items() if name != "start" and values is not None}
+        return PointSets(start, **{name: values[rows] for name, values in columns.items()})

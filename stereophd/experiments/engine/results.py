@@ -14,7 +14,7 @@ from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series
 from stereophd.experiments.engine.summary import Summary, summarise, with_windows
-from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part, RunResult, cases_of
+from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part, RunResult, cases_of, experiment_section
 from stereophd.io.outputs.atomic import OutputFolder, output_folder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import from_metadata, provenance, to_metadata
@@ -76,8 +76,7 @@ def gather_results(
 
 def experiment_name(loaded: LoadedConfig) -> str:
     """Return the name of an experiment: stated, or that of its file."""
-    assert loaded.config.experiment is not None
-    return loaded.config.experiment.name or loaded.path.stem
+    return experiment_section(loaded).name or loaded.path.stem
 
 
 def report_of(results: Results) -> dict[str, Any]:

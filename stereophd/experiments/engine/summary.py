@@ -15,6 +15,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.numerics.times import TIME_DECIMALS
 from stereophd.errors import InputError, nearest
 from stereophd.experiments.engine.base import Series
+from stereophd.experiments.engine.work import experiment_section
 
 CONFIDENCE = 0.95
 ERROR, RMSE = "_error", "_rmse"
@@ -135,8 +136,7 @@ class QuantityCheck:
     """
 
     def __init__(self, loaded: LoadedConfig, cells: Iterable[tuple[str, str]]) -> None:
-        settings = loaded.config.experiment
-        assert settings is not None
+        settings = experiment_section(loaded)
         self._path, self._windows = loaded.path, settings.windows
         self._wanted = {
             "experiment.table": settings.table or (),

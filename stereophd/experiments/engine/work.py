@@ -91,10 +91,11 @@ def cases_of(settings: ExperimentConfig) -> list[tuple[str, tuple[str, ...], lis
     return cases
 
 
-def check_experiment(loaded: LoadedConfig) -> None:
-    """Raise `InputError` unless every method in every case of the ``experiment`` section, if any, can be run."""
-    if loaded.config.experiment is not None:
-        plan_parts(loaded, loaded.config.experiment)
+def experiment_section(loaded: LoadedConfig) -> ExperimentConfig:
+    """Return the section ``experiment``; InputError if there is none."""
+    if loaded.config.experiment is None:
+        raise InputError(f"{loaded.path}: experiment: expected a section `experiment`, found none")
+    return loaded.config.experiment
 
 
 def memory_of(parts: Sequence[Part]) -> float:
@@ -103,7 +104,7 @@ def memory_of(parts: Sequence[Part]) -> float:
 
 
 def plan_parts(loaded: LoadedConfig, settings: ExperimentConfig) -> list[Part]:
-    """Return all parts, and check their configurations: methods by cases, and the bounds of the cases."""
+    """Return all parts: methods by cases, and the bounds of the cases; InputError for one that cannot be run."""
     parts = []
     methods: list[tuple[str, list[tuple[str, Settings]]]] = [
         (name, [(f"experiment.methods.{name}", own)]) for name, own in settings.methods.items()
@@ -111,8 +112,7 @@ def plan_parts(loaded: LoadedConfig, settings: ExperimentConfig) -> list[Part]:
     for method, changes in [*methods, (BOUND_METHOD, [])]:
         for case, _, own in cases_of(settings):
             config = variant(loaded, [*own, *changes])
-            assert config.config.experiment is not None
-            kind = config.config.experiment.scenario.kind
+            kind = experiment_section(config).scenario.kind
             if method != BOUND_METHOD:
                 find_kind(kind).check(config)
             parts.append(Part(method, case, kind, config))

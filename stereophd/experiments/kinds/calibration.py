@@ -97,10 +97,9 @@ def _scene_bounds(loaded: LoadedConfig, number: int) -> Array:
 
 def _times(loaded: LoadedConfig) -> Array:
     """Times at which the estimate is scored: multiples of the interval within the run."""
-    assert loaded.config.simulate is not None
-    every_s, duration_s = scenario_of(loaded.config, CalibrationScenario).every_s, loaded.config.simulate.duration_s
-    count = math.ceil(duration_s / every_s - SAME_TIME_S) - 1
-    return loaded.config.simulate.start_s + every_s * np.arange(1.0, count + 1.0)
+    every_s, scene = scenario_of(loaded.config, CalibrationScenario).every_s, simulate_section(loaded)
+    count = math.ceil(scene.duration_s / every_s - SAME_TIME_S) - 1
+    return scene.start_s + every_s * np.arange(1.0, count + 1.0)
 
 
 def _setting(loaded: LoadedConfig, number: int) -> tuple[Scene, LoadedConfig, ParameterSet, int, Array]:
@@ -218,9 +217,8 @@ def _root(values: Array) -> float:
 
 def memory(loaded: LoadedConfig) -> float:
     """Estimate the memory of the calibration, and of the bounds, which are computed at every time of the scenario."""
-    assert loaded.config.simulate is not None
     settings, scene = scenario_of(loaded.config, CalibrationScenario), counts_of_scene(loaded)
-    times = loaded.config.simulate.duration_s / settings.every_s
+    times = simulate_section(loaded).duration_s / settings.every_s
     size = size_of_calibration(calibration_section(loaded), scene.frames, scene.detections)
     return times * TIME_BYTES + size.memory_bytes
 

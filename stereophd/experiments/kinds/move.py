@@ -21,7 +21,6 @@ from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import MOVE_REFERENCE, RUN_SINGLE_OBJECT
 from stereophd.core.numerics.samples import SETS_IN_TURN, Method, MomentsSettings
 from stereophd.core.single.build import sample_sets
-from stereophd.core.single.disparity import WIDE, widened
 from stereophd.errors import InputError, unknown_camera
 from stereophd.experiments.engine.base import Kind, Series, scenario_of
 from stereophd.io.outputs.provenance import canonical_json
@@ -52,17 +51,12 @@ class MoveCase:
     covariance: Array
     dt: float  # Interval, s
     motion: Motion
-    # Whether samples out of the destination's view are left out (V-B), or all in front of it count. A few points
-    # cannot show which part of a Gaussian is in view, so methods of low order use samples there.
-    in_view: bool = True
 
 
 @dataclass(frozen=True)
 class MoveMoments:
     """A Gaussian carried over by one method."""
 
-    method: str  # A method of `stereophd.core.numerics.samples.Method`, or ``reference``
-    samples: int  # Samples used
     # `mean`, `covariance`: arrays (6,), (6, 6): Moments of the part in view of the destination's camera, in its
     # disparity space.
     mean: Array
@@ -161,7 +155,7 @@ def _draw(rng: np.random.Generator, mean: Array, covariance: Array, count: int) 
         raise np.linalg.LinAlgError(str(error).rstrip(".")) from error
 
 
-def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1_000_000) -> MoveMoments:
+def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int) -> MoveMoments:
     """Moments of the part in view of a very large pseudo-random sample carried over by the textbook.
 
     Raises OutOfViewError when almost nothing of it is in view.
@@ -180,8 +174,7 @@ def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1
             speed = np.linalg.norm(world[:, 3:], axis=1, keepdims=True)
             world[:, 3:] *= np.minimum(1.0, case.motion.max_speed / speed)
         world = world @ transition.T + drift + _draw(rng, np.zeros(6), noise, drawn)
-        camera = case.destination.camera
-        seen = camera.in_view(world[:, :3]) if case.in_view else camera.pose.to_camera(world[:, :3])[:, 2] > 0.0
+        seen = case.destination.camera.in_view(world[:, :3])
         moved = case.destination.from_world(world[seen]) - origin
         count += drawn, len(moved)
         sums += moved.sum(axis=0)
@@ -192,7 +185,7 @@ def reference_moments(case: MoveCase, rng: np.random.Generator, samples: int = 1
         )
     mean = sums / count[1]
     covariance = squares / count[1] - np.outer(mean, mean)
-    return MoveMoments("reference", samples, origin + mean, covariance, float(count[1] / count[0]), 0.0)
+    return MoveMoments(origin + mean, covariance, float(count[1] / count[0]), 0.0)
 
 
 def compare_move(
@@ -204,19 +197,17 @@ def compare_move(
         Sources(
             case.mean[None], case.covariance[None], case.home.packed()[None], case.motion.arrays(np.array([case.dt]))
         ),
-        case.destination.packed() if case.in_view else widened(case.destination.packed()),
+        case.destination.packed(),
         sample_sets(settings, case.motion, rng),
         int(rng.integers(SETS_IN_TURN)),
         important=np.array([True]),
     )
     if moved.status[0] == OUT_OF_VIEW:
         nothing = np.full(6, np.nan), np.full((6, 6), np.nan)
-        return MoveMoments(method, samples, *nothing, float(moved.fraction[0]), np.inf)
+        return MoveMoments(*nothing, float(moved.fraction[0]), np.inf)
     mean, covariance = moved.means[0], moved.covariances[0]
-    if not case.in_view:
-        mean[:2] -= WIDE
     divergence = gaussian_divergence(reference.mean, reference.covariance, mean, covariance)
-    return MoveMoments(method, samples, mean, covariance, float(moved.fraction[0]), divergence)
+    return MoveMoments(mean, covariance, float(moved.fraction[0]), divergence)
 
 
 def gaussian_divergence(mean: Array, covariance: Array, other_mean: Array, other_covariance: Array) -> float:

@@ -11,15 +11,12 @@ import numpy as np
 
 from stereophd.io.interchange.base import ExportOptions, Format, need_package
 from stereophd.io.interchange.tracks import length_unit, on_grid
-from stereophd.io.outputs.atomic import TEMPORARY_PREFIX
+from stereophd.io.outputs.disk import TEMPORARY_PREFIX
 
 
 def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str]:
     """Write all tracks at a fixed rate."""
-    try:
-        import ezc3d
-    except ImportError as error:
-        raise need_package("ezc3d", "the format c3d") from error
+    ezc3d = need_package("ezc3d", "the format c3d")
     rate, times, positions = on_grid(tracks, options)
     file = ezc3d.c3d()
     file["parameters"]["POINT"]["RATE"]["value"] = [rate]

@@ -182,11 +182,11 @@ def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(names)
         for rows in batches(tracks, options):
-            columns: list[Any] = [rows[name] for name in ("time_s", "camera", "frame", "track_id", *AXES)]
+            columns = [rows[name] for name in ("time_s", "camera", "frame", "track_id", *AXES)]
             columns += [rows["covariance"][:, 6 * i + j] for i, j in upper]
             columns += [rows[name] for name in ("existence", *more)]
-            columns = [[_inert(cell) for cell in c] if isinstance(c, list) else c.tolist() for c in columns]
-            table.writerows(zip(*columns, strict=True))
+            cells = [map(_inert, c.tolist()) if c.dtype == object else c.tolist() for c in columns]
+            table.writerows(zip(*cells, strict=True))
     return []
 
 

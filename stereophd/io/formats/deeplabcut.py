@@ -80,10 +80,7 @@ def _named(parts: Sequence[str], coordinates: Sequence[str], individuals: Sequen
 
 def _hdf(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:
     """Return the columns and rows of a table that pandas wrote (format ``table``, one block of numbers)."""
-    try:
-        import h5py
-    except ImportError as error:
-        raise need_package("h5py", f"{path}: a file of DeepLabCut in HDF5") from error
+    h5py = need_package("h5py", f"{path}: a file of DeepLabCut in HDF5")
     with expecting("the table of DeepLabCut (df_with_missing)", path), h5py.File(path, "r") as file:
         check_hdf5(file, path)
         group = file["df_with_missing" if "df_with_missing" in file else next(iter(file), "df_with_missing")]

@@ -21,10 +21,7 @@ TIMELINE = "time"
 
 def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str]:
     """Write tracks, and the cameras of their provenance."""
-    try:
-        import rerun as rr
-    except ImportError as error:
-        raise need_package("rerun-sdk", "the format rerun") from error
+    rr = need_package("rerun-sdk", "the format rerun", "rerun")
     found = trajectories(tracks, options)
     stream = rr.RecordingStream("stereophd")
     stream.save(str(target))

@@ -38,10 +38,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 
 
 def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
-    try:
-        import h5py
-    except ImportError as error:
-        raise need_package("h5py", f"{sources[0]}: a file of SLEAP") from error
+    h5py = need_package("h5py", f"{sources[0]}: a file of SLEAP")
     for path in sources:
         stem = path.name.removesuffix(path.suffix).removesuffix(".analysis")
         camera = options.name(stem)

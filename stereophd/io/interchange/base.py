@@ -5,6 +5,7 @@ An option that nothing reads would silently do nothing.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -91,9 +92,12 @@ class Format:
     folder_files: tuple[str, ...] = ()  # What `write_cameras` writes into a folder; of other formats it writes a file
 
 
-def need_package(package: str, purpose: str) -> InputError:
-    """Return the error of a format whose optional package is not installed."""
-    return InputError(f"{purpose} needs the package {package}; install it with: pip install {package}")
+def need_package(package: str, purpose: str, module: str = "") -> Any:
+    """Import what a format needs of an optional package, by default the module of its name; InputError without it."""
+    try:
+        return import_module(module or package)
+    except ImportError as error:
+        raise InputError(f"{purpose} needs the package {package}; install it with: pip install {package}") from error
 
 
 Options = TypeVar("Options", ImportOptions, ExportOptions)

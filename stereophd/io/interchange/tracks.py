@@ -1,29 +1,28 @@
 """Tracks for export: read in pieces, chosen by identity, resampled to a rate."""
 
 from collections.abc import Iterator
-from itertools import compress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pyarrow import RecordBatch, compute
-from pyarrow.parquet import ParquetFile
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.outputs.provenance import length_unit as unit_of
 from stereophd.io.tables.reading import (
+    arrays_of,
     cast_column,
     check_columns,
-    damaged_is_input_error,
     finite_column,
     open_parquet,
     read_metadata,
+    read_pieces,
 )
 from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, STD, STRING, TRACKS
 
-TEXTS = ("camera", "status")
 # Columns that a table of tracks may lack.
 OPTIONAL = {"status": STRING, **{field.name: field.type for field in (*STD, *EXTENTS)}}
 COLUMNS = ("time_s", "camera", "frame", "track_id", "x", "y", "z", "vx", "vy", "vz", "covariance", "existence")
@@ -39,8 +38,8 @@ def optional_columns(path: Path) -> list[str]:
         return [name for name in OPTIONAL if name in parquet.schema_arrow.names]
 
 
-def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
-    """Yield the rows of ``tracks.parquet`` in pieces: arrays by column, texts as lists, the covariance (n, 36).
+def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, NDArray[Any]]]:
+    """Yield the rows of ``tracks.parquet`` in pieces: arrays by column, the covariance (n, 36).
 
     Raises InputError when it is not a table of tracks, or the chosen identities are not in it.
     """
@@ -49,43 +48,26 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, Any]]:
     seen: set[int] = set()
     with open_parquet(path, "table of tracks") as parquet:
         present = check_columns(parquet.schema_arrow, kinds, OPTIONAL, path)
-        kinds |= {name: OPTIONAL[name] for name in present}
-        with damaged_is_input_error(path):
-            for batch in _wanted_status(parquet, list(kinds), options.tentative, path):
-                rows: dict[str, Any] = {}
-                for name in kinds:
-                    column = cast_column(batch.column(name), name, kinds[name], path)
-                    if column.null_count and name == "track_id":
-                        raise InputError(f"{path}: column {name}: expected a value in every row, found a row without")
-                    if name in TEXTS:
-                        rows[name] = column.to_pylist()
-                    elif name == "covariance":
-                        rows[name] = column.flatten().to_numpy(zero_copy_only=False).reshape(-1, 36)
-                    else:
-                        rows[name] = column.to_numpy(zero_copy_only=False)
-                if wanted is not None:
-                    keep = np.isin(rows["track_id"], wanted)
-                    rows = {
-                        name: list(compress(values, keep)) if name in TEXTS else values[keep]
-                        for name, values in rows.items()
-                    }
-                seen.update(np.unique(rows["track_id"]).tolist())
-                if len(rows["time_s"]):
-                    yield rows
-    if wanted is not None and (missing := set(options.tracks or ()) - seen):
-        raise InputError(f"{path}: expected the tracks {sorted(missing)}, found none of that identity")
-
-
-def _wanted_status(parquet: ParquetFile, columns: list[str], tentative: bool, path: Path) -> Iterator[RecordBatch]:
-    """Yield the rows of a table of tracks in pieces: the confirmed ones, or all; InputError where a time is none."""
+    kinds |= {name: OPTIONAL[name] for name in present}
     start = 0
-    for batch in parquet.iter_batches(batch_size=16384, columns=columns, use_threads=False):
+    for batch in read_pieces(path, list(kinds), "table of tracks"):
         finite_column(batch, "time_s", path, start)
         start += len(batch)
-        if tentative or "status" not in columns:
-            yield batch
-        else:
-            yield batch.filter(compute.equal(batch.column(batch.schema.get_field_index("status")), CONFIRMED))
+        if "status" in kinds and not options.tentative:
+            batch = batch.filter(compute.equal(batch.column("status"), CONFIRMED))
+        columns = [cast_column(batch.column(name), name, kinds[name], path) for name in kinds]
+        for name, column in zip(kinds, columns, strict=True):
+            if column.null_count and name == "track_id":
+                raise InputError(f"{path}: column {name}: expected a value in every row, found a row without")
+        rows = arrays_of(RecordBatch.from_arrays(columns, list(kinds)))
+        if wanted is not None:
+            keep = np.isin(rows["track_id"], wanted)
+            rows = {name: values[keep] for name, values in rows.items()}
+        seen.update(np.unique(rows["track_id"]).tolist())
+        if len(rows["time_s"]):
+            yield rows
+    if wanted is not None and (missing := set(options.tracks or ()) - seen):
+        raise InputError(f"{path}: expected the tracks {sorted(missing)}, found none of that identity")
 
 
 def trajectories(path: Path, options: ExportOptions) -> dict[int, tuple[Array, Array]]:

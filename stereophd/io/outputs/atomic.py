@@ -31,16 +31,6 @@ from stereophd.io.outputs.disk import (
 )
 from stereophd.io.outputs.locks import LOCK_NAME, lock_file, output_lock
 
-__all__ = [
-    "TEMPORARY_PREFIX",
-    "OutputFolder",
-    "atomic_write",
-    "output_folder",
-    "output_lock",
-    "temporary_beside",
-    "tidy",
-]
-
 
 def temporary_beside(path: Path) -> Path:
     """Return the temporary name under which `atomic_write` writes a file."""
@@ -116,22 +106,19 @@ def _matches(relative: Path, names: Iterable[str]) -> bool:
 
 
 def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[Path]:
-    """Check that an output folder, which is locked, may be used, and create it if missing.
+    """Check that an output folder, which is there and locked, may be used.
 
     `force` says whether outputs of an earlier run may be replaced; `names` are the files that the command writes,
     relative to the folder, where each part may be a pattern (``run-*/truth.parquet``). Returns the files of an earlier
     run that are there now, relative to the folder; empty folders do not count.
 
-    Raises InputError when it is not a folder, holds files that are not ours, has a folder in the place of a file, holds
-    an earlier run and `force` is not given, or cannot be made or written to.
+    Raises InputError when it holds files that are not ours, has a folder in the place of a file, holds an earlier run
+    and `force` is not given, or cannot be written to.
     """
     folder = Path(path)
     names = list(names)
     existing: list[Path] = []
     try:
-        if folder.exists() and not folder.is_dir():
-            raise InputError(f"output folder {folder}: expected a folder, found a file")
-        folder.mkdir(parents=True, exist_ok=True)
         settle(folder)
         for relative in files_below(folder):
             if is_folder(folder / relative):

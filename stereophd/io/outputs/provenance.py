@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import stereophd
-from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.outputs.json_text import infinity_as_text
 
 METADATA_KEY = b"stereophd"
@@ -32,11 +32,8 @@ class ConfigRecord:
 
 def file_sha256(path: Path | str) -> str:
     """Return the SHA-256 of a file, read in pieces; InputError if the file cannot be read."""
-    try:
-        with open(path, "rb") as stream:
-            return hashlib.file_digest(stream, "sha256").hexdigest()
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
+    with expecting("a file", path), open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def origin(path: Path | str) -> dict[str, str] | None:

@@ -17,7 +17,9 @@ from typing import Any
 import pyarrow as pa
 
 from stereophd.errors import GateError, InputError, StereophdError
-from stereophd.io.outputs.atomic import TEMPORARY_PREFIX, atomic_write, output_folder, output_lock
+from stereophd.io.outputs.atomic import atomic_write, output_folder
+from stereophd.io.outputs.disk import TEMPORARY_PREFIX
+from stereophd.io.outputs.locks import output_lock
 from stereophd.io.outputs.provenance import to_metadata
 from stereophd.io.tables.schemas import STRING
 from stereophd.io.tables.writing import TableWriter
@@ -96,8 +98,6 @@ def run_batch(
     gate that failed), and ``exit_code``. What is wrong with an item is logged as an error. Raises InputError when the
     output folder cannot be used, no scheduler answers, or workers have another version of the package.
     """
-    if jobs < 1:
-        raise InputError(f"`jobs`: expected at least 1, found {jobs}")
     out = Path(out_dir)
     with output_lock(out):
         _check_folder(batch, out, force, resume)

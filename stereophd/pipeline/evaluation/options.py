@@ -157,11 +157,7 @@ def check_options(stated: ScoreOptions, log_path: Path | str | None) -> None:
     together = (stated.seen_by, stated.within_s, log_path)
     if any(value is None for value in together) and together != (None, None, None):
         raise InputError("`seen_by`: expected `seen_by`, `within_s` and `log_path` together, found only some of them")
-    if stated.seen_by is not None and stated.seen_by < 1:
-        raise InputError(f"`seen_by`: expected at least one camera, found {stated.seen_by}")
     _check_places(stated)
-    if stated.ospa2_window < 1:
-        raise InputError(f"`ospa2_window`: expected at least one scan, found {stated.ospa2_window}")
 
 
 def _check_places(stated: ScoreOptions) -> None:

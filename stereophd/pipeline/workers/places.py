@@ -12,7 +12,7 @@ import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 from itertools import islice
 from queue import SimpleQueue
@@ -197,11 +197,8 @@ def open_workers(jobs: int, dask: str | None) -> Iterator[Workers]:
     if dask is None:
         yield ThisProcess() if jobs == 1 else Cores(jobs)
         return
-    cluster = DaskWorkers(dask)
-    try:
+    with closing(DaskWorkers(dask)) as cluster:
         yield cluster
-    finally:
-        cluster.close()
 
 
 def complete(

@@ -20,7 +20,6 @@ from stereophd.experiments.engine.summary import Summary
 from stereophd.report.style import (
     INK,
     STYLE,
-    TRACK_COLOURS,
     colour_of,
     dash_of,
     legend_right,
@@ -159,9 +158,13 @@ def _draw_ratios(axes: Axes, lines: Sequence[_Line]) -> None:
     _draw_curves(axes, ratios, marked=True)
     values = np.concatenate([line.mean for line in ratios])
     if np.nanmax(values) > LARGEST_LINEAR_RATIO:
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(_PlainNumbers())
-        axes.yaxis.set_minor_formatter(_PlainNumbers(minor_thresholds=MINOR_LABELS))
+        _set_logarithmic(axes)
+
+
+def _set_logarithmic(axes: Axes) -> None:
+    axes.set_yscale("log")
+    axes.yaxis.set_major_formatter(_PlainNumbers())
+    axes.yaxis.set_minor_formatter(_PlainNumbers(minor_thresholds=MINOR_LABELS))
 
 
 def _panel(
@@ -189,9 +192,7 @@ def _panel(
             _draw_curves(axes, lines, marked=True)
     settings = results.config.figure
     if settings.log:
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter(_PlainNumbers())
-        axes.yaxis.set_minor_formatter(_PlainNumbers(minor_thresholds=MINOR_LABELS))
+        _set_logarithmic(axes)
     elif all((line.mean[np.isfinite(line.mean)] >= 0).all() for line in lines):
         axes.set_ylim(bottom=0)
     if settings.most is not None:
@@ -230,8 +231,8 @@ def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: st
 
 
 def _draw_curves(axes: Axes, lines: Sequence[_Line], marked: bool = False) -> None:
-    cycles = zip(lines, _cycle(TRACK_COLOURS, lines), _cycle(MARKERS, lines), strict=True)
-    for number, (line, colour, marker) in enumerate(cycles):
+    for number, line in enumerate(lines):
+        colour, marker = colour_of(number), MARKERS[number % len(MARKERS)]
         axes.fill_between(line.x, line.low, line.high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(
             line.x,
@@ -252,9 +253,8 @@ def _draw_curves(axes: Axes, lines: Sequence[_Line], marked: bool = False) -> No
 def _draw_points(axes: Axes, lines: Sequence[_Line], names: Sequence[str]) -> None:
     """Draw methods side by side at each case, and the bound across them."""
     count = len(lines)
-    for i, (line, colour, marker) in enumerate(
-        zip(lines, _cycle(TRACK_COLOURS, lines), _cycle(MARKERS, lines), strict=True)
-    ):
+    for i, line in enumerate(lines):
+        colour, marker = colour_of(i), MARKERS[i % len(MARKERS)]
         x = line.x + SPREAD * ((i + 0.5) / count - 0.5)
         errors = np.abs(np.array([line.mean - line.low, line.high - line.mean]))
         axes.errorbar(
@@ -268,10 +268,6 @@ def _draw_points(axes: Axes, lines: Sequence[_Line], names: Sequence[str]) -> No
         )
     axes.set_xticks(range(len(names)), names)
     axes.set_xlim(-0.6, len(names) - 0.4)
-
-
-def _cycle(values: Sequence[str], lines: Sequence[_Line]) -> list[str]:
-    return [values[i % len(values)] for i in range(len(lines))]
 
 
 def _draw_moves(results: Results) -> Figure:

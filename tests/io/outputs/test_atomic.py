@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from stereophd.errors import InputError
-from stereophd.io.outputs.atomic import TEMPORARY_PREFIX, OutputFolder, atomic_write, output_folder, temporary_beside
+from stereophd.io.outputs.atomic import OutputFolder, atomic_write, output_folder, temporary_beside
+from stereophd.io.outputs.disk import TEMPORARY_PREFIX
 
 NAMES = ["tracks.parquet", "report.json", "run-*/truth.parquet"]
 
@@ -145,8 +146,8 @@ def test_an_empty_folder_in_the_place_of_a_file_is_refused(tmp_path: Path) -> No
 
 def test_a_file_in_place_of_the_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("x")
-    with pytest.raises(InputError, match="expected a folder, found a file"):
-        output_folder(tmp_path / "out", True, NAMES)
+    with pytest.raises(InputError, match="expected a folder, found a file"), OutputFolder(tmp_path / "out", NAMES):
+        pass
 
 
 def test_what_a_killed_process_left_is_ours(tmp_path: Path) -> None:

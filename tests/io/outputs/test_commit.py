@@ -11,8 +11,9 @@ import pytest
 
 import stereophd.io.outputs.commit as commit
 from stereophd.errors import InputError
-from stereophd.io.outputs.atomic import TEMPORARY_PREFIX, OutputFolder
+from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.commit import MOVING_IN, MOVING_OUT, refuse_unsettled, settle
+from stereophd.io.outputs.disk import TEMPORARY_PREFIX
 
 NAMES = ["tracks.parquet", "report.json", "scans.parquet", "run-*/truth.parquet"]
 OLD = {"tracks.parquet": "old", "report.json": "old", "run-0007/truth.parquet": "old"}

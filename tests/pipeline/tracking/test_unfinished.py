@@ -14,7 +14,7 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
-from stereophd.io.outputs.atomic import TEMPORARY_PREFIX
+from stereophd.io.outputs.disk import TEMPORARY_PREFIX
 from stereophd.io.outputs.saved import decoder, encode
 from stereophd.io.tables import writing
 from stereophd.pipeline.runs import unfinished
