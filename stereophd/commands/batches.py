@@ -30,6 +30,7 @@ from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.evaluation.inputs import is_truth
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
+from stereophd.pipeline.workers.places import processes
 from stereophd.wording import LOGGER, counted
 
 Report = Mapping[str, Any]
@@ -99,10 +100,8 @@ def calibrate_logs(
     progress: Progress | None = None,
 ) -> dict[str, Any]:  # fmt: skip
     """Calibrate cameras from many detection logs, each separately; the folders are named as by `track_logs`."""
-    from joblib import effective_n_jobs
-
     work = partial(_one_log, calibrate, loaded, replace(options, jobs=1, dask=None))
-    options = replace(options, jobs=effective_n_jobs(options.jobs))
+    options = replace(options, jobs=processes(options.jobs))
     return _run("calibrate", log_items(logs), work, CALIBRATE_FILES, loaded.record, out_dir, options, progress)
 
 

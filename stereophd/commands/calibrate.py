@@ -50,6 +50,7 @@ from stereophd.pipeline.runs.sizes import check_size
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import ASSOCIATIONS_FILE, SCANS_FILE, TRACKS_FILE, TrackingRun
+from stereophd.pipeline.workers.places import processes
 from stereophd.report.installed import whether_to_draw
 from stereophd.wording import LOGGER
 
@@ -83,11 +84,7 @@ def calibrate(
     """
     if options.require not in ACCEPTED:
         raise InputError(f"`require`: expected determined or partly, found {options.require}")
-    if options.jobs == 0:
-        raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
-    from joblib import effective_n_jobs
-
-    jobs = effective_n_jobs(options.jobs)
+    jobs = processes(options.jobs)
     limit = TimeLimit(math.inf if options.time_s is None else time.monotonic() + options.time_s)
     loaded, unknown = with_found_cameras(loaded, log_path, limit)
     section = calibration_section(loaded)

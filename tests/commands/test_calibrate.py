@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from stereophd.commands.batches import calibrate_logs
 from stereophd.commands.calibrate import calibrate
 from stereophd.commands.evaluate_cameras import evaluate_calibration
 from stereophd.commands.simulate import simulate
@@ -464,3 +465,5 @@ def test_all_cores_are_used_by_default(scene: Path, tmp_path: Path, capsys: pyte
     assert json.loads((tmp_path / "out" / "report.json").read_text())["status"] == one["status"]
     with pytest.raises(InputError, match="jobs"):
         calibrate(loaded(scene), scene / "detections.parquet", tmp_path / "none", jobs=0)
+    with pytest.raises(InputError, match="jobs"):
+        calibrate_logs(loaded(scene), [scene / "detections.parquet"] * 2, tmp_path / "none", jobs=0)

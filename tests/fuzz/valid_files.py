@@ -74,6 +74,8 @@ USES = {
         "--seen-by 1 --seen-within 1 --out OUT --no-plots",
     ),
     "calibrate": Use("run", "calibrate config.yaml log.parquet --out OUT", 6),
+    "calibrate several": Use("run", "calibrate config.yaml log.parquet other.parquet --out OUT", 1),
+    "evaluate of folders": Use("run", "evaluate runs runs --cutoff 1 --out OUT --no-plots", 2),
     "experiment": Use("experiment", "experiment config.yaml --out OUT", 4),
     "align to a track": Use("control", "align cameras.yaml --to control.parquet --tracks tracks.parquet --out OUT", 6),
     "align to a camera": Use("run", "align cameras.yaml --to left --out OUT"),
@@ -131,6 +133,10 @@ def write_run(folder: Path) -> None:
     evaluate(
         folder / "tracked" / "tracks.parquet", folder / "truth.parquet", folder / "scores", cutoff=1.0, plots=False
     )
+    for name in ("first", "second"):
+        (folder / "runs" / name).mkdir(parents=True)
+        shutil.copy(folder / "tracked" / "tracks.parquet", folder / "runs" / name)
+        shutil.copy(folder / "truth.parquet", folder / "runs" / name)
     table = pq.read_table(folder / "log.parquet", columns=["camera", "frame", "time_s", "u_px", "v_px"])
     csv.write_csv(table.drop_columns(["time_s"]), folder / "points.csv")
     frames: dict[tuple[float, str, int], list[list[float]]] = {}

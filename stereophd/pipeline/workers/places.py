@@ -81,6 +81,15 @@ class Cores:
             raise WorkersLostError(str(error).split("\n")[0]) from error
 
 
+def processes(jobs: int) -> int:
+    """Return the number of processes that `jobs` asks for (-1: as many as cores); InputError for 0."""
+    from joblib import effective_n_jobs
+
+    if jobs == 0:
+        raise InputError("`jobs`: expected a number of processes (-1: all cores), found 0")
+    return int(effective_n_jobs(jobs))
+
+
 def on_processes(
     function: Callable[[Argument], Result], arguments: Iterable[Argument], jobs: int, ordered: bool = True
 ) -> Generator[Result]:
@@ -90,10 +99,10 @@ def on_processes(
     only as many calls are taken ahead: what is not needed any more, when the iterator is closed, is not begun. Raises
     BrokenProcessPool when a process died.
     """
-    from joblib import cpu_count, effective_n_jobs
+    from joblib import cpu_count
 
     numbered = enumerate(arguments)
-    first = list(islice(numbered, effective_n_jobs(jobs)))
+    first = list(islice(numbered, processes(jobs)))
     if not first:
         return
     workers: list[WorkerProcess] = []
