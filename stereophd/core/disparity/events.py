@@ -202,7 +202,9 @@ def undistorted_detections(camera: Camera, pixels: Array, std: Array) -> tuple[A
     Distorted pixels and their standard deviations are (m, 2), px.
     """
     if camera.lens.code == 0:
-        return pixels, (std**2)[:, :, None] * np.eye(2), np.ones(len(pixels))
+        covariances = np.zeros((len(pixels), 2, 2))
+        covariances[:, 0, 0], covariances[:, 1, 1] = std[:, 0] ** 2, std[:, 1] ** 2
+        return pixels, covariances, np.ones(len(pixels))
     points, jacobian = camera.undistort_pixels(pixels)
     scaled = jacobian * std[:, None, :]
     covariances = scaled @ np.swapaxes(scaled, 1, 2)

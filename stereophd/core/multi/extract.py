@@ -5,7 +5,7 @@ therefore reports a tentative object only after a second camera has detected it,
 """
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,8 @@ from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
 
-class Selection(NamedTuple):
+@dataclass(frozen=True)
+class Selection:
     """Outcome of `select_objects`: the mixture, and one row for each object that has a position."""
 
     mixture: GaussianMixture  # With new labels and identities

@@ -4,8 +4,6 @@ An event is worked as soon as it arrives. The events of the last seconds are kep
 frame that is older than the last event rewinds the estimator to a state before its own time, and the events from there
 on are worked again: exactly what a run over the frames in order gives, because `RunState` holds all that a run depends
 on. Memory is bounded by the span, and a frame older than that is too late.
-
-What is soon given up leaves its memory to what comes next while it is still in the processor's cache.
 """
 
 import math
@@ -27,7 +25,7 @@ from stereophd.pipeline.tracking.loop import (
     work_event,
 )
 
-# The state is kept before every such event.
+# The state is kept before every such event: what is given up at once leaves its memory to the next while it is cached.
 KEPT_EVERY = 4
 
 
@@ -41,13 +39,10 @@ class Step(NamedTuple):
 
 
 class RewindingRun:
-    """An estimator's run, reported at `times`, that events up to `span_s` of true time before the newest can join.
+    """An estimator's run, reported at `times`, that events up to `span_s` of true time before the newest can join."""
 
-    With `with_records` the records of all events that are kept are kept as well.
-    """
-
-    def __init__(self, estimator: Estimator[Any], times: ReportTimes, span_s: float, with_records: bool) -> None:
-        self._estimator, self._times, self._span_s, self._with_records = estimator, times, span_s, with_records
+    def __init__(self, estimator: Estimator[Any], times: ReportTimes, span_s: float, keep_records: bool) -> None:
+        self._estimator, self._times, self._span_s, self._keep_records = estimator, times, span_s, keep_records
         self._run: RunState[Any] = RunState(estimator.init())
         self._steps: list[Step] = []
         self._settled: tuple[float, int, int] | None = None
@@ -72,13 +67,13 @@ class RewindingRun:
             del self._steps[first:]
             self._steps += [self._step(step.event) for step in earlier]
         new = [self._step(event), *(self._step(step.event) for step in later)]
-        self._steps += new if self._with_records else [step._replace(records=()) for step in new]
+        self._steps += new if self._keep_records else [step._replace(records=()) for step in new]
         self._forget()
         return new
 
     @property
     def records(self) -> list[Record]:
-        """The records of the events that are kept, in order, those of late ones in their places."""
+        """With `keep_records`, those of the events that are kept, in order, those of late ones in their places."""
         return [record for step in self._steps for record in step.records]
 
     @property
