@@ -31,7 +31,8 @@ def run_live(
         raise InputError("--resume: expected --out or --record too, which say where the frames were recorded")
     arrivals, source = _source(log, live)
     events = None if session.quiet else sys.stderr
-    rows: list[RowSink] = [ArrowRows(sys.stdout.buffer, events) if live.arrow else JsonLines(sys.stdout, events)]
+    lines = sys.stdout.buffer
+    rows: list[RowSink] = [ArrowRows(lines, events) if live.arrow else JsonLines(lines, events)]
     if live.publish is not None:
         rows.append(Publisher(live.publish))
     mcap = None if live.mcap is None else McapRows(live.mcap)

@@ -95,7 +95,7 @@ def track_live(loaded: LoadedConfig, arrivals: Arrivals, source: str, outputs: L
             output_folder(outputs.folder, outputs.force or outputs.resume, FILES)
         with without_collections("" if loaded.config.filter is None else loaded.config.filter.kind):
             warming_up = variant(loaded, [("warm-up", {"input.on_bad_row": "drop", "live.recalibrate": False})])
-            _Session(warming_up, tracking, LiveOutputs([JsonLines(io.StringIO())])).work(
+            _Session(warming_up, tracking, LiveOutputs([JsonLines(io.BytesIO())])).work(
                 warm_up_messages(tracking.cameras), "warm-up"
             )
             session = _Session(loaded, tracking, outputs)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -177,7 +178,7 @@ class Pose(EqualByValue):
         # Adding zero makes -0.0 and 0.0 the same bytes, as they are the same number.
         return (*((array + 0.0).tobytes() for array in arrays), self.path)
 
-    @property
+    @cached_property
     def is_static(self) -> bool:
         """Whether the pose is the same at all times."""
         return self.path is None and not (self.velocity.any() or self.rotation_rate.any())

@@ -1,6 +1,5 @@
 """Estimates as they are known: documents of records, as lines of JSON, rows of Arrow, or messages."""
 
-import io
 import math
 import time
 from dataclasses import dataclass
@@ -66,12 +65,12 @@ class RowSink(Protocol):
 class JsonLines:
     """A line of JSON for each record on one stream, and for each event on another, or none."""
 
-    records: TextIO
+    records: BinaryIO
     events: TextIO | None = None
 
     def add(self, document: RecordDocument) -> None:
         """See `RowSink`; numbers have all their digits, NaN is null."""
-        self.records.write(_encode(document).decode() + "\n")
+        self.records.write(_encode(document) + b"\n")
         self.records.flush()
 
     def tell(self, event: LiveEvent) -> None:
@@ -85,7 +84,7 @@ class ArrowRows:
     """An Arrow IPC stream of rows as in ``tracks.parquet``, with ``revised``; events are lines of JSON elsewhere."""
 
     def __init__(self, records: BinaryIO, events: TextIO | None = None) -> None:
-        self._records, self._lines = records, JsonLines(io.StringIO(), events)
+        self._records, self._lines = records, JsonLines(records, events)
         self._writer = pa.ipc.new_stream(records, ROWS)
 
     def add(self, document: RecordDocument) -> None:

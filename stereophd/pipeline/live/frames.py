@@ -130,6 +130,6 @@ def _rows(values: Array | None, kept: Booleans) -> Array | None:
 def _pairs(message: Message, first: str, second: str) -> Array | None:
     """Return two columns of a message as (m, 2), or None where it has no detection or not both."""
     columns = message.columns
-    if not len(message.pixels) or not {first, second} <= columns.keys():
+    if not (columns and len(message.pixels) and {first, second} <= columns.keys()):
         return None
     return np.stack([columns[first], columns[second]], axis=1)

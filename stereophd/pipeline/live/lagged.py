@@ -1,15 +1,15 @@
 """Records of a live run, smoothed with a fixed lag: each comes once the recording has gone on for so long."""
 
 import math
-from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from stereophd.core.motion.base import Motion
-from stereophd.core.trajectories.smoothing import Trajectory, smooth
+from stereophd.core.trajectories.smoothing import smooth
 from stereophd.pipeline.tracking.loop import Record
+from stereophd.pipeline.tracking.smoothed import trajectories_of
 
 # Part of the lag after which records are smoothed again.
 HOP = 0.25
@@ -41,23 +41,14 @@ class LaggedRecords:
 
 def smoothed_estimates(records: Sequence[Record], motion: Motion) -> list[Record]:
     """Return records with the confirmed tracks smoothed among them (Rauch, Tung and Striebel 1965)."""
-    places: dict[int, list[tuple[int, int]]] = defaultdict(list)
-    for number, record in enumerate(records):
-        for row, track_id in enumerate(record.estimates.track_ids.tolist()):
-            places[track_id].append((number, row))
+    times = np.array([record.time_s for record in records])
+    rows = [{track_id: row for row, track_id in enumerate(one.estimates.track_ids.tolist())} for one in records]
     states = [record.estimates.states.copy() for record in records]
     covariances = [record.estimates.covariances.copy() for record in records]
-    for track_id, rows in places.items():
-        trajectory = Trajectory(
-            track_id,
-            np.array([number for number, _ in rows]),
-            np.array([records[number].time_s for number, _ in rows]),
-            np.array([states[number][row] for number, row in rows]),
-            np.array([covariances[number][row] for number, row in rows]),
-            np.ones(len(rows)),
-        )
+    for trajectory in trajectories_of(records, range(len(records)), times):
         found = smooth(trajectory, motion)
-        for (number, row), state, covariance in zip(rows, found.states, found.covariances, strict=True):
+        for number, state, covariance in zip(found.events.tolist(), found.states, found.covariances, strict=True):
+            row = rows[number][trajectory.track_id]
             states[number][row], covariances[number][row] = state, covariance
     return [
         replace(record, estimates=replace(record.estimates, states=state, covariances=covariance))

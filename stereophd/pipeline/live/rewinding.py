@@ -1,15 +1,15 @@
 """An estimator over frames that arrive in any order: a late frame takes it back to the state before that frame.
 
-An event is worked as soon as it arrives. The states before the events of the last seconds are kept. A frame that is
-older than the last event rewinds the estimator to the state before its own time, and the events from there on are
-worked again: exactly what a run over the frames in order gives, because `RunState` holds all that a run depends on.
-Memory is bounded by the span, and a frame older than that is too late.
+An event is worked as soon as it arrives. The events of the last seconds are kept, and the states before some of them. A
+frame that is older than the last event rewinds the estimator to a state before its own time, and the events from there
+on are worked again: exactly what a run over the frames in order gives, because `RunState` holds all that a run depends
+on. Memory is bounded by the span, and a frame older than that is too late.
 """
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 from stereophd.core.disparity.events import Event
 from stereophd.pipeline.tracking.associations import Associations
@@ -25,22 +25,24 @@ from stereophd.pipeline.tracking.loop import (
     work_event,
 )
 
+# The state is kept before every such event: what is given up at once leaves its memory to the next while it is cached.
+KEPT_EVERY = 4
 
-@dataclass(frozen=True)
-class Step:
+
+class Step(NamedTuple):
     """An event that was worked, with the state before it."""
 
     key: tuple[float, int, int]  # True time, camera and frame: the order of a run
     event: Event
-    before: RunState[Any]
+    before: RunState[Any] | None  # None where it is not kept; of the first step it is
     records: tuple[Record, ...]
 
 
 class RewindingRun:
     """An estimator's run, reported at `times`, that events up to `span_s` of true time before the newest can join."""
 
-    def __init__(self, estimator: Estimator[Any], times: ReportTimes, span_s: float) -> None:
-        self._estimator, self._times, self._span_s = estimator, times, span_s
+    def __init__(self, estimator: Estimator[Any], times: ReportTimes, span_s: float, keep_records: bool) -> None:
+        self._estimator, self._times, self._span_s, self._keep_records = estimator, times, span_s, keep_records
         self._run: RunState[Any] = RunState(estimator.init())
         self._steps: list[Step] = []
         self._settled: tuple[float, int, int] | None = None
@@ -60,16 +62,18 @@ class RewindingRun:
             place -= 1
         later = self._steps[place:]
         if later:
-            self._run = later[0].before
-            del self._steps[place:]
+            first, self._run = self._kept_state(place)
+            earlier = self._steps[first:place]
+            del self._steps[first:]
+            self._steps += [self._step(step.event) for step in earlier]
         new = [self._step(event), *(self._step(step.event) for step in later)]
-        self._steps += new
+        self._steps += new if self._keep_records else [step._replace(records=()) for step in new]
         self._forget()
         return new
 
     @property
     def records(self) -> list[Record]:
-        """The records of the events that are kept, in order, those of late ones in their places."""
+        """With `keep_records`, those of the events that are kept, in order, those of late ones in their places."""
         return [record for step in self._steps for record in step.records]
 
     @property
@@ -96,9 +100,15 @@ class RewindingRun:
         yield from finish(self._estimator, self._run, self._times)
 
     def _step(self, event: Event) -> Step:
-        before = copy_of(self._run)
+        before = copy_of(self._run) if not self._steps or self._run.events % KEPT_EVERY == 0 else None
         records = tuple(work_event(self._estimator, self._run, event, self._times))
         return Step(_key(event), event, before, records)
+
+    def _kept_state(self, place: int) -> tuple[int, RunState[Any]]:
+        """Return the place of the last step, up to that at a place, before which the state is kept, and that state."""
+        while (before := self._steps[place].before) is None:
+            place -= 1
+        return place, before
 
     def _forget(self) -> None:
         """Remove states that no event may come before."""
@@ -108,7 +118,7 @@ class RewindingRun:
             count += 1
         if count:
             self._settled = self._steps[count].key
-            del self._steps[:count]
+            del self._steps[: self._kept_state(count)[0]]
 
 
 def _key(event: Event) -> tuple[float, int, int]:
@@ -117,8 +127,5 @@ def _key(event: Event) -> tuple[float, int, int]:
 
 def copy_of(run: RunState[Any]) -> RunState[Any]:
     """Return a copy of a run that does not change when the run continues; states and records are frozen already."""
-    # `replace` takes longer
-    return RunState(
-        run.estimator, run.events, run.last, run.forecast_from_s, Attribution(dict(run.attribution.pending)),
-        Associations(dict(run.associations.known), list(run.associations.waiting)), run.knocks
-    )  # fmt: skip
+    attribution, known = Attribution(dict(run.attribution.pending)), run.associations
+    return replace(run, attribution=attribution, associations=Associations(dict(known.known), list(known.waiting)))

@@ -7,7 +7,7 @@ import math
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -36,8 +36,7 @@ SHORTEST_S, CLASS_RATIO, CLASSES = 1e-5, 1.02, 814
 PERCENTILES = (50.0, 90.0, 99.0, 99.9, 100.0)
 
 
-@dataclass(frozen=True)
-class LiveRecord:
+class LiveRecord(NamedTuple):
     """A record as soon as it is known."""
 
     record: Record
@@ -99,7 +98,7 @@ class LiveRun:
         self._checks, self._settings, self._keep = checks, settings, keep
         self._lagged = lagged
         span_s = settings.span_s if lagged is None else max(settings.span_s, lagged.span_s)
-        self._run = RewindingRun(estimator, times, span_s)
+        self._run = RewindingRun(estimator, times, span_s, lagged is not None)
         self._waiting: list[tuple[float, int, int, Frame, float]] = []
         self._newest = [-math.inf] * len(self._cameras)  # Of each camera; an array takes longer
         self._newest_arrived_s, self._on_grid = 0.0, times.grid_s is not None

@@ -57,7 +57,7 @@ def shuffled(frames: Sequence[Message], delay_s: float) -> list[Message]:
 
 
 def run(loaded: LoadedConfig, frames: Sequence[Message], out: Path | None = None) -> tuple[dict[str, Any], list[Any]]:
-    lines = io.StringIO()
+    lines = io.BytesIO()
     content = "".join(frame.to_line() + "\n" for frame in frames).encode()
     report = track_live(loaded, from_stream(io.BytesIO(content)), "frames", LiveOutputs([JsonLines(lines)], out))
     return report, [json.loads(line) for line in lines.getvalue().splitlines()]
@@ -135,7 +135,7 @@ def test_a_bad_frame_is_refused_with_its_place(
 
 def test_rows_of_a_grid_are_predicted_to_now(loaded: LoadedConfig, frames: list[Message]) -> None:
     gridded = load_config(loaded.path, ["report.times=grid 0.1"], cameras_path=HALL / "hall" / "cameras.yaml")
-    lines, end_s = io.StringIO(), max(frame.time_s for frame in frames[:60])
+    lines, end_s = io.BytesIO(), max(frame.time_s for frame in frames[:60])
 
     def arrivals() -> Iterator[Message | None]:
         yield from (replace(frame, arrived_s=time.perf_counter()) for frame in frames[:60])
@@ -159,7 +159,7 @@ def test_rows_with_a_lag_are_smoothed(loaded: LoadedConfig, frames: list[Message
     lagging = load_config(
         loaded.path, ["report.times=events", "report.lag_s=0.8"], cameras_path=HALL / "hall" / "cameras.yaml"
     )
-    lines = io.StringIO()
+    lines = io.BytesIO()
 
     def arrivals() -> Iterator[Message]:
         for frame in shuffled(frames, 0.1):
@@ -230,7 +230,7 @@ def test_files_are_whole_at_checkpoints_and_a_killed_run_goes_on(
         raise MemoryError
 
     with pytest.raises(MemoryError):
-        track_live(loaded, until_killed(), "frames", LiveOutputs([JsonLines(io.StringIO(), events)], out))
+        track_live(loaded, until_killed(), "frames", LiveOutputs([JsonLines(io.BytesIO(), events)], out))
     told = [json.loads(line) for line in events.getvalue().splitlines()]
     assert {"event": "checkpoint", "frames": 1} in told
     track(loaded, out / "detections.parquet", tmp_path / "at checkpoint")
@@ -270,7 +270,7 @@ def test_a_knocked_camera_is_solved_anew(
     recalibrating = load_config(
         loaded.path, ["report.times=events", "live.recalibrate=true"], cameras_path=HALL / "hall" / "cameras.yaml"
     )
-    records, events = io.StringIO(), io.StringIO()
+    records, events = io.BytesIO(), io.StringIO()
     track_live(recalibrating, iter(frames), "frames", LiveOutputs([JsonLines(records, events)], tmp_path / "out"))
     lines = [json.loads(line) for line in records.getvalue().splitlines()]
     passed_over = [line["time_s"] for line in lines if line["camera"] == name and at_s < line["time_s"] <= back_s]
@@ -313,7 +313,7 @@ def test_the_end_of_the_stream_says_what_became_of_a_knocked_camera(
         loaded.path, ["report.times=events", "live.recalibrate=true"], cameras_path=HALL / "hall" / "cameras.yaml"
     )
     events = io.StringIO()
-    track_live(recalibrating, iter(frames[:45]), "frames", LiveOutputs([JsonLines(io.StringIO(), events)]))
+    track_live(recalibrating, iter(frames[:45]), "frames", LiveOutputs([JsonLines(io.BytesIO(), events)]))
     told = [json.loads(line) for line in events.getvalue().splitlines()]
     expected = {"a try fails": "failed: no", "a try succeeds": "determined"}.get(ending, commands.NOT_FINISHED)
     assert [each["status"] for each in told if each["event"] == "recalibrated"] == [expected]
@@ -322,7 +322,7 @@ def test_the_end_of_the_stream_says_what_became_of_a_knocked_camera(
 
 def test_rows_are_arrow_or_messages_as_well(loaded: LoadedConfig, frames: list[Message]) -> None:
     zmq = pytest.importorskip("zmq")
-    lines, arrow = io.StringIO(), io.BytesIO()
+    lines, arrow = io.BytesIO(), io.BytesIO()
     publisher = Publisher("tcp://127.0.0.1:*")
     reader = zmq.Context.instance().socket(zmq.SUB)
     reader.subscribe("")
