@@ -10,8 +10,8 @@ extended Kalman filter of every body with the boxes that are its own, known to b
 line is the mean over the scenes with the half-width of its 95 % interval: MOTA, OSPA and trajectory GOSPA (order 2,
 cutoff 1 m, a switch costs 1 m) in times of the limit of the same scene, misses, false estimates and switches a scene,
 NEES per dimension of the position on the ground and of the height (1 is consistent), CPU time of an instant of four
-cameras. The first two seconds are left out, and so are estimates farther than `MARGIN` from the floor on which people
-walk.
+cameras. The first two seconds are left out, and so are estimates farther than `MARGIN` from the rectangle in which all
+people walk.
 """
 
 from __future__ import annotations
@@ -164,16 +164,6 @@ def point_sets(rows: list[Estimates]) -> PointSets:
     return PointSets(start, states[:, :3], states[:, 3:6], labels, covariances[:, :3, :3])
 
 
-def on_floor(estimates: dict[int, Estimates], loaded: Any) -> dict[int, Estimates]:
-    """Return the estimates on the floor and near it."""
-    area, out = loaded.config.simulate.walkers.area, {}
-    low, high = np.array([area.x, area.y]).T + np.array([[-MARGIN], [MARGIN]])
-    for key, parts in estimates.items():
-        kept = ((parts[1][:, :2] >= low) & (parts[1][:, :2] <= high)).all(axis=1)
-        out[key] = parts[0][kept], parts[1][kept], parts[2][kept], parts[3][kept]
-    return out
-
-
 def scores(estimates: dict[int, Estimates], scene: Scene) -> dict[str, float]:
     """Return the figures of a run."""
     assert scene.sized is not None
@@ -184,7 +174,11 @@ def scores(estimates: dict[int, Estimates], scene: Scene) -> dict[str, float]:
     when = [key for key in sorted(truth) if key in estimates and key >= SETTLED_S * 1e3]
     none = np.empty((0, 6, 6)), np.empty((0, 2))
     true = [(np.array([k for k, _ in truth[key]]), np.array([row[:6] for _, row in truth[key]]), *none) for key in when]
-    found = point_sets([estimates[key] for key in when])
+    places = np.concatenate([row for _, row, *_ in true])[:, :2]
+    low, high = places.min(axis=0) - MARGIN, places.max(axis=0) + MARGIN
+    inside = {key: ((estimates[key][1][:, :2] >= low) & (estimates[key][1][:, :2] <= high)).all(axis=1) for key in when}
+    chosen = [tuple(part[inside[key]] for part in estimates[key]) for key in when]
+    found = point_sets(chosen)
     known = point_sets([(a, b, np.zeros((len(a), 6, 6)), np.zeros((len(a), 2))) for a, b, *_ in true])
     pairs, near = match_within(found, known, score_scans(found, known, ORDER, CUTOFF), ORDER, CUTOFF, CUTOFF)
     x, y = pairs.pairs.estimate, pairs.pairs.truth
@@ -193,7 +187,7 @@ def scores(estimates: dict[int, Estimates], scene: Scene) -> dict[str, float]:
     clear = clear_mot_figures(found, known, pairs, switched, np.linalg.norm(off, axis=1))
     assert found.covariance is not None
     level = np.linalg.solve(found.covariance[x][:, :2, :2], off[:, :2, None])[:, :, 0]
-    extents = np.concatenate([estimates[key][3] for key in when])[x]
+    extents = np.concatenate([row[3] for row in chosen])[x]
     heights = 2.0 * np.exp(scene.sized.log_axes[known.label[y], 0])
     return {
         "mota": clear["mota"],
@@ -224,7 +218,7 @@ def run(name: str, loaded: Any, scene: Scene, events: list[Event], best: dict[st
         events = sorted(events, key=lambda event: (event.time_s, -event.camera))
     with patched(body_filter, in_filter), patched(reduction, in_reduction):
         estimates, seconds = filtered(estimator, events)
-    row = scores(on_floor(estimates, loaded), scene)
+    row = scores(estimates, scene)
     return {**row, "ms": 1e3 * seconds, **{f"{key}_ratio": row[key] / best[key] for key in ("ospa", "tgospa")}}
 
 
