@@ -17,6 +17,7 @@ from stereophd.config.errors import describe
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes
 from stereophd.config.yaml import Place, Tree, apply_override, key_path, parse_override, parse_yaml, read_yaml
+from stereophd.core.bodies.shapes.point import PointSettings
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.cameras.models import CameraConfig, CamerasFile
@@ -41,8 +42,12 @@ class LoadedConfig:
 
     @property
     def cameras(self) -> dict[str, CameraConfig]:
-        """Name -> camera, in the order that decides ties; empty where the configuration names none."""
-        return self.config.cameras if isinstance(self.config.cameras, dict) else {}
+        """Name -> camera, in the order that decides ties; empty where the configuration names none.
+
+        That of bodies is the order of the names: tracks do not depend on the order in which cameras are listed.
+        """
+        cameras = self.config.cameras if isinstance(self.config.cameras, dict) else {}
+        return cameras if isinstance(self.config.object, PointSettings) else dict(sorted(cameras.items()))
 
     @property
     def estimated_cameras(self) -> list[str]:

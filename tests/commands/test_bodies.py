@@ -12,11 +12,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+import yaml
 
 from stereophd.commands.evaluate import evaluate
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
-from stereophd.config.loading import load_config
+from stereophd.config.loading import load_config, make_config
 from stereophd.core.geometry.camera import BOX_NOISE
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.errors import InputError
@@ -59,6 +60,21 @@ def test_a_log_has_boxes_and_tracks_have_extents(log: Path, tmp_path: Path) -> N
     again = track(load_config(CONFIG, [*SMALL, "report.associations=true"]), log, tmp_path / "again")
     assert again["log_likelihood"] == report["log_likelihood"]
     assert (tmp_path / "again/tracks.parquet").read_bytes() == (tmp_path / "out/tracks.parquet").read_bytes()
+
+
+@pytest.mark.parametrize("source", ["log", "simulated"])
+def test_tracks_do_not_depend_on_the_order_in_which_cameras_are_listed(log: Path, tmp_path: Path, source: str) -> None:
+    values = yaml.safe_load(Path(CONFIG).read_text())
+    names, tables = list(values["cameras"]), []
+    for order in (names, names[::-1], [names[k] for k in (2, 0, 3, 1)]):
+        values["cameras"] = {name: values["cameras"][name] for name in order}
+        loaded, folder = make_config(values, "crowd", SMALL), tmp_path / order[0]
+        if source == "simulated":
+            simulate(loaded, folder, force=True)
+        track(loaded, log if source == "log" else folder / "detections.parquet", folder / "run")
+        tables.append(pq.read_table(folder / "run" / "tracks.parquet"))
+    assert len(set(tables[0]["track_id"].to_pylist())) >= 4
+    assert [table.to_pydict() == tables[0].to_pydict() for table in tables] == [True] * 3
 
 
 def test_pieces_and_a_grid_of_times(log: Path, tmp_path: Path) -> None:

@@ -366,7 +366,7 @@ class BodyFilter:
     def _extract(self, state: BodyState, info: Info) -> tuple[BodyState, Info, Estimates]:
         """Report tracks by their existence, with hysteresis, and give identities in order of the first report."""
         hypotheses, levels = state.hypotheses, self.settings.extraction
-        existence = hypotheses.existence(len(state.labels))
+        existence, means, covariances = hypotheses.bodies(len(state.labels))
         shown = existence >= np.where(state.reported, levels.release, levels.confirm)
         # a false object is known to be there: it does not fade
         false = np.bincount(hypotheses.owners, hypotheses.weights, len(existence)) - existence
@@ -378,8 +378,7 @@ class BodyFilter:
         state = replace(state, track_ids=identities, shown=shown, next_track=state.next_track + len(new))
         chosen = np.flatnonzero(listed)
         order = chosen[np.lexsort((identities[chosen], ~shown[chosen]))]
-        first = hypotheses.first()[order]
-        means, covariances = hypotheses.means[first], hypotheses.covariances[first]
+        means, covariances = means[order], covariances[order]
         extents = 2.0 * np.exp(means[:, LOG_AXES])
         spread = extents * np.sqrt(covariances[:, range(6, 8), range(6, 8)])
         estimates = Estimates(

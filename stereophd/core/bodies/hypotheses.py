@@ -45,6 +45,13 @@ class Hypotheses(NamedTuple):
         bodies = self.views < 0
         return np.asarray(np.bincount(self.owners[bodies], self.weights[bodies], n_tracks).astype(np.float64))
 
+    def bodies(self, n_tracks: int) -> tuple[Array, Array, Array]:
+        """Return the probability (t,) that each track is a body, and the mean and the covariance of that body."""
+        chosen = np.flatnonzero(self.views < 0)
+        return moments(
+            self.owners[chosen], self.weights[chosen], self.means[chosen], self.covariances[chosen], n_tracks
+        )
+
     def take(self, kept: Integers | Booleans) -> Hypotheses:
         """Return some of the hypotheses."""
         return Hypotheses._make(values[kept] for values in self)
@@ -127,18 +134,24 @@ def merged(hypotheses: Hypotheses, distance: float) -> Hypotheses:
         rest = rest[~near]
         if not len(rest):
             break
-    order = np.argsort(group, kind="stable")
-    order = order[group[order] >= 0]
-    starts = np.flatnonzero(np.append(True, np.diff(group[order]) != 0))
-    number = np.repeat(np.arange(len(starts)), np.diff(np.append(starts, len(order))))
-    totals = np.add.reduceat(weights[order], starts)
-    share = weights[order] / totals[number]
-    joint = np.add.reduceat(share[:, None] * means[order], starts)
-    off = means[order] - joint[number]
-    spread = covariances[order] + off[:, :, None] * off[:, None, :]
-    covariances = np.add.reduceat(share[:, None, None] * spread, starts)
-    joined = Hypotheses.undecided(owners[order[starts]], totals, joint, covariances, views[order[starts]], n_cameras)
+    kept = np.flatnonzero(group >= 0)
+    leaders, number = np.unique(group[kept], return_inverse=True)
+    totals, joint, spread = moments(number, weights[kept], means[kept], covariances[kept], len(leaders))
+    joined = Hypotheses.undecided(owners[leaders], totals, joint, spread, views[leaders], n_cameras)
     return joined.take(np.lexsort((-joined.weights, joined.owners)))
+
+
+def moments(
+    groups: Integers, weights: Array, means: Array, covariances: Array, n_groups: int
+) -> tuple[Array, Array, Array]:
+    """Return weight (g,), mean (g, 8) and covariance (g, 8, 8) of mixtures, from the group of each Gaussian."""
+    masses = np.where(np.arange(n_groups)[:, None] == groups, weights, 0.0)
+    totals = masses.sum(axis=1)
+    shares = masses / np.maximum(totals, 1e-300)[:, None]
+    joint = shares @ means
+    off = means - joint[groups]
+    spread = np.tensordot(shares, covariances + off[:, :, None] * off[:, None, :], 1)
+    return totals, joint, spread
 
 
 def reassociate(hypotheses: Hypotheses, camera: int, n_tracks: int, n_boxes: int) -> Hypotheses:
