@@ -228,7 +228,7 @@ def _with_times(geometry: Geometry, camera: int, times: Array) -> list[CameraSam
     """Return the samples with other times of one camera; its one-camera tracks stay."""
     sample = geometry.samples[camera]
     moved = replace(sample, times=times)
-    moved.__dict__.update(linking=sample.linking, between=sample.between)
+    moved.__dict__.update(linking=sample.linking, alone=sample.alone)
     return [moved if k == camera else one for k, one in enumerate(geometry.samples)]
 
 

@@ -59,6 +59,12 @@ class CameraSample:
         other.__dict__.update(self.__dict__ | {"camera": camera})
         return other
 
+    def around(self, times: Array) -> tuple[Integers, Array]:
+        """Return the frame before each time (n,), s, and the share of the span to the next that has passed by then."""
+        interval = (np.searchsorted(self.times, times, side="right") - 1).clip(0, len(self.times) - 2)
+        span = self.times[interval + 1] - self.times[interval]
+        return interval, np.clip((times - self.times[interval]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)
+
     @property
     def with_noise_of_middles(self) -> CameraSample:
         """The frames with the noise of the middles of boxes, which is a part of their height; unchanged of points."""
@@ -115,23 +121,27 @@ class CameraSample:
         linked[self.links[linked]] = True
         return linked
 
-    @cached_property
-    def between(self) -> tuple[Array, Array, Array, Array]:
-        """Detections of every interval between frames k and k + 1, each (f - 1, *, 2), NaN where there are fewer.
+    def carried(self, steps: int) -> tuple[Array, Array]:
+        """Return where one-camera tracks are in every frame, and where so many frames later, both (f, *, 2).
 
-        Start and end of those that a one-camera track carries over, and those of k and of k + 1 that none does.
+        NaN where there are fewer. No step leads from every detection to itself.
         """
+        first = last = np.arange(len(self.pixels))
+        for _ in range(steps):
+            going = self.links[last] >= 0
+            first, last = first[going], self.links[last[going]]
+        frames, count = self.frame_of[first], len(self.times)
+        return by_interval(frames, self.pixels[first], count), by_interval(frames, self.pixels[last], count)
+
+    @cached_property
+    def alone(self) -> tuple[Array, Array]:
+        """Detections of frames k and k + 1 that no one-camera track carries over, each (f - 1, *, 2), NaN for fewer."""
         following, intervals = self.links, len(self.times) - 1
-        index = np.arange(len(self.pixels))
-        linked = following >= 0
         reached = np.zeros(len(self.pixels), dtype=bool)
-        reached[following[linked]] = True
-        carried = index[linked]
-        now = index[~linked & (self.frame_of < intervals)]
-        later = index[~reached & (self.frame_of > 0)]
+        reached[following[following >= 0]] = True
+        now = np.flatnonzero((following < 0) & (self.frame_of < intervals))
+        later = np.flatnonzero(~reached & (self.frame_of > 0))
         return (
-            by_interval(self.frame_of[carried], self.pixels[carried], intervals),
-            by_interval(self.frame_of[carried], self.pixels[following[carried]], intervals),
             by_interval(self.frame_of[now], self.pixels[now], intervals),
             by_interval(self.frame_of[later] - 1, self.pixels[later], intervals),
         )
