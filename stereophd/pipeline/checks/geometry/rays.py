@@ -70,13 +70,6 @@ class Candidates:
     def thinned(self, count: int, shifts: int = SHIFTS) -> Candidates:
         """Return fewer of the detections, and fewer shifted times."""
         kept = np.unique(np.linspace(0, len(self.detections) - 1, min(count, len(self.detections))).astype(int))
-        return self._only(kept, shifts)
-
-    def beginning(self, share: float) -> Candidates:
-        """Return the detections of the first share of the time."""
-        return self._only(np.flatnonzero(self.times <= self.times[0] + share * np.ptp(self.times)), SHIFTS)
-
-    def _only(self, kept: Integers, shifts: int) -> Candidates:
         return Candidates(
             self.a, self.b, self.detections[kept], self.times[kept], self.pixels_a[kept],
             np.ascontiguousarray(self.pixels_b[: 1 + shifts, kept]),
