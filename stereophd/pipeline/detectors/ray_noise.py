@@ -89,7 +89,6 @@ class RayNoise:
 class _PairEvidence:
     """The evidence of one pair of cameras about the standard deviation of distances between rays of one object."""
 
-    cameras: tuple[int, int]
     shares: Array  # (2,): of that variance, by the squared noise of either camera
     motion: Array  # (powers,): in proportion to the variance that motion between frames adds to it; 0 within frames
     likelihoods: Array  # (noises,): logarithm, of this standard deviation, px; the largest is 0
@@ -116,13 +115,13 @@ def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
     unit = [replace(sample, camera=with_noise(sample.camera, 1.0)) for sample in samples]
     pairs = pairs_of(len(unit))
     most = min(MOST_DISTANCES, MOST_OF_ALL // max(len(pairs), 1))
-    evidence = [pair for a, b in pairs if (pair := _evidence(unit, a, b, most)) is not None]
+    evidence = {(a, b): pair for a, b in pairs if (pair := _evidence(unit, a, b, most)) is not None}
     # pairs share detections: an object that n cameras see has 2 n - 3 independent distances, and n (n - 1) / 2 pairs
     independent = min(1.0, (2 * len(samples) - 3) / max(len(pairs), 1))
-    logs = _draws({pair.cameras: independent * pair.of_both() for pair in evidence}, len(samples))
+    logs = _draws({cameras: independent * pair.of_both() for cameras, pair in evidence.items()}, len(samples))
     spacing = float(np.log(NOISES[1] / NOISES[0]))
     spreads = np.sqrt(logs.var(axis=0) + spacing**2 / 12.0)
-    return RayNoise(np.exp(logs.mean(axis=0)), spreads, sum(pair.partners for pair in evidence))
+    return RayNoise(np.exp(logs.mean(axis=0)), spreads, sum(pair.partners for pair in evidence.values()))
 
 
 def _draws(likelihoods: dict[tuple[int, int], Array], count: int) -> Array:
@@ -180,8 +179,7 @@ def starting_detectors(
 
 def with_noise(camera: Camera, sigma_px: float) -> Camera:
     """Return a camera with another noise of its detector, px."""
-    detector = camera.detector
-    return replace(camera, detector=Detector((sigma_px, sigma_px), detector.p_detect, detector.clutter_per_frame))
+    return replace(camera, detector=replace(camera.detector, sigma=np.full(2, sigma_px)))
 
 
 def _evidence(samples: list[CameraSample], a: int, b: int, most: int) -> _PairEvidence | None:
@@ -193,10 +191,11 @@ def _evidence(samples: list[CameraSample], a: int, b: int, most: int) -> _PairEv
     nearest = _read(samples, a, b, most, 0)
     if nearest is None or not nearest.motion.any():
         return nearest
-    tracked = _read(samples, a, b, most, 1)
-    if tracked is None or nearest.gain > CLEARER * max(tracked.gain, MOST_EVIDENCE):
-        return _without_motion(nearest, _read(samples, a, b, most, 0, farther=True))
-    return _without_motion(tracked, _read(samples, a, b, most, 2, farther=True))
+    steps, found = 1, _read(samples, a, b, most, 1)
+    if found is None or nearest.gain > CLEARER * max(found.gain, MOST_EVIDENCE):
+        steps, found = 0, nearest
+    farther = _read(samples, a, b, most, 2 * steps, farther=True)
+    return None if farther is None else _without_motion(found, farther)
 
 
 def _frames(sample: CameraSample, times: Array, steps: int, farther: bool) -> Integers:
@@ -212,21 +211,17 @@ def _frames(sample: CameraSample, times: Array, steps: int, farther: bool) -> In
     return np.asarray(away.clip(0, len(sample.times) - 1 - steps))
 
 
-def _without_motion(found: _PairEvidence, farther: _PairEvidence | None) -> _PairEvidence:
+def _without_motion(found: _PairEvidence, farther: _PairEvidence) -> _PairEvidence:
     """Return what a pair says with the motion between the frames of B integrated out.
 
     Farther from B's frames motion counts for more: what that shows of it, given the noise, is its prior. Any size is as
     probable before, and so are both powers of time by which it grows.
     """
-    variances, terms = NOISES**2, []
-    for power, here in enumerate(found.motion):
-        share, shown = 1.0, np.zeros((len(NOISES), len(NOISES)))
-        if farther is not None:
-            share = float(here / farther.motion[power])
-            shown = farther.of_spread(variances[:, None] + variances)
-        shown = shown - np.logaddexp.reduce(shown, axis=1)[:, None]
-        terms.append(np.logaddexp.reduce(shown + found.of_spread(variances[:, None] + share * variances), axis=1))
-    likelihoods = np.logaddexp.reduce(terms, axis=0)
+    noise, motion, shares = NOISES[:, None] ** 2, NOISES**2, found.motion / farther.motion
+    shown = farther.of_spread(noise + motion)
+    shown = shown - np.logaddexp.reduce(shown, axis=1)[:, None]
+    told = shown + found.of_spread(noise + shares[:, None, None] * motion)
+    likelihoods = np.logaddexp.reduce(np.logaddexp.reduce(told, axis=2), axis=0)
     return replace(found, likelihoods=likelihoods - likelihoods.max())
 
 
@@ -266,7 +261,7 @@ def _read(
     else:
         kept, motion = 1.0, np.array([(since**2).mean()])
     found = _mixture(_classes(missed), neighbours, _classes(by_chance), len(pair.detections))
-    return _PairEvidence((a, b), np.array([share_a, (1.0 - share_a) * kept]), motion, *found)
+    return _PairEvidence(np.array([share_a, (1.0 - share_a) * kept]), motion, *found)
 
 
 def _neighbours(first: Camera, second: Camera, rays_a: Array, rays_b: Array, met: Booleans) -> Array:

@@ -115,11 +115,16 @@ class CameraSample:
         return following, by_chance
 
     @cached_property
+    def reached(self) -> Booleans:
+        """Whether a one-camera track leads to each detection (n,) from the frame before."""
+        reached = np.zeros(len(self.pixels), dtype=np.bool_)
+        reached[self.links[self.links >= 0]] = True
+        return reached
+
+    @property
     def linked(self) -> Booleans:
         """Whether each detection (n,) belongs to a chain of frames."""
-        linked = self.links >= 0
-        linked[self.links[linked]] = True
-        return linked
+        return self.reached | (self.links >= 0)
 
     def carried(self, steps: int) -> tuple[Array, Array]:
         """Return where one-camera tracks are in every frame, and where so many frames later, both (f, *, 2).
@@ -136,11 +141,9 @@ class CameraSample:
     @cached_property
     def alone(self) -> tuple[Array, Array]:
         """Detections of frames k and k + 1 that no one-camera track carries over, each (f - 1, *, 2), NaN for fewer."""
-        following, intervals = self.links, len(self.times) - 1
-        reached = np.zeros(len(self.pixels), dtype=bool)
-        reached[following[following >= 0]] = True
-        now = np.flatnonzero((following < 0) & (self.frame_of < intervals))
-        later = np.flatnonzero(~reached & (self.frame_of > 0))
+        intervals = len(self.times) - 1
+        now = np.flatnonzero((self.links < 0) & (self.frame_of < intervals))
+        later = np.flatnonzero(~self.reached & (self.frame_of > 0))
         return (
             by_interval(self.frame_of[now], self.pixels[now], intervals),
             by_interval(self.frame_of[later] - 1, self.pixels[later], intervals),
@@ -165,9 +168,7 @@ class CameraSample:
 
         That is the probability of detection where chains follow objects; far less where noise or motion outrun them.
         """
-        reached = np.zeros(len(self.pixels), dtype=np.bool_)
-        reached[self.links[self.links >= 0]] = True
-        asked = reached & (self.frame_of < len(self.times) - 1)
+        asked = self.reached & (self.frame_of < len(self.times) - 1)
         if len(self.times) < LEAST_CONTINUED_FRAMES or asked.sum() < LEAST_CONTINUED:
             return None
         return float((self.links[asked] >= 0).mean())
@@ -225,7 +226,7 @@ class CameraSample:
     def chains(self, least: int) -> tuple[Integers, ...]:
         """Return the detections of every one-camera track of at least so many frames."""
         following = self.links
-        starts = np.setdiff1d(np.flatnonzero(following >= 0), following[following >= 0])
+        starts = np.flatnonzero((following >= 0) & ~self.reached)
         found = []
         for start in starts.tolist():
             chain, k = [start], int(following[start])
@@ -342,9 +343,7 @@ def _gated(
 def _leaping(sample: CameraSample) -> Booleans:
     """Whether each detection (n,) has a step beyond the gate of the chains, among what the chains leave over."""
     leaps = np.zeros(len(sample.pixels), dtype=np.bool_)
-    following = sample.links
-    going, coming = following < 0, np.ones(len(following), dtype=np.bool_)
-    coming[following[following >= 0]] = False
+    going, coming = sample.links < 0, ~sample.reached
     while True:
         first, second, near, sure, _ = _gated(sample, going, coming)
         if sure < LEAST_SURE:
