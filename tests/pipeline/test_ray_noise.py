@@ -167,6 +167,25 @@ def test_turns_between_the_frames_of_cameras_are_no_noise() -> None:
     assert np.mean(squares) < 3.9
 
 
+def test_rows_that_are_read_later_are_no_noise() -> None:
+    """The third camera reads its rows one after the other while objects move by ten times their noise."""
+    rng, cameras = np.random.default_rng(4), cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0))
+    cameras[2] = replace(cameras[2], readout_s=0.03)
+    start = rng.uniform([-3.0, -2.0, 8.0], [3.0, 2.0, 12.0], (12, 3))
+    velocity = rng.normal(0.0, 1.5, start.shape)
+    frames = []
+    for k in range(40):
+        for c, camera in enumerate(cameras):
+            at = np.full((12, 1), k / RATE)
+            for _ in range(3):
+                pixels = camera.project(start + velocity * (at - 1.0))
+                at = k / RATE + camera.readout_s * pixels[:, 1:] / camera.height
+            pixels = pixels[camera.contains(pixels)]
+            frames.append(Frame(k / RATE, c, k, pixels + rng.normal(0.0, 0.5, pixels.shape)))
+    found = noise_from_rays(sample_log(frames, tuple(cameras)))
+    np.testing.assert_array_less(np.abs(np.log(found.sigma_px / 0.5)), np.log(1.6))
+
+
 def test_a_background_that_is_slightly_wrong_is_no_noise() -> None:
     """A hundred thousand distances with a density that bends by a hundredth leave the noise to the prior."""
     chance = np.diff(BORDERS) * (BORDERS[1:] < 1000.0)

@@ -253,13 +253,14 @@ def _read(
     share_a = float(shares[usable].mean())
     before = _frames(samples[b], pair.times, steps, farther)
     since, span = pair.times - samples[b].times[before], samples[b].times[before + steps] - samples[b].times[before]
+    late = 0.5 * samples[b].camera.readout_s  # rows are read after the time of their frame
     if steps:
         # means of two frames; what objects turn by between them grows with the third power of time or the fourth
-        part = np.clip(since / np.maximum(span, 1e-12), 0.0, 1.0)
+        part = np.clip(since / np.maximum(span, 1e-12), 0.0, 1.0) - late / np.maximum(span, 1e-12)
         kept = float((part**2 + (1.0 - part) ** 2).mean())
         motion = np.array([((part * (1.0 - part)) ** 2 * span**power).mean() for power in (3, 4)])
     else:
-        kept, motion = 1.0, np.array([(since**2).mean()])
+        kept, motion = 1.0, np.array([((since - late) ** 2).mean()])
     found = _mixture(_classes(missed), neighbours, _classes(by_chance), len(pair.detections))
     return _PairEvidence(np.array([share_a, (1.0 - share_a) * kept]), motion, *found)
 
