@@ -183,7 +183,7 @@ def test_rows_that_are_read_later_are_no_noise() -> None:
             pixels = pixels[camera.contains(pixels)]
             frames.append(Frame(k / RATE, c, k, pixels + rng.normal(0.0, 0.5, pixels.shape)))
     found = noise_from_rays(sample_log(frames, tuple(cameras)))
-    np.testing.assert_array_less(np.abs(np.log(found.sigma_px / 0.5)), np.log(1.6))
+    np.testing.assert_array_less(np.abs(np.log(found.sigma_px / 0.5)), np.log(1.4))
 
 
 def test_a_background_that_is_slightly_wrong_is_no_noise() -> None:
