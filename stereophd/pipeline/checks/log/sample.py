@@ -192,12 +192,12 @@ class CameraSample:
         return [(self.pixels[number == k].mean(axis=0), int(frames[k])) for k in lasting.tolist()]
 
     @cached_property
-    def noise_px(self) -> tuple[float, float] | None:
-        """Standard deviation of a detection about its one-camera track, px, and the least; None without long tracks.
+    def noise_px(self) -> tuple[float, float, float] | None:
+        """Standard deviation of a detection about its track, px, the least and the largest; None without long tracks.
 
         From third differences, which a steady acceleration does not change; the median resists wrong links. What white
         acceleration adds to their variance grows with the cube of the step, so that two steps tell it from noise. The
-        least noise is three standard errors less.
+        least noise is three standard errors less, the largest three more.
         """
         once, twice = (self._third_differences(step) for step in (1, 2))
         if min(len(once), len(twice)) < LEAST_DIFFERENCES:
@@ -205,8 +205,9 @@ class CameraSample:
         # 1 + 9 + 9 + 1 = 20 times the variance of one detection
         single, double = (float(np.median(np.abs(each)) / 0.6745) ** 2 / 20.0 for each in (once, twice))
         error = VARIANCE_ERROR * np.hypot(8.0 * single / np.sqrt(len(once)), double / np.sqrt(len(twice)))
-        most = max(8.0 * single - double, 0.0)
-        return float(np.sqrt(most / 7.0)), float(np.sqrt(max(most - 3.0 * error, 0.0) / 7.0))
+        value = max(8.0 * single - double, 0.0)
+        noise, least, most = np.sqrt(np.maximum(value + np.array([0.0, -3.0, 3.0]) * error, 0.0) / 7.0).tolist()
+        return noise, least, most
 
     def _third_differences(self, step: int) -> Array:
         """Return third differences (n,), px, of one-camera tracks with even times, over steps of so many frames."""
