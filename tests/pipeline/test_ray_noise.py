@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -139,6 +140,50 @@ def test_noise_of_a_crowd_between_frames_that_no_track_links() -> None:
             frames.append(Frame(time, c, k, pixels + rng.normal(0.0, 1.0, pixels.shape)))
     found = noise_from_rays(sample_log(frames, tuple(cameras)))
     np.testing.assert_array_less(np.abs(np.log(found.sigma_px)), np.log(2.0))
+
+
+def test_turns_between_the_frames_of_cameras_are_no_noise() -> None:
+    """Objects turn by more than their noise, or as much, between the frames of the third camera and the others.
+
+    The squared error over the stated variance has a mean of 1 where the posterior is right; five standard errors of six
+    such squares of normal errors are 2.9. Turns taken for noise give more than a hundred.
+    """
+    cameras, noise, parts = cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0)), 0.3, 10
+    squares = []
+    for seed, turn in product((3, 4, 5), (0.03, 0.01)):
+        rng = np.random.default_rng(seed)
+        steps = np.cumsum(rng.normal(0.0, turn, (60 * parts, 20, 3)), axis=0) / parts
+        paths = rng.uniform([-3.0, -2.0, 8.0], [3.0, 2.0, 12.0], (20, 3)) + np.cumsum(steps, axis=0)
+        frames = []
+        for k in range(60):
+            for c, camera in enumerate(cameras):
+                late = 4 * (c == 2)
+                pixels = camera.project(paths[k * parts + late])
+                pixels = pixels[camera.contains(pixels) & (rng.random(len(pixels)) < 0.9)]
+                pixels = pixels + rng.normal(0.0, noise, pixels.shape)
+                frames.append(Frame((k + late / parts) / 5.0, c, k, pixels))
+        found = noise_from_rays(sample_log(frames, tuple(cameras)))
+        squares.append(np.log(found.sigma_px[2] / noise) ** 2 / found.relative_error[2] ** 2)
+    assert np.mean(squares) < 3.9
+
+
+def test_rows_that_are_read_later_are_no_noise() -> None:
+    """The third camera reads its rows one after the other while objects move by ten times their noise."""
+    rng, cameras = np.random.default_rng(4), cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0))
+    cameras[2] = replace(cameras[2], readout_s=0.03)
+    start = rng.uniform([-3.0, -2.0, 8.0], [3.0, 2.0, 12.0], (12, 3))
+    velocity = rng.normal(0.0, 1.5, start.shape)
+    frames = []
+    for k in range(40):
+        for c, camera in enumerate(cameras):
+            at = np.full((12, 1), k / RATE)
+            for _ in range(3):
+                pixels = camera.project(start + velocity * (at - 1.0))
+                at = k / RATE + camera.readout_s * pixels[:, 1:] / camera.height
+            pixels = pixels[camera.contains(pixels)]
+            frames.append(Frame(k / RATE, c, k, pixels + rng.normal(0.0, 0.5, pixels.shape)))
+    found = noise_from_rays(sample_log(frames, tuple(cameras)))
+    np.testing.assert_array_less(np.abs(np.log(found.sigma_px / 0.5)), np.log(1.4))
 
 
 def test_a_background_that_is_slightly_wrong_is_no_noise() -> None:

@@ -341,14 +341,13 @@ def partners(samples: list[CameraSample], motion: list[tuple[Array, Integers]], 
     if len(usable) < LEAST_DETECTIONS or not width:
         return None
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, most).astype(int))]
-    interval = (np.searchsorted(second.times, times[chosen], side="right") - 1).clip(0, len(second.times) - 2)
+    interval, passed = second.around(times[chosen])
     index = second.first[interval][:, None] + np.arange(width)
     present = index < second.first[interval + 1][:, None]
     index = np.where(present, index, 0)
     present &= (second.links[index] >= 0) & (track_b[index] >= 0)
     following = np.where(present, second.links[index], index)
-    span = second.times[interval + 1] - second.times[interval]
-    weight = ((times[chosen] - second.times[interval]) / np.where(span > 0.0, span, 1.0))[:, None, None]
+    weight = passed[:, None, None]
     pixels_b = (1.0 - weight) * second.pixels[index] + weight * second.pixels[following]
     pixels_a = np.repeat(first.pixels[chosen], width, axis=0)
     found = signed_distances(first.camera, second.camera, pixels_a, pixels_b.reshape(-1, 2)).reshape(index.shape)

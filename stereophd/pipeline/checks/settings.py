@@ -51,15 +51,12 @@ class MeasuredScene:
 
 def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> MeasuredScene:
     """Estimate depths, speeds and accelerations of the objects, from pairs of cameras with at least this score."""
-    samples = _depth_samples(geometry, least_score)
+    samples, first = _depth_samples(geometry, least_score)
     if not len(samples):
         return MeasuredScene(None, samples, samples, None, None)
     depths = np.quantile(samples, [0.05, 0.5, 0.95])
-    first = replace(geometry, pairs=tuple(pair.beginning(BEGINNING) for pair in geometry.pairs))
     chains = [sample for sample in geometry.samples if sample.linking[1] <= MOST_BY_CHANCE]
-    return MeasuredScene(
-        depths, samples, _depth_samples(first, least_score), *measure_motion(chains, float(depths[1]))
-    )  # fmt: skip
+    return MeasuredScene(depths, samples, first, *measure_motion(chains, float(depths[1])))
 
 
 def measure_motion(
@@ -85,14 +82,14 @@ def measure_motion(
     return speed, acceleration
 
 
-def _depth_samples(geometry: Geometry, least_score: float) -> Array:
-    """Return 200 depths that represent the rays that meet, without those that meet by chance."""
-    found, chance = [], []
+def _depth_samples(geometry: Geometry, least_score: float) -> tuple[Array, Array]:
+    """Return 200 depths that represent the rays that meet, without those that meet by chance; and of the beginning."""
+    whole, first = [], []
     views = geometry.views
     for pair, given in zip(geometry.pairs, geometry.given, strict=True):
-        first, second = views[pair.a], views[pair.b]
-        apart = replace(pair.elsewhere(first.camera), pixels_b=pair.pixels_b[1:])
-        measured = distances(replace(pair, pixels_b=pair.pixels_b[:1]), first, second), distances(apart, first, second)
+        a, b = views[pair.a], views[pair.b]
+        apart = replace(pair.elsewhere(a.camera), pixels_b=pair.pixels_b[1:])
+        measured = distances(replace(pair, pixels_b=pair.pixels_b[:1]), a, b), distances(apart, a, b)
         distance, depth = (np.concatenate(each) for each in zip(*measured, strict=True))
         meets = given.score >= least_score
         near = (distance <= (given.tolerance if meets else TOLERANCES[0])) & np.isfinite(depth) & (depth > 0.0)
@@ -100,12 +97,18 @@ def _depth_samples(geometry: Geometry, least_score: float) -> Array:
         spread = float(np.hypot(counts[1:].std(ddof=1), np.sqrt(max(counts[1:].mean(), 1.0))))
         # in a crowd every detection has a partner by chance, but not as many
         if meets or counts[0] - counts[1:].mean() >= least_score * spread:
-            found.append(depth[0][near[0]])
-            chance.append(depth[1:][near[1:]])
-    if not found or not sum(map(len, found)):
+            early = pair.times <= pair.times[0] + BEGINNING * np.ptp(pair.times)
+            whole.append((depth[0][near[0]], depth[1:][near[1:]]))
+            first.append((depth[0, early][near[0, early]], depth[1:, early][near[1:, early]]))
+    shifts = max(1, geometry.pairs[0].pixels_b.shape[0] - 1) if geometry.pairs else 1
+    return _represent(whole, shifts), _represent(first, shifts)
+
+
+def _represent(found: list[tuple[Array, Array]], shifts: int) -> Array:
+    """Return 200 depths that represent those found at the same time, less those by chance at so many other times."""
+    if not sum(len(together) for together, _ in found):
         return np.empty(0)
-    positive, negative = np.concatenate(found), np.concatenate(chance)
-    shifts = max(1, geometry.pairs[0].pixels_b.shape[0] - 1)
+    positive, negative = (np.concatenate(each) for each in zip(*found, strict=True))
     depths = np.concatenate([positive, negative])
     weights = np.concatenate([np.ones(len(positive)), np.full(len(negative), -1.0 / shifts)])
     order = np.argsort(depths)

@@ -11,7 +11,11 @@ of bumps of all widths with a prior of its size. Distances beyond the median of 
 The likelihood of a noise is that of the numbers of distances, integrated over the number of partners (at most one of a
 detection; any number is as probable, and none has a probability of its own) and over the errors of the density: where
 strangers hide the partners, it is nearly even, and what small noise cannot hide speaks against small noise. It needs
-neither a track, a depth nor a first guess, and holds from a tenth of a pixel to a hundred.
+neither a depth nor a first guess, and holds from a tenth of a pixel to a hundred.
+
+Where cameras take their frames at different times, objects move between them, and that movement is no noise. Its size
+is unknown, and is integrated out. What it may be is shown by the same pair without the frame that is nearest: there it
+counts for several times as much, and the noise does not.
 
 The likelihoods of all pairs are joined in the noise of the cameras. The prior of a detector's noise is log-normal,
 68 % between 0.4 and 8 px, and the cameras of one log resemble each other. The answer is the mean of draws from the
@@ -19,23 +23,21 @@ posterior of all cameras together, and its error their spread: a pair tells only
 little data takes its value from the others, and without any data the answer is the prior's median.
 """
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Booleans
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.numerics.random_streams import RAY_NOISE_SEED
 from stereophd.core.two_views.epipolar import nearest_depths
 from stereophd.pipeline.checks.geometry.rays import (
-    Candidates,
     Reading,
     candidates,
     distances,
     pairs_of,
-    pixels_at,
-    pixels_near,
+    pixels_along,
     rays_of,
     signed_of_rays,
 )
@@ -72,8 +74,6 @@ MOST_EVIDENCE = 20.0
 CLEARER = 1.5
 # Distances of chance, number and share, below which their density counts as even.
 EVEN_COUNT, EVEN_SHARE = 50, 0.001
-# Where the detections of a camera are at times (n,): pixels (n, k, 2).
-Places = Callable[[CameraSample, Array], Array]
 
 
 @dataclass(frozen=True)
@@ -89,15 +89,18 @@ class RayNoise:
 class _PairEvidence:
     """The evidence of one pair of cameras about the standard deviation of distances between rays of one object."""
 
-    cameras: tuple[int, int]
     shares: Array  # (2,): of that variance, by the squared noise of either camera
+    motion: Array  # (powers,): in proportion to the variance that motion between frames adds to it; 0 within frames
     likelihoods: Array  # (noises,): logarithm, of this standard deviation, px; the largest is 0
     partners: float
     gain: float  # Log-likelihood of the best of them over that without partners
 
     def of_both(self) -> Array:
         """Return the log-likelihood (noises, noises) of the noise of both cameras."""
-        variance = self.shares[0] * NOISES[:, None] ** 2 + self.shares[1] * NOISES**2
+        return self.of_spread(self.shares[0] * NOISES[:, None] ** 2 + self.shares[1] * NOISES**2)
+
+    def of_spread(self, variance: Array) -> Array:
+        """Return the log-likelihood (...,) of variances (...,) of distances, px^2."""
         return np.asarray(np.interp(0.5 * np.log(variance), np.log(NOISES), self.likelihoods))
 
 
@@ -112,13 +115,13 @@ def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
     unit = [replace(sample, camera=with_noise(sample.camera, 1.0)) for sample in samples]
     pairs = pairs_of(len(unit))
     most = min(MOST_DISTANCES, MOST_OF_ALL // max(len(pairs), 1))
-    evidence = [pair for a, b in pairs if (pair := _evidence(unit, a, b, most)) is not None]
+    evidence = {(a, b): pair for a, b in pairs if (pair := _evidence(unit, a, b, most)) is not None}
     # pairs share detections: an object that n cameras see has 2 n - 3 independent distances, and n (n - 1) / 2 pairs
     independent = min(1.0, (2 * len(samples) - 3) / max(len(pairs), 1))
-    logs = _draws({pair.cameras: independent * pair.of_both() for pair in evidence}, len(samples))
+    logs = _draws({cameras: independent * pair.of_both() for cameras, pair in evidence.items()}, len(samples))
     spacing = float(np.log(NOISES[1] / NOISES[0]))
     spreads = np.sqrt(logs.var(axis=0) + spacing**2 / 12.0)
-    return RayNoise(np.exp(logs.mean(axis=0)), spreads, sum(pair.partners for pair in evidence))
+    return RayNoise(np.exp(logs.mean(axis=0)), spreads, sum(pair.partners for pair in evidence.values()))
 
 
 def _draws(likelihoods: dict[tuple[int, int], Array], count: int) -> Array:
@@ -176,8 +179,7 @@ def starting_detectors(
 
 def with_noise(camera: Camera, sigma_px: float) -> Camera:
     """Return a camera with another noise of its detector, px."""
-    detector = camera.detector
-    return replace(camera, detector=Detector((sigma_px, sigma_px), detector.p_detect, detector.clutter_per_frame))
+    return replace(camera, detector=replace(camera.detector, sigma=np.full(2, sigma_px)))
 
 
 def _evidence(samples: list[CameraSample], a: int, b: int, most: int) -> _PairEvidence | None:
@@ -186,14 +188,53 @@ def _evidence(samples: list[CameraSample], a: int, b: int, most: int) -> _PairEv
     Between frames, detections are where one-camera tracks lead, or where the nearer frame has them: tracks are wrong in
     a crowd, and frames where objects move by more than their noise. Frames count if they show far more partners.
     """
-    tracked, nearest = (_read(samples, a, b, most, places) for places in (pixels_at, pixels_near))
-    if tracked is None or nearest is None:
-        return tracked
-    return nearest if nearest.gain > CLEARER * max(tracked.gain, MOST_EVIDENCE) else tracked
+    nearest = _read(samples, a, b, most, 0)
+    if nearest is None or not nearest.motion.any():
+        return nearest
+    steps, found = 1, _read(samples, a, b, most, 1)
+    if found is None or nearest.gain > CLEARER * max(found.gain, MOST_EVIDENCE):
+        steps, found = 0, nearest
+    farther = _read(samples, a, b, most, 2 * steps, farther=True)
+    return None if farther is None else _without_motion(found, farther)
 
 
-def _read(samples: list[CameraSample], a: int, b: int, most: int, places: Places) -> _PairEvidence | None:
-    """Return what a pair of cameras says by one way to place detections between frames."""
+def _frames(sample: CameraSample, times: Array, steps: int, farther: bool) -> Integers:
+    """Return the frames from which lines over so many steps lead to times (n,), s, or those of the next farther lines.
+
+    These go from the frame before the nearest one to that after it, or stay on the other side of the nearest one.
+    """
+    frame, passed = sample.around(times)
+    nearest = frame + (passed > 0.5)
+    if not farther:
+        return frame if steps else nearest
+    away = nearest - 1 if steps else nearest + np.where(sample.times[nearest] > times, 1, -1)
+    return np.asarray(away.clip(0, len(sample.times) - 1 - steps))
+
+
+def _without_motion(found: _PairEvidence, farther: _PairEvidence) -> _PairEvidence:
+    """Return what a pair says with the motion between the frames of B integrated out.
+
+    Farther from B's frames motion counts for more: what that shows of it, given the noise, is its prior. Any size is as
+    probable before, and so are both powers of time by which it grows.
+    """
+    noise, motion, shares = NOISES[:, None] ** 2, NOISES**2, found.motion / farther.motion
+    shown = farther.of_spread(noise + motion)
+    shown = shown - np.logaddexp.reduce(shown, axis=1)[:, None]
+    told = shown + found.of_spread(noise + shares[:, None, None] * motion)
+    likelihoods = np.logaddexp.reduce(np.logaddexp.reduce(told, axis=2), axis=0)
+    return replace(found, likelihoods=likelihoods - likelihoods.max())
+
+
+def _read(
+    samples: list[CameraSample], a: int, b: int, most: int, steps: int, farther: bool = False
+) -> _PairEvidence | None:
+    """Return what a pair of cameras says with B's detections on lines over so many steps (see `_frames`)."""
+    if len(samples[b].times) <= steps:
+        return None
+
+    def places(sample: CameraSample, times: Array) -> Array:
+        return pixels_along(sample, times, _frames(sample, times, steps, farther), steps)
+
     shifts = SHIFTS if samples[b].detections_per_frame < CROWD else FEW_SHIFTS
     pair = candidates(samples, a, b, MOST_DETECTIONS, shifts, most, places)
     if pair is None:
@@ -210,9 +251,18 @@ def _read(samples: list[CameraSample], a: int, b: int, most: int, places: Places
     if not usable.any():
         return None
     share_a = float(shares[usable].mean())
-    kept = _kept(pair, samples[b]) if places is pixels_at else 1.0
+    before = _frames(samples[b], pair.times, steps, farther)
+    since, span = pair.times - samples[b].times[before], samples[b].times[before + steps] - samples[b].times[before]
+    late = 0.5 * samples[b].camera.readout_s  # rows are read after the time of their frame
+    if steps:
+        # means of two frames; what objects turn by between them grows with the third power of time or the fourth
+        part = np.clip(since / np.maximum(span, 1e-12), 0.0, 1.0) - late / np.maximum(span, 1e-12)
+        kept = float((part**2 + (1.0 - part) ** 2).mean())
+        motion = np.array([((part * (1.0 - part)) ** 2 * span**power).mean() for power in (3, 4)])
+    else:
+        kept, motion = 1.0, np.array([((since - late) ** 2).mean()])
     found = _mixture(_classes(missed), neighbours, _classes(by_chance), len(pair.detections))
-    return _PairEvidence((a, b), np.array([share_a, (1.0 - share_a) * kept]), *found)
+    return _PairEvidence(np.array([share_a, (1.0 - share_a) * kept]), motion, *found)
 
 
 def _neighbours(first: Camera, second: Camera, rays_a: Array, rays_b: Array, met: Booleans) -> Array:
@@ -234,14 +284,6 @@ def _neighbours(first: Camera, second: Camera, rays_a: Array, rays_b: Array, met
         apart[np.arange(len(rows)), owner] = np.nan
         found += _classes(apart)
     return found
-
-
-def _kept(pair: Candidates, second: CameraSample) -> float:
-    """Return the share of B's noise that is left in its places at A's times: between frames they are means."""
-    interval = (np.searchsorted(second.times, pair.times, side="right") - 1).clip(0, len(second.times) - 2)
-    span = np.maximum(second.times[interval + 1] - second.times[interval], 1e-12)
-    weight = np.clip((pair.times - second.times[interval]) / span, 0.0, 1.0)
-    return float((weight**2 + (1.0 - weight) ** 2).mean())
 
 
 def _classes(missed: Array) -> Array:

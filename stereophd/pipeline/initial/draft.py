@@ -95,7 +95,9 @@ def _mistake(draft: Draft, samples: list[CameraSample]) -> str | None:
     geometry = measure(samples, expected_depths(_bare(draft).config, samples), thorough=False)
     suspicious = any(geometry.is_suspicious(k) for k in range(len(geometry.pairs)))
     found = best_explanation(geometry, thorough=False) if suspicious else None
-    return None if found is None else f"{' and '.join(samples[c].camera.name for c in found.cameras)}: {found.text}"
+    if found is None:
+        return None
+    return f"{' and '.join(samples[c].camera.name for c in found.trial.scope)}: {found.trial.text}"
 
 
 def _with_bodies(

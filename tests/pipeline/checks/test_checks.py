@@ -104,7 +104,7 @@ def test_noise_is_told_from_acceleration() -> None:
     sample = sample_log([Frame(k / RATE, 0, k, pixels[k : k + 1]) for k in range(frames)], CAMERAS[:1])[0]
     assert sample.noise_px is not None
     assert sample.noise_px[0] == pytest.approx(noise, rel=0.3)
-    assert sample.noise_px[1] < noise
+    assert sample.noise_px[1] < noise < sample.noise_px[2]
 
 
 @pytest.mark.parametrize(
@@ -182,6 +182,15 @@ def test_births_are_asked_where_objects_begin(samples: list[CameraSample]) -> No
     for first, cause in ((np.full(9, 2.0), None), (scene.first_depths, "depth_range")):
         found = next(iter(check_settings(config, replace(scene, first_depths=first), samples, True)))
         assert found.cause == cause
+
+
+def test_rays_that_meet_in_the_whole_log_tell_the_depths_of_its_beginning(samples: list[CameraSample]) -> None:
+    """Few objects show in the first quarter alone too little to tell them from chance (set-up 9029 was warned of)."""
+    geometry = measure(samples, DEPTHS)
+    few = tuple(pair.thinned(24) for pair in geometry.pairs)
+    scene = measure_scene(replace(geometry, pairs=few, given=tuple(replace(one, score=0.0) for one in geometry.given)))
+    low, high = np.quantile(scene.first_depths, [0.1, 0.9])
+    assert DEPTHS[0] < low < high < DEPTHS[1]
 
 
 def test_a_noise_that_is_far_too_large_is_named(samples: list[CameraSample]) -> None:

@@ -1,5 +1,7 @@
 """Mistakes in cameras and clocks that are tried, and the one that explains the log best."""
 
+from __future__ import annotations
+
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -45,24 +47,6 @@ QUICK_DETECTIONS, QUICK_SHIFTS, QUICK_STEPS = 50, 2, 40
 QUICK_DISTANCES, LEAST_DETECTIONS = 8000, 8
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """An alternative that explains the log better than the cameras as stated."""
-
-    cameras: tuple[int, ...]  # Cameras that it changes
-    cause: str
-    text: str
-    remedy: str
-    # Means over the pairs concerned: with it, as stated, by chance; and its share and score.
-    excess: float
-    given: float
-    share: float
-    given_share: float
-    chance: float
-    score: float
-    change: str | None  # As that of a `Finding`
-
-
 def best_explanation(
     geometry: Geometry, thorough: bool = True, clocks_only: bool = False, tolerances: tuple[float, ...] = TOLERANCES
 ) -> Explanation | None:
@@ -84,8 +68,10 @@ def best_explanation(
         *_clock_trials(geometry, () if clocks_only else RATES, SHIFT_STEPS if thorough else QUICK_STEPS),
     ]
     looks = [(trial, trial.explain(quick, tolerances)) for trial in trials]
-    promising = [(t, one) for t, one in looks if one is not None and one.excess >= one.given + 0.5 * LEAST_GAIN]
-    best_first = sorted(promising, key=lambda look: -look[1].excess)[:FINALISTS]
+    promising = [
+        (t, one) for t, one in looks if one is not None and one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN
+    ]
+    best_first = sorted(promising, key=lambda look: -look[1].met.excess)[:FINALISTS]
     finalists = [trial for trial, _ in promising if any(trial is other for other, _ in best_first)]
     found = [
         one
@@ -94,9 +80,9 @@ def best_explanation(
     ]
     if not found:
         return None
-    best = max(one.excess for one in found)
+    best = max(one.met.excess for one in found)
     # the first of those that explain as much: the list begins with the likely ones
-    return next(one for one in found if one.excess >= best - 0.03)
+    return next(one for one in found if one.met.excess >= best - 0.03)
 
 
 def _affordable(pair: Candidates, count: int, tables: int) -> int:
@@ -105,9 +91,9 @@ def _affordable(pair: Candidates, count: int, tables: int) -> int:
 
 
 def _is_decisive(one: Explanation) -> bool:
-    clock = one.cause in ("clock_offset", "frame_rate")
+    clock, met, given = one.trial.cause in ("clock_offset", "frame_rate"), one.met, one.given.excess
     gain, ratio = (LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO) if clock else (LEAST_GAIN, LEAST_RATIO)
-    return one.excess >= one.given + gain and one.excess >= ratio * max(one.given, 0.0) and one.score >= LEAST_SCORE
+    return met.excess >= given + gain and met.excess >= ratio * max(given, 0.0) and met.score >= LEAST_SCORE
 
 
 @dataclass(frozen=True)
@@ -138,17 +124,23 @@ class Trial:
             if found is not None:
                 after.append(meeting(found, self.views[pair.a], self.views[pair.b], tolerances, known))
                 before.append(given)
-        if not after:
-            return None
+        return Explanation(self, _mean(after), _mean(before)) if after else None
 
-        def mean(name: str, meetings: list[Meeting]) -> float:
-            return float(np.mean([getattr(one, name) for one in meetings]))
 
-        return Explanation(
-            self.scope, self.cause, self.text, self.remedy, mean("excess", after), mean("excess", before),
-            mean("share", after), mean("share", before), mean("chance", after), max(one.score for one in after),
-            self.change,
-        )  # fmt: skip
+@dataclass(frozen=True)
+class Explanation:
+    """What the change of a trial explains of the log, over the pairs concerned."""
+
+    trial: Trial
+    # `met`, `given`: Means with the change and as stated, and the best score.
+    met: Meeting
+    given: Meeting
+
+
+def _mean(meetings: list[Meeting]) -> Meeting:
+    """Return the means of meetings, and their best score."""
+    means = np.mean([(one.share, one.chance, one.excess) for one in meetings], axis=0).tolist()
+    return replace(max(meetings, key=lambda one: one.score), share=means[0], chance=means[1], excess=means[2])
 
 
 def _camera_trials(geometry: Geometry) -> Iterator[Trial]:
@@ -228,7 +220,7 @@ def _with_times(geometry: Geometry, camera: int, times: Array) -> list[CameraSam
     """Return the samples with other times of one camera; its one-camera tracks stay."""
     sample = geometry.samples[camera]
     moved = replace(sample, times=times)
-    moved.__dict__.update(linking=sample.linking, between=sample.between)
+    moved.__dict__.update(linking=sample.linking, alone=sample.alone)
     return [moved if k == camera else one for k, one in enumerate(geometry.samples)]
 
 

@@ -41,7 +41,7 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
             f"{percent(found.chance)}"
         )
         value, expected = round(found.excess, 3), round(geometry.expected[k], 3)
-        if explanation is not None and {pair.a, pair.b} & set(explanation.cameras):
+        if explanation is not None and {pair.a, pair.b} & set(explanation.trial.scope):
             yield Finding("geometry.rays", "not checked", f"{text}; see geometry.cause", value, expected)
         elif found.score >= LEAST_SCORE:
             yield Finding("geometry.rays", "ok", text, value, expected)
@@ -115,21 +115,22 @@ def left_out(geometry: Geometry) -> Iterator[Finding]:
 
 
 def _named(geometry: Geometry, found: Explanation) -> Finding:
-    names = [geometry.samples[c].camera.name for c in found.cameras]
+    trial, met, given = found.trial, found.met, found.given
+    names = [geometry.samples[c].camera.name for c in trial.scope]
     everybody = len(names) == len(geometry.samples)
     who = "all cameras" if everybody else " and ".join(names)
     message = (
-        f"{who}: {found.text}: with this change {percent(found.share)} of the detections meet those of other cameras, "
-        f"as stated {percent(found.given_share)}, by chance {percent(found.chance)}"
+        f"{who}: {trial.text}: with this change {percent(met.share)} of the detections meet those of other cameras, "
+        f"as stated {percent(given.share)}, by chance {percent(met.chance)}"
     )
     return Finding(
         "geometry.cause",
         "warning",
         message,
-        round(found.given, 3),
-        round(found.excess, 3),
+        round(given.excess, 3),
+        round(met.excess, 3),
         None if everybody or len(names) != 1 else names[0],
-        found.remedy,
-        found.cause,
-        found.change,
+        trial.remedy,
+        trial.cause,
+        trial.change,
     )

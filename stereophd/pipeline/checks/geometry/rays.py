@@ -20,7 +20,7 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.two_views.epipolar import essential_matrices, nearest_depths, sampson_distances
-from stereophd.pipeline.checks.log.sample import CameraSample, by_interval
+from stereophd.pipeline.checks.log.sample import CameraSample
 
 # Of the detections of both cameras of a pair; None: not computed.
 Rays = tuple[Array | None, Array | None]
@@ -70,13 +70,6 @@ class Candidates:
     def thinned(self, count: int, shifts: int = SHIFTS) -> Candidates:
         """Return fewer of the detections, and fewer shifted times."""
         kept = np.unique(np.linspace(0, len(self.detections) - 1, min(count, len(self.detections))).astype(int))
-        return self._only(kept, shifts)
-
-    def beginning(self, share: float) -> Candidates:
-        """Return the detections of the first share of the time."""
-        return self._only(np.flatnonzero(self.times <= self.times[0] + share * np.ptp(self.times)), SHIFTS)
-
-    def _only(self, kept: Integers, shifts: int) -> Candidates:
         return Candidates(
             self.a, self.b, self.detections[kept], self.times[kept], self.pixels_a[kept],
             np.ascontiguousarray(self.pixels_b[: 1 + shifts, kept]),
@@ -131,7 +124,7 @@ def candidates(
     delays = first.camera.row_delays(first.pixels[chosen, 1])
     at, length = times[chosen] if delays is None else times[chosen] + delays, high - low
     shifted = [at] + [low + (at - low + length * (k + 1) / (shifts + 1)) % length for k in range(shifts)]
-    there = np.stack([(places or pixels_at)(second, times) for times in shifted])
+    there = (places or pixels_at)(second, np.concatenate(shifted)).reshape(1 + shifts, len(chosen), -1, 2)
     most_there = max(1, int(np.isfinite(there[..., 0]).sum(axis=2).max()))
     return Candidates(a, b, chosen, at, first.pixels[chosen], there[:, :, :most_there])
 
@@ -139,29 +132,27 @@ def candidates(
 def pixels_at(sample: CameraSample, times: Array) -> Array:
     """Return the detections (n, k, 2) of a camera at times (n,), s: between frames, along the one-camera tracks.
 
-    A detection without a track counts for the nearer of the two frames. NaN where a time has fewer than k. On a rolling
-    shutter a track is where it is read at these times, not where the frames have it.
+    A detection without a track counts for the nearer of the two frames. NaN where a time has fewer than k.
     """
-    start, end, now, later = sample.between
-    interval = (np.searchsorted(sample.times, times, side="right") - 1).clip(0, len(sample.times) - 2)
-    span = sample.times[interval + 1] - sample.times[interval]
-    weights = np.clip((times - sample.times[interval]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)[:, None, None]
-    moved = (1.0 - weights) * start[interval] + weights * end[interval]
-    delays = sample.camera.row_delays(moved[:, :, 1])
-    if delays is not None:
-        velocities = (end - start)[interval] / np.where(span > 0.0, span, np.inf)[:, None, None]
-        moved = moved - delays[:, :, None] * velocities
+    now, later = sample.alone
+    interval, passed = sample.around(times)
     width = max(now.shape[1], later.shape[1])
-    alone = np.where(weights <= 0.5, _wide(now, width)[interval], _wide(later, width)[interval])
-    return np.concatenate([moved, alone], axis=1)
+    alone = np.where(passed[:, None, None] <= 0.5, _wide(now, width)[interval], _wide(later, width)[interval])
+    return np.concatenate([pixels_along(sample, times, interval, 1), alone], axis=1)
 
 
-def pixels_near(sample: CameraSample, times: Array) -> Array:
-    """Return the detections (n, k, 2) of a camera in its frames next to times (n,), s; NaN where there are fewer."""
-    right = np.searchsorted(sample.times, times).clip(1, len(sample.times) - 1)
-    nearer = right - (times - sample.times[right - 1] <= sample.times[right] - times)
-    table = by_interval(sample.frame_of, sample.pixels, len(sample.times))
-    return np.asarray(table[nearer])
+def pixels_along(sample: CameraSample, times: Array, before: Integers, steps: int) -> Array:
+    """Return the detections (n, k, 2) at times (n,), s, on the lines of one-camera tracks over so many frames.
+
+    `before` (n,) are the frames from which these lines go. On a rolling shutter a track is where it is read at these
+    times, not where the frames have it. NaN where a time has fewer than k.
+    """
+    start, end = (table[before] for table in sample.carried(steps))
+    span = sample.times[before + steps] - sample.times[before]
+    velocities = (end - start) / np.where(span > 0.0, span, np.inf)[:, None, None]
+    moved = start + np.clip(times - sample.times[before], 0.0, span)[:, None, None] * velocities
+    delays = sample.camera.row_delays(moved[:, :, 1])
+    return np.asarray(moved if delays is None else moved - delays[:, :, None] * velocities)
 
 
 def _wide(table: Array, width: int) -> Array:

@@ -208,9 +208,9 @@ def _noise(sample: CameraSample, is_linked: bool) -> Finding:
     if sample.noise_px is None or not is_linked:
         why = "chance links them" if sample.noise_px else "too few lie on one-camera tracks"
         return Finding("detector.sigma", "not checked", f"{name}: the noise of detections: {why}", stated, camera=name)
-    noise, least = sample.noise_px
+    noise, least, most = sample.noise_px
     text = f"{name}: detections scatter by about {noise:.2g} px about one-camera tracks, sigma_px is {stated:g}"
-    too_large, better = noise * NOISE_FACTOR < stated, f"{max(noise, LEAST_SIGMA_PX):.2g}"
+    too_large, better = most * NOISE_FACTOR < stated, f"{max(noise, LEAST_SIGMA_PX):.2g}"
     if least <= NOISE_FACTOR * stated and not too_large:
         return Finding("detector.sigma", "ok", text, stated, round(noise, 4), name)
     effect = ": rays meet anywhere with it, so that neither clocks nor poses show their errors" if too_large else ""

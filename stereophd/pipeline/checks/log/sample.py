@@ -59,6 +59,12 @@ class CameraSample:
         other.__dict__.update(self.__dict__ | {"camera": camera})
         return other
 
+    def around(self, times: Array) -> tuple[Integers, Array]:
+        """Return the frame before each time (n,), s, and the share of the span to the next that has passed by then."""
+        interval = (np.searchsorted(self.times, times, side="right") - 1).clip(0, len(self.times) - 2)
+        span = self.times[interval + 1] - self.times[interval]
+        return interval, np.clip((times - self.times[interval]) / np.where(span > 0.0, span, 1.0), 0.0, 1.0)
+
     @property
     def with_noise_of_middles(self) -> CameraSample:
         """The frames with the noise of the middles of boxes, which is a part of their height; unchanged of points."""
@@ -109,29 +115,36 @@ class CameraSample:
         return following, by_chance
 
     @cached_property
+    def reached(self) -> Booleans:
+        """Whether a one-camera track leads to each detection (n,) from the frame before."""
+        reached = np.zeros(len(self.pixels), dtype=np.bool_)
+        reached[self.links[self.links >= 0]] = True
+        return reached
+
+    @property
     def linked(self) -> Booleans:
         """Whether each detection (n,) belongs to a chain of frames."""
-        linked = self.links >= 0
-        linked[self.links[linked]] = True
-        return linked
+        return self.reached | (self.links >= 0)
+
+    def carried(self, steps: int) -> tuple[Array, Array]:
+        """Return where one-camera tracks are in every frame, and where so many frames later, both (f, *, 2).
+
+        NaN where there are fewer. No step leads from every detection to itself.
+        """
+        first = last = np.arange(len(self.pixels))
+        for _ in range(steps):
+            going = self.links[last] >= 0
+            first, last = first[going], self.links[last[going]]
+        frames, count = self.frame_of[first], len(self.times)
+        return by_interval(frames, self.pixels[first], count), by_interval(frames, self.pixels[last], count)
 
     @cached_property
-    def between(self) -> tuple[Array, Array, Array, Array]:
-        """Detections of every interval between frames k and k + 1, each (f - 1, *, 2), NaN where there are fewer.
-
-        Start and end of those that a one-camera track carries over, and those of k and of k + 1 that none does.
-        """
-        following, intervals = self.links, len(self.times) - 1
-        index = np.arange(len(self.pixels))
-        linked = following >= 0
-        reached = np.zeros(len(self.pixels), dtype=bool)
-        reached[following[linked]] = True
-        carried = index[linked]
-        now = index[~linked & (self.frame_of < intervals)]
-        later = index[~reached & (self.frame_of > 0)]
+    def alone(self) -> tuple[Array, Array]:
+        """Detections of frames k and k + 1 that no one-camera track carries over, each (f - 1, *, 2), NaN for fewer."""
+        intervals = len(self.times) - 1
+        now = np.flatnonzero((self.links < 0) & (self.frame_of < intervals))
+        later = np.flatnonzero(~self.reached & (self.frame_of > 0))
         return (
-            by_interval(self.frame_of[carried], self.pixels[carried], intervals),
-            by_interval(self.frame_of[carried], self.pixels[following[carried]], intervals),
             by_interval(self.frame_of[now], self.pixels[now], intervals),
             by_interval(self.frame_of[later] - 1, self.pixels[later], intervals),
         )
@@ -155,9 +168,7 @@ class CameraSample:
 
         That is the probability of detection where chains follow objects; far less where noise or motion outrun them.
         """
-        reached = np.zeros(len(self.pixels), dtype=np.bool_)
-        reached[self.links[self.links >= 0]] = True
-        asked = reached & (self.frame_of < len(self.times) - 1)
+        asked = self.reached & (self.frame_of < len(self.times) - 1)
         if len(self.times) < LEAST_CONTINUED_FRAMES or asked.sum() < LEAST_CONTINUED:
             return None
         return float((self.links[asked] >= 0).mean())
@@ -181,12 +192,12 @@ class CameraSample:
         return [(self.pixels[number == k].mean(axis=0), int(frames[k])) for k in lasting.tolist()]
 
     @cached_property
-    def noise_px(self) -> tuple[float, float] | None:
-        """Standard deviation of a detection about its one-camera track, px, and the least; None without long tracks.
+    def noise_px(self) -> tuple[float, float, float] | None:
+        """Standard deviation of a detection about its track, px, the least and the largest; None without long tracks.
 
         From third differences, which a steady acceleration does not change; the median resists wrong links. What white
         acceleration adds to their variance grows with the cube of the step, so that two steps tell it from noise. The
-        least noise is three standard errors less.
+        least noise is three standard errors less, the largest three more.
         """
         once, twice = (self._third_differences(step) for step in (1, 2))
         if min(len(once), len(twice)) < LEAST_DIFFERENCES:
@@ -194,8 +205,9 @@ class CameraSample:
         # 1 + 9 + 9 + 1 = 20 times the variance of one detection
         single, double = (float(np.median(np.abs(each)) / 0.6745) ** 2 / 20.0 for each in (once, twice))
         error = VARIANCE_ERROR * np.hypot(8.0 * single / np.sqrt(len(once)), double / np.sqrt(len(twice)))
-        most = max(8.0 * single - double, 0.0)
-        return float(np.sqrt(most / 7.0)), float(np.sqrt(max(most - 3.0 * error, 0.0) / 7.0))
+        value = max(8.0 * single - double, 0.0)
+        noise, least, most = np.sqrt(np.maximum(value + np.array([0.0, -3.0, 3.0]) * error, 0.0) / 7.0).tolist()
+        return noise, least, most
 
     def _third_differences(self, step: int) -> Array:
         """Return third differences (n,), px, of one-camera tracks with even times, over steps of so many frames."""
@@ -215,7 +227,7 @@ class CameraSample:
     def chains(self, least: int) -> tuple[Integers, ...]:
         """Return the detections of every one-camera track of at least so many frames."""
         following = self.links
-        starts = np.setdiff1d(np.flatnonzero(following >= 0), following[following >= 0])
+        starts = np.flatnonzero((following >= 0) & ~self.reached)
         found = []
         for start in starts.tolist():
             chain, k = [start], int(following[start])
@@ -332,9 +344,7 @@ def _gated(
 def _leaping(sample: CameraSample) -> Booleans:
     """Whether each detection (n,) has a step beyond the gate of the chains, among what the chains leave over."""
     leaps = np.zeros(len(sample.pixels), dtype=np.bool_)
-    following = sample.links
-    going, coming = following < 0, np.ones(len(following), dtype=np.bool_)
-    coming[following[following >= 0]] = False
+    going, coming = sample.links < 0, ~sample.reached
     while True:
         first, second, near, sure, _ = _gated(sample, going, coming)
         if sure < LEAST_SURE:
