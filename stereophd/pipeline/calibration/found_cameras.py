@@ -36,6 +36,9 @@ from stereophd.pipeline.control import alignment_report
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
 
+# Frames in which objects are followed, at most; a longer log is thinned. Those of the adjustment may be fewer: it pairs
+# detections along paths of a motion model, where the search interpolates tracks.
+MOST_SEARCHED = 20_000
 # Prior deviations about what was found: so many stated ones, and at least these: rad, share of the distance, frames.
 STATED, LEAST_ROTATION, LEAST_SHARE, LEAST_FRAMES = 5.0, np.deg2rad(3.0), 0.05, 1.0
 # Prior of an unknown focal length (relative), of the rate of an unknown clock, and of a first radial coefficient.
@@ -150,7 +153,7 @@ def with_found_cameras(
         for number, (name, config) in enumerate(loaded.cameras.items())
     )
     recording = _read(loaded, cameras, log_path)
-    scans = Scans.of(recording, cameras, tracked_frames(recording, section.annealed.max_events))
+    scans = Scans.of(recording, cameras, tracked_frames(recording, MOST_SEARCHED))
     least = section.annealed.min_detections
     if section.annealed.one_camera_tracks == "image":
         tracks = image_tracks(scans, least)

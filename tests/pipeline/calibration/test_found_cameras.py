@@ -77,7 +77,8 @@ def test_contradictions_are_refused(tmp_path: Path, override: str, message: str)
 
 
 def test_cameras_are_found_in_the_unit_of_their_distance(tmp_path: Path, log: Path) -> None:
-    loaded, found = with_found_cameras(stated(tmp_path), log)
+    # the frames of the adjustment are too few for tracks of sixteen detections
+    loaded, found = with_found_cameras(stated(tmp_path, "calibration.annealed.max_events=20"), log)
     assert found is not None
     assert not found.reason
     assert loaded.config.units.length == "baseline"

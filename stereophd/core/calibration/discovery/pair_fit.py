@@ -200,10 +200,6 @@ class PairProblem:
             entry[row], of_a[row], j, b[j], raw.pixels[entry[row]], slopes, np.bincount(of_a, minlength=len(a))
         )
 
-    def _distances(self, state: PairState, a: Array, b: Array) -> Array:
-        """Signed distances (n,), px, of rays (n, 3) of both cameras."""
-        return self._sampson(state, a, b)[0]
-
     def _sampson(self, state: PairState, a: Array, b: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Signed distances (n,), px, of rays (n, 3), what they are products of: value, 1 / its deviation, lines.
 
@@ -224,7 +220,7 @@ class PairProblem:
         shape = (len(a), len(b))
         pair = rows.i * len(b) + rows.j
         count = np.bincount(pair, minlength=len(a) * len(b)).reshape(shape)
-        squared = self._distances(state, state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)) ** 2
+        squared = self._sampson(state, state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1))[0] ** 2
         gains = log_gains(squared, tolerance)
         mean = np.bincount(pair, weights=gains, minlength=len(a) * len(b)).reshape(shape) / np.maximum(count, 1)
         weight = common_pieces(self.found, a[:, None], b[None], count / rows.counts[:, None], count >= LEAST_SAMPLES)
@@ -317,7 +313,7 @@ class PairProblem:
         """Choose the pose with the most points in front of both cameras, and return how well the tracks fit it."""
         rows = paired.rows
         a, b = state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)
-        distances = np.abs(self._distances(state, a, b))
+        distances = np.abs(self._sampson(state, a, b)[0])
         inlying = distances <= 3.0 * tolerance
         options = []
         for rotation, direction in poses_of(essential_of(state.rotation, state.direction)):
