@@ -124,7 +124,8 @@ def clock_of_tracks(out: Path, times: Array, path: Array, scale: bool) -> Regist
     table = pq.read_table(out / "tracks.parquet").to_pandas().sort_values("time_s", kind="stable")
     truth = Truth(times, np.zeros(len(times), dtype=np.int64), path)
     points = table[["x", "y", "z"]].to_numpy()
-    return register(table["time_s"].to_numpy(), points, truth, LONGEST_STEP_S, Freedom(clock=True, scale=scale))
+    start = aligned(tracks_at(out, times), path, scale)
+    return register(table["time_s"].to_numpy(), points, truth, LONGEST_STEP_S, Freedom(clock=True, scale=scale), start)
 
 
 def tracks_at(out: Path, times: Array) -> Array:
@@ -143,14 +144,15 @@ def tracks_at(out: Path, times: Array) -> Array:
     return points
 
 
-def aligned(points: Array, truth: Array, scale: bool = False) -> Array:
-    """Points (n, 3) after the rigid motion, or similarity, that brings those that are known nearest to the truth."""
+def aligned(points: Array, truth: Array, scale: bool) -> Registration:
+    """Return the rigid motion, or similarity, that brings points (n, 3) nearest to the truth, where they are known."""
     known = np.isfinite(points[:, 0])
     a, b = points[known].mean(axis=0), truth[known].mean(axis=0)
     u, sizes, vt = np.linalg.svd((points[known] - a).T @ (truth[known] - b))
     signs = np.array([1.0, 1.0, np.linalg.det(u @ vt)])
-    factor = (sizes * signs).sum() / ((points[known] - a) ** 2).sum() if scale else 1.0
-    return np.asarray(factor * (points - a) @ (u * signs) @ vt + b)
+    factor = float((sizes * signs).sum() / ((points[known] - a) ** 2).sum()) if scale else 1.0
+    turn = ((u * signs) @ vt).T
+    return Registration(turn, b - factor * turn @ a, factor, 0.0, 0.0, 1.0, int(known.sum()))
 
 
 def seen_by_two(folder: Path, times: Array) -> NDArray[np.bool_]:
@@ -187,7 +189,8 @@ def scores(folder: Path, out: Path, shifts: dict[str, float], scale: bool) -> di
         (f"rate_of_{reference}_known", start + (times - start) / rate),
         ("clock_aligned", found.track_times(times)),
     ):
-        distance = np.linalg.norm(aligned(tracks_at(out, at), path, scale) - path, axis=1)
+        points = tracks_at(out, at)
+        distance = np.linalg.norm(aligned(points, path, scale).positions(points) - path, axis=1)
         for part, rows in (("all", np.isfinite(distance)), ("seen_by_two", np.isfinite(distance) & two)):
             quantiles = np.quantile(distance[rows], [0.5, 0.9])
             result[f"{name}.{part}"] = [int(rows.sum()), *np.round(quantiles, 4).tolist()]
@@ -214,7 +217,8 @@ def draw(folder: Path, out: Path, path: Path) -> None:
 
     truth = pq.read_table(folder / "truth.parquet").to_pandas()
     times, true = truth["time_s"].to_numpy(), truth[["x", "y", "z"]].to_numpy()
-    found = aligned(tracks_at(out, times), true)
+    found = tracks_at(out, times)
+    found = aligned(found, true, scale=True).positions(found)
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.0), layout="constrained")
     left.plot(true[:, 0], true[:, 1], color="0.7", lw=3.0, label="RTK")
     left.plot(found[:, 0], found[:, 1], color="C0", lw=1.0, label="tracks of the calibration")
