@@ -214,10 +214,9 @@ class PairSearch:
 
     def _samples(self, shift: int) -> tuple[Integers, Booleans, Array]:
         """Places (i, s) of samples of the tracks of a, whether b's tracks have them (i, j, s), and how (j, i, s, 2)."""
-        places = self._places
-        slopes = self.grid.of_second(slice(None), places, shift)
-        here = np.isfinite(np.take_along_axis(self.grid.first[..., 0], places, axis=1))
-        return places, np.isfinite(slopes[..., 0]).transpose(1, 0, 2) & here[:, None], slopes
+        slopes = self.grid.of_second(slice(None), self._places, shift)
+        here = np.isfinite(np.take_along_axis(self.grid.first[..., 0], self._places, axis=1))
+        return self._places, np.isfinite(slopes[..., 0]).transpose(1, 0, 2) & here[:, None], slopes
 
     def scores(self, essential: Array, shift: int) -> Array:
         """Scores (h,) of essential matrices (h, 3, 3) at an offset."""
