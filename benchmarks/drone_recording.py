@@ -1,11 +1,14 @@
 """Calibrate the drone recording with clocks of its own from a wrong guess, and score the trajectory against RTK.
 
     python benchmarks/drone_recording.py --seed 0 --out out/drone [--wrong 0.1] [--offset 0.3] [--focal 0.05] [--plot F]
+    ... --nothing unknown [--cameras cam0,cam1,cam3]        from nothing; --nothing known: focal lengths to 3 %
 
 Poses are 2 m and 5 degrees off in random directions, clock offsets off by up to --offset, rates taken as 1, lenses as
 supplied; --focal also takes all focal lengths off by this part (--set their priors with it), and --wrong replaces that
-part of the detections by points anywhere in the image. The recording is not part of the project: its folder is
-$STEREOPHD_DATA/drone/1, or that of ../shared/data. Further `--set` go to `calibrate`.
+part of the detections by points anywhere in the image. With --nothing poses and offsets are unknown, the logs are up to
+80 s apart besides, and no length is known (the alignment finds the scale); focal lengths are unknown, or 3 % off and
+known so, and lenses are as supplied. The recording is not part of the project: its folder is $STEREOPHD_DATA/drone/1,
+or that of ../shared/data. Further `--set` go to `calibrate`.
 
 Distances are taken after rigid alignment, at the times of RTK between two estimates of a track at most 0.25 s apart:
 by the times of the results (the clock of cam0, rate 1); with the rate of that clock taken from the recording's authors;
@@ -72,9 +75,40 @@ def write_guess(folder: Path, path: Path, seed: int, offset: float, focal: float
     write_cameras(path, with_quantities(supplied, cameras), "m")
 
 
-def write_log(folder: Path, path: Path, seed: int, wrong: float) -> None:
-    """Write the log, a part of its detections anywhere in the image."""
+def write_nothing(folder: Path, path: Path, names: list[str], seed: int, is_known: bool) -> None:
+    """Write a configuration that knows no pose and no offset, and focal lengths to 3 % or not at all."""
+    rng, tree = np.random.default_rng(seed), yaml.safe_load(CONFIG.read_text())
+    supplied = yaml.safe_load((folder / "cameras_as_supplied.yaml").read_text())["cameras"]
+    start = yaml.safe_load((folder / "clocks.yaml").read_text())[names[0]]["offset_s"]
+    tree["cameras"] = {}
+    for name in names:
+        intrinsics, factor = supplied[name]["intrinsics"], 1.0 + rng.choice([-0.03, 0.03])
+        tree["cameras"][name] = {
+            **supplied[name], "pose": "unknown",
+            "clock": {"offset_s": float(start) if name == names[0] else "unknown"},
+            "intrinsics": {**intrinsics, **{key: float(factor * intrinsics[key]) for key in ("fx", "fy")}}
+            if is_known else {"focal": "unknown"},
+        }  # fmt: skip
+    priors = {name: {"focal_std": 0.03} for name in names} if is_known else {}
+    tree["calibration"] = {"reference": names[0], "priors": priors, "annealed": tree["calibration"]["annealed"]}
+    del tree["simulate"]
+    path.write_text(yaml.safe_dump(tree))
+
+
+def shifts_of(names: list[str], seed: int) -> dict[str, float]:
+    """How much earlier each camera's log is made, s; that of the reference stays."""
+    rng = np.random.default_rng([seed, 1])
+    return {name: float(rng.uniform(-80.0, 80.0)) if name != names[0] else 0.0 for name in names}
+
+
+def write_log(folder: Path, path: Path, seed: int, wrong: float, shifts: dict[str, float] | None = None) -> None:
+    """Write the log, a part of its detections anywhere in the image; of some cameras, their times shifted."""
     table = pq.read_table(folder / "detections_own_clocks.parquet")
+    if shifts is not None:
+        frame = table.to_pandas()
+        frame = frame[frame["camera"].isin(list(shifts))]
+        frame["time_s"] -= frame["camera"].map(shifts)
+        table = pa.Table.from_pandas(frame.sort_values(["time_s", "camera"], kind="stable"), preserve_index=False)
     u, v = (table[name].to_numpy(zero_copy_only=False).copy() for name in ("u_px", "v_px"))
     rng, seen = np.random.default_rng(seed), np.flatnonzero(np.isfinite(u))
     bad = rng.choice(seen, int(wrong * len(seen)), replace=False)
@@ -85,12 +119,13 @@ def write_log(folder: Path, path: Path, seed: int, wrong: float) -> None:
     pq.write_table(table, path)
 
 
-def clock_of_tracks(out: Path, times: Array, path: Array) -> Registration:
-    """How the frame and the clock of the tracks compare with RTK (positions (n, 3) at times (n,))."""
+def clock_of_tracks(out: Path, times: Array, path: Array, scale: bool) -> Registration:
+    """How the frame, its scale and the clock of the tracks compare with RTK (positions (n, 3) at times (n,))."""
     table = pq.read_table(out / "tracks.parquet").to_pandas().sort_values("time_s", kind="stable")
     truth = Truth(times, np.zeros(len(times), dtype=np.int64), path)
     points = table[["x", "y", "z"]].to_numpy()
-    return register(table["time_s"].to_numpy(), points, truth, LONGEST_STEP_S, Freedom(clock=True))
+    start = aligned(tracks_at(out, times), path, scale)
+    return register(table["time_s"].to_numpy(), points, truth, LONGEST_STEP_S, Freedom(clock=True, scale=scale), start)
 
 
 def tracks_at(out: Path, times: Array) -> Array:
@@ -109,13 +144,15 @@ def tracks_at(out: Path, times: Array) -> Array:
     return points
 
 
-def aligned(points: Array, truth: Array) -> Array:
-    """Points (n, 3) after the rigid motion that brings those that are known nearest to the truth."""
+def aligned(points: Array, truth: Array, scale: bool) -> Registration:
+    """Return the rigid motion, or similarity, that brings points (n, 3) nearest to the truth, where they are known."""
     known = np.isfinite(points[:, 0])
     a, b = points[known].mean(axis=0), truth[known].mean(axis=0)
-    u, _, vt = np.linalg.svd((points[known] - a).T @ (truth[known] - b))
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return np.asarray((points - a) @ turn + b)
+    u, sizes, vt = np.linalg.svd((points[known] - a).T @ (truth[known] - b))
+    signs = np.array([1.0, 1.0, np.linalg.det(u @ vt)])
+    factor = float((sizes * signs).sum() / ((points[known] - a) ** 2).sum()) if scale else 1.0
+    turn = ((u * signs) @ vt).T
+    return Registration(turn, b - factor * turn @ a, factor, 0.0, 0.0, 1.0, int(known.sum()))
 
 
 def seen_by_two(folder: Path, times: Array) -> NDArray[np.bool_]:
@@ -129,24 +166,31 @@ def seen_by_two(folder: Path, times: Array) -> NDArray[np.bool_]:
     return count >= 2
 
 
-def scores(folder: Path, out: Path) -> dict[str, object]:
-    """Distances from RTK, and errors of clocks and focal lengths against the recording's authors."""
+def scores(folder: Path, out: Path, shifts: dict[str, float], scale: bool) -> dict[str, object]:
+    """Distances from RTK, and errors of clocks and focal lengths against the recording's authors.
+
+    The first camera of `shifts` has the clock of the tracks; `scale` says that their unit is unknown.
+    """
     truth, clocks = (
         pq.read_table(folder / "truth.parquet").to_pandas(),
         yaml.safe_load((folder / "clocks.yaml").read_text()),
     )
     times, path = truth["time_s"].to_numpy(), truth[["x", "y", "z"]].to_numpy()
-    start, rate = float(clocks["cam0"]["offset_s"]), float(clocks["cam0"]["rate"])
+    for name, shift in shifts.items():
+        clocks[name]["offset_s"] += clocks[name]["rate"] * shift
+    reference = next(iter(shifts))
+    start, rate = float(clocks[reference]["offset_s"]), float(clocks[reference]["rate"])
     two = seen_by_two(folder, times)
     result: dict[str, object] = {}
-    found = clock_of_tracks(out, times, path)
+    found = clock_of_tracks(out, times, path, scale)
     result["clock"] = {"shift_s": round(found.shift_s, 4), "rate": round(found.rate, 6)}
     for name, at in (
         ("times_of_results", times),
-        ("rate_of_cam0_known", start + (times - start) / rate),
+        (f"rate_of_{reference}_known", start + (times - start) / rate),
         ("clock_aligned", found.track_times(times)),
     ):
-        distance = np.linalg.norm(aligned(tracks_at(out, at), path) - path, axis=1)
+        points = tracks_at(out, at)
+        distance = np.linalg.norm(aligned(points, path, scale).positions(points) - path, axis=1)
         for part, rows in (("all", np.isfinite(distance)), ("seen_by_two", np.isfinite(distance) & two)):
             quantiles = np.quantile(distance[rows], [0.5, 0.9])
             result[f"{name}.{part}"] = [int(rows.sum()), *np.round(quantiles, 4).tolist()]
@@ -154,13 +198,13 @@ def scores(folder: Path, out: Path) -> dict[str, object]:
     log = pq.read_table(folder / "detections_own_clocks.parquet").to_pandas().dropna(subset=["u_px"])
     for name, config in load_cameras(out / "cameras.yaml").cameras.items():
         camera, other = config.build(name), refined[name].build(name)
-        middle = float(log.loc[log["camera"] == name, "time_s"].median())
-        # the same moment by the authors' clocks, on the clock of cam0
+        middle = float(log.loc[log["camera"] == name, "time_s"].median()) - shifts[name]
+        # the same moment by the authors' clocks, on the clock of the reference
         moment = float(clocks[name]["offset_s"]) + float(clocks[name]["rate"]) * middle
-        of_cam0 = start + (moment - start) / rate
+        of_reference = start + (moment - start) / rate
         result[name] = {
             "clock_offset_ms": round(1e3 * (camera.clock.offset_s - float(clocks[name]["offset_s"])), 1),
-            "middle_ms": round(1e3 * (camera.clock.offset_s + camera.clock.rate * middle - of_cam0), 1),
+            "middle_ms": round(1e3 * (camera.clock.offset_s + camera.clock.rate * middle - of_reference), 1),
             "clock_rate": round(camera.clock.rate - float(clocks[name]["rate"]), 6),
             "focal_percent": round(100.0 * (camera.fx / other.fx - 1.0), 2),
         }
@@ -173,7 +217,8 @@ def draw(folder: Path, out: Path, path: Path) -> None:
 
     truth = pq.read_table(folder / "truth.parquet").to_pandas()
     times, true = truth["time_s"].to_numpy(), truth[["x", "y", "z"]].to_numpy()
-    found = aligned(tracks_at(out, times), true)
+    found = tracks_at(out, times)
+    found = aligned(found, true, scale=True).positions(found)
     figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 4.0), layout="constrained")
     left.plot(true[:, 0], true[:, 1], color="0.7", lw=3.0, label="RTK")
     left.plot(found[:, 0], found[:, 1], color="C0", lw=1.0, label="tracks of the calibration")
@@ -191,26 +236,35 @@ def main() -> None:
     parser.add_argument("--offset", type=float, default=0.3)
     parser.add_argument("--focal", type=float, default=0.0)
     parser.add_argument("--wrong", type=float, default=0.0)
+    parser.add_argument("--nothing", choices=("known", "unknown"), help="no guess; whether focal lengths are known")
+    parser.add_argument("--cameras", default="cam0,cam1,cam2,cam3", help="of --nothing; the first is the reference")
     parser.add_argument("--set", action="append", default=[], dest="changes")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--plot", type=Path)
     parser.add_argument("--score-only", action="store_true", help="score an earlier run in --out")
     given = parser.parse_args()
-    folder, out = data_folder(), given.out
+    folder, out, names = data_folder(), given.out, given.cameras.split(",")
+    shifts = shifts_of(names, given.seed) if given.nothing else dict.fromkeys(load_config(CONFIG).cameras, 0.0)
     if not given.score_only:
         out.parent.mkdir(parents=True, exist_ok=True)
         guess, log = out.with_name(f"{out.name}_guess.yaml"), out.with_name(f"{out.name}_log.parquet")
-        write_guess(folder, guess, given.seed, given.offset, given.focal)
-        write_log(folder, log, given.seed, given.wrong)
-        refined = load_cameras(folder / "cameras.yaml").cameras
-        ends = [refined[name].build(name).pose.center for name in ("cam0", "cam1")]
-        distance = float(np.linalg.norm(ends[0] - ends[1]))
-        loaded = load_config(CONFIG, [f"calibration.scale.distance={distance}", *given.changes], cameras_path=guess)
+        write_log(folder, log, given.seed, given.wrong, shifts if given.nothing else None)
+        if given.nothing:
+            write_nothing(folder, guess, names, given.seed, given.nothing == "known")
+            loaded = load_config(guess, given.changes)
+        else:
+            write_guess(folder, guess, given.seed, given.offset, given.focal)
+            refined = load_cameras(folder / "cameras.yaml").cameras
+            ends = [refined[name].build(name).pose.center for name in ("cam0", "cam1")]
+            distance = float(np.linalg.norm(ends[0] - ends[1]))
+            loaded = load_config(CONFIG, [f"calibration.scale.distance={distance}", *given.changes], cameras_path=guess)
         begin = time.process_time()
         report = calibrate(loaded, log, out, force=True, plots=False)
-        print(json.dumps({"status": report["status"], "processor_s": round(time.process_time() - begin, 1)}))
+        spent = round(time.process_time() - begin, 1)
+        print(json.dumps({"status": report["status"], "reason": report["reason"], "processor_s": spent}))
         print(json.dumps(report.get("selection")))
-    print(json.dumps(scores(folder, out), indent=1))
+    if (out / "cameras.yaml").exists():
+        print(json.dumps(scores(folder, out, shifts, given.nothing is not None), indent=1))
     if given.plot is not None:
         draw(folder, out, given.plot)
 

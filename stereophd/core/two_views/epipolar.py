@@ -18,6 +18,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.rotations import cross_matrices
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.two_views.track_rays import Rays, ray_poses
 
@@ -27,10 +28,8 @@ def essential_matrices(rotations_a: Array, centers_a: Array, rotations_b: Array,
 
     x_b^T E x_a = 0 for rays that meet, each in the axes of its camera.
     """
-    x, y, z = np.moveaxis(np.einsum("...ij,...j->...i", rotations_b, centers_a - centers_b), -1, 0)
-    zero = np.zeros_like(x)
-    cross = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(*x.shape, 3, 3)
-    return np.asarray(cross @ rotations_b @ np.swapaxes(rotations_a, -1, -2))
+    steps = np.einsum("...ij,...j->...i", rotations_b, centers_a - centers_b)
+    return np.asarray(cross_matrices(steps) @ rotations_b @ np.swapaxes(rotations_a, -1, -2))
 
 
 def sampson_distances(essential: Array, rays_a: Array, rays_b: Array, scales_a: Array, scales_b: Array) -> Array:

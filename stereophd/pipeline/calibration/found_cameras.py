@@ -36,10 +36,14 @@ from stereophd.pipeline.control import alignment_report
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
 
+# Frames in which objects are followed, at most; a longer log is thinned. Those of the adjustment may be fewer: it pairs
+# detections along paths of a motion model, where the search interpolates tracks.
+MOST_SEARCHED = 20_000
 # Prior deviations about what was found: so many stated ones, and at least these: rad, share of the distance, frames.
 STATED, LEAST_ROTATION, LEAST_SHARE, LEAST_FRAMES = 5.0, np.deg2rad(3.0), 0.05, 1.0
-# Prior of an unknown focal length (relative), of the rate of an unknown clock, and of a first radial coefficient.
-FOCAL_STD, RATE_STD, LENS_STD = float(np.log(1.6)), 1e-3, 0.1
+# Prior of an unknown focal length (relative) and of its principal point (in widths of the image), of the rate of an
+# unknown clock, and of a first radial coefficient.
+FOCAL_STD, PRINCIPAL_STD, RATE_STD, LENS_STD = float(np.log(1.6)), 0.01, 1e-3, 0.1
 # What determined cameras are known to at least: rad, share of the size of the rig, relative focal length, frames.
 MOST_ROTATION, MOST_SHARE, MOST_FOCAL, MOST_FRAMES = np.deg2rad(2.0), 0.05, 0.05, 1.0
 UNIT = "no length is known: the unit of length is the distance of the first two cameras that were joined"
@@ -150,7 +154,7 @@ def with_found_cameras(
         for number, (name, config) in enumerate(loaded.cameras.items())
     )
     recording = _read(loaded, cameras, log_path)
-    scans = Scans.of(recording, cameras, tracked_frames(recording, section.annealed.max_events))
+    scans = Scans.of(recording, cameras, tracked_frames(recording, MOST_SEARCHED))
     least = section.annealed.min_detections
     if section.annealed.one_camera_tracks == "image":
         tracks = image_tracks(scans, least)
@@ -261,6 +265,8 @@ def _priors(
         prior = copy.deepcopy(loaded.tree.data["calibration"].get("priors", {}).get(camera.name, {}))
         if view.focal_std > 0.0:
             prior["focal_std"] = min(view.focal_std, max(STATED * spread.focal, 0.01))
+        if loaded.cameras[camera.name].intrinsics.unknown:
+            prior.setdefault("principal_point_std_px", PRINCIPAL_STD * camera.width)
         if view.lens_is_unknown:
             prior["distortion_std"] = {"k1": LENS_STD}
         if camera.name != section.reference:

@@ -14,6 +14,7 @@ from itertools import combinations_with_replacement
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
+from stereophd.core.geometry.rotations import cross_matrices
 
 # Weighted steps of the eight-point method, and the tolerances that they fall between, in units of the slopes' noise.
 STEPS = 8
@@ -106,5 +107,4 @@ def poses_of(essential: Array) -> list[tuple[Array, Array]]:
 
 def essential_of(rotation: Array, translation: Array) -> Array:
     """Essential matrix [t]_x R (3, 3)."""
-    x, y, z = translation
-    return np.asarray(np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]]) @ rotation)
+    return np.asarray(cross_matrices(translation) @ rotation)

@@ -18,6 +18,8 @@ from stereophd.core.calibration.discovery.essential import essential_of, poses_o
 from stereophd.core.calibration.discovery.pair_search import Hypothesis, common_pieces, log_gains, total_gain
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
+from stereophd.core.geometry.rotations import cross_matrices
+from stereophd.core.numerics.rows import ArrayRows
 from stereophd.core.two_views.epipolar import nearest_depths
 
 # Gauss-Newton steps at a tolerance, at most, and squared length of a step, in deviations, after which there is none.
@@ -83,8 +85,8 @@ class PairState:
     def essential_derivatives(self) -> Array:
         """Derivatives (5, 9) of the essential matrix, row by row, by rotation and direction."""
         across = np.linalg.svd(self.direction[None])[2][1:]
-        turns = [essential_of(essential_of(self.rotation, axis), self.direction) for axis in np.eye(3)]
-        return np.reshape(turns + [essential_of(self.rotation, axis) for axis in across], (5, 9))
+        turns = essential_of(cross_matrices(np.eye(3)) @ self.rotation, self.direction)
+        return np.concatenate([turns, essential_of(self.rotation, across)]).reshape(5, 9)
 
     def times_of_second(self, times: Array) -> Array:
         """Times on the clock of b of times on the clock of a."""
@@ -180,8 +182,8 @@ class PairProblem:
                 best = fit if len(fit.depths) else best
         return best
 
-    def _rows(self, state: PairState) -> _Rows:
-        """Samples of all tracks of a, with all tracks of b at these times."""
+    def _rows(self, state: PairState) -> tuple[_Rows, Integers]:
+        """Samples of all tracks of a, with all tracks of b at these times; how many there are of each track of a."""
         raw = self.found.tracks
         a, b = (self.found.of_camera(number) for number in self.cameras)
         share = self.found.durations[a] / self.found.durations[a].sum()
@@ -196,13 +198,8 @@ class PairProblem:
         row, j = np.nonzero((times[:, None] >= begin) & (times[:, None] <= end))
         slopes, seen = raw.at(b[j], times[row])
         row, j, slopes = row[seen], j[seen], slopes[seen]
-        return _Rows(
-            entry[row], of_a[row], j, b[j], raw.pixels[entry[row]], slopes, np.bincount(of_a, minlength=len(a))
-        )
-
-    def _distances(self, state: PairState, a: Array, b: Array) -> Array:
-        """Signed distances (n,), px, of rays (n, 3) of both cameras."""
-        return self._sampson(state, a, b)[0]
+        rows = _Rows(entry[row], of_a[row], j, b[j], raw.pixels[entry[row]], slopes)
+        return rows, np.bincount(of_a, minlength=len(a))
 
     def _sampson(self, state: PairState, a: Array, b: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Signed distances (n,), px, of rays (n, 3), what they are products of: value, 1 / its deviation, lines.
@@ -219,15 +216,15 @@ class PairProblem:
 
     def _paired(self, state: PairState, tolerance: float) -> _Paired:
         """Pair tracks at a state: those that are each other's best partner."""
-        rows = self._rows(state)
+        rows, counts = self._rows(state)
         a, b = (self.found.of_camera(number) for number in self.cameras)
         shape = (len(a), len(b))
         pair = rows.i * len(b) + rows.j
         count = np.bincount(pair, minlength=len(a) * len(b)).reshape(shape)
-        squared = self._distances(state, state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)) ** 2
+        squared = self._sampson(state, state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1))[0] ** 2
         gains = log_gains(squared, tolerance)
         mean = np.bincount(pair, weights=gains, minlength=len(a) * len(b)).reshape(shape) / np.maximum(count, 1)
-        weight = common_pieces(self.found, a[:, None], b[None], count / rows.counts[:, None], count >= LEAST_SAMPLES)
+        weight = common_pieces(self.found, a[:, None], b[None], count / counts[:, None], count >= LEAST_SAMPLES)
         table = mean * weight
         chosen = (table > 0.0) & ((table == table.max(axis=1, keepdims=True)) | (table == table.max(axis=0)))
         return _Paired(
@@ -317,7 +314,7 @@ class PairProblem:
         """Choose the pose with the most points in front of both cameras, and return how well the tracks fit it."""
         rows = paired.rows
         a, b = state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)
-        distances = np.abs(self._distances(state, a, b))
+        distances = np.abs(self._sampson(state, a, b)[0])
         inlying = distances <= 3.0 * tolerance
         options = []
         for rotation, direction in poses_of(essential_of(state.rotation, state.direction)):
@@ -340,7 +337,7 @@ class PairProblem:
 
 
 @dataclass(frozen=True)
-class _Rows:
+class _Rows(ArrayRows):
     """Samples of tracks of a with tracks of b: entries (n,), tracks i and j of each camera, slopes (n, 2) of both."""
 
     entry: Integers
@@ -349,14 +346,6 @@ class _Rows:
     track_b: Integers
     slopes_a: Array
     slopes_b: Array
-    counts: Integers  # samples of each track of a
-
-    def take(self, rows: Integers) -> _Rows:
-        """Return some of the samples."""
-        return _Rows(
-            self.entry[rows], self.i[rows], self.j[rows], self.track_b[rows], self.slopes_a[rows], self.slopes_b[rows],
-            self.counts,
-        )  # fmt: skip
 
     def independent(self, distances: Array, weights: Array, least: float) -> float:
         """Return how many independent distances all of them are worth, by the correlation of successive ones."""

@@ -13,6 +13,7 @@ track little, a long curved one much.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -206,12 +207,16 @@ class PairSearch:
         rank = np.arange(len(order)) - np.searchsorted(space[order], space[order])
         return nearest_essential(essential[order[rank < SCORED]])
 
+    @cached_property
+    def _places(self) -> Integers:
+        """Places (i, s) of samples of the tracks of a."""
+        return np.stack([_spread(track) for track in self.grid.first])
+
     def _samples(self, shift: int) -> tuple[Integers, Booleans, Array]:
         """Places (i, s) of samples of the tracks of a, whether b's tracks have them (i, j, s), and how (j, i, s, 2)."""
-        places = np.stack([_spread(track) for track in self.grid.first])
-        slopes = self.grid.of_second(slice(None), places, shift)
-        here = np.isfinite(np.take_along_axis(self.grid.first[..., 0], places, axis=1))
-        return places, np.isfinite(slopes[..., 0]).transpose(1, 0, 2) & here[:, None], slopes
+        slopes = self.grid.of_second(slice(None), self._places, shift)
+        here = np.isfinite(np.take_along_axis(self.grid.first[..., 0], self._places, axis=1))
+        return self._places, np.isfinite(slopes[..., 0]).transpose(1, 0, 2) & here[:, None], slopes
 
     def scores(self, essential: Array, shift: int) -> Array:
         """Scores (h,) of essential matrices (h, 3, 3) at an offset."""

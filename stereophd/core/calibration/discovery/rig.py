@@ -168,9 +168,10 @@ class _Option:
         return self.fit.front >= LEAST_FRONT
 
     def agrees(self, other: _Option) -> bool:
-        """Whether it turns the camera and its clock as another does."""
+        """Whether it turns the camera and its clock as another does, as far as both state it."""
         turn, later = self.place.distance(other.place)
-        return turn <= OTHER_ANGLE and abs(later) <= OTHER_STEPS * max(self.step, other.step)
+        stated = float(np.sqrt(self.place.variances[0] + other.place.variances[0]))
+        return turn <= max(OTHER_ANGLE, stated) and abs(later) <= OTHER_STEPS * max(self.step, other.step)
 
     def group(self, options: Sequence[_Option]) -> dict[tuple[int, int], _Option]:
         """Return it and, of each other pair, the option of the greatest gain that agrees with it."""
