@@ -19,6 +19,10 @@ from stereophd.core.numerics.compilation.compiled import compiled
 # The size of a knock, rad, and as a part of the distance of the tracks: standard deviation of each unknown, and of what
 # a pose was off by before; and the part of it by which a pose may seem to change without a knock.
 USUAL, TOLERATED = math.radians(0.5), 0.02
+# What may change: all unknowns, or any one of them alone; precisions of each, in squares of the usual size.
+SUPPOSED = np.vstack([np.ones(6), 1e6 - (1e6 - 1.0) * np.eye(6)])
+# Information beyond the inverse of this is lost to rounding: the noise counts as that much larger.
+ROUNDING = 1e-10
 # Unknowns that a block must say something about, for its misfit to count.
 LEAST_EXPECTED = 1.0
 
@@ -147,34 +151,42 @@ def find_change(sums: Array, factor: float) -> Change | None:
         The one with the largest evidence; None where nothing is known.
     """
     diagonal = sums.sum(axis=(0, 1)).diagonal()
-    if not diagonal.all():
+    if not (diagonal.all() and np.isfinite(sums).all()):
         return None
     far = math.sqrt(diagonal[:2].sum() / diagonal[3:5].sum())
     unit, one = USUAL * np.array([1.0, 1.0, 1.0, far, far, far]), np.eye(6)
     information = sums[..., :6] * (unit[:, None] * unit)
     information = information + np.swapaxes(np.tril(information, -1), -1, -2)
     gradient = sums[..., 6:] * unit[:, None]
+    factor = max(factor, ROUNDING * information.sum(axis=(0, 1)).max())
     # what the pose was off by before each of the times at which it may have changed, the latest first
     halves = information[:0:-1].cumsum(axis=0) / factor, gradient[:0:-1].cumsum(axis=0) / factor
     late, pull = halves[0].sum(axis=1), halves[1].sum(axis=1)
     known = np.linalg.inv(information.sum(axis=(0, 1)) / factor - late + one)
     offset = known @ (gradient.sum(axis=(0, 1)) / factor - pull)
     known = known + TOLERATED**2 * one
-    weight = np.linalg.inv(one + late @ known)
-    precision, rest = one + weight @ late, weight @ (pull - late @ offset)
-    change = np.linalg.solve(precision, rest)
-    evidence = 0.5 * ((rest * change).sum(axis=(1, 2)) - np.log(np.linalg.det(precision)))
+    # in axes in which what is known before is the identity: rounding makes no information negative
+    root = np.linalg.cholesky(known)
+    values, vectors = np.linalg.eigh(np.swapaxes(root, -1, -2) @ late @ root)
+    values, turned = np.maximum(values, 0.0)[..., None], np.swapaxes(vectors, -1, -2)
+    back = turned @ np.linalg.inv(root)
+    found = np.swapaxes(back, -1, -2) @ (values / (1.0 + values) * back)
+    rest = np.swapaxes(back, -1, -2) @ (turned @ np.swapaxes(root, -1, -2) @ (pull - late @ offset) / (1.0 + values))
+    precision = SUPPOSED[:, None, :, None] * one + found
+    change = np.linalg.solve(precision, np.broadcast_to(rest, (len(SUPPOSED), *rest.shape)))
+    lost = np.log(np.linalg.det(precision)) - np.log(SUPPOSED.prod(axis=1))[:, None]
+    evidence = 0.5 * ((rest * change).sum(axis=(2, 3)) - lost)
     # neither half of the tracks speaks more than twice as loud as the other
-    offset, moved = offset[:, None], change[:, None]
-    each = (moved * (halves[1] - halves[0] @ (offset + 0.5 * moved))).sum(axis=(2, 3))
-    evidence = np.minimum(evidence, 3.0 * each.min(axis=1))
-    best = int(evidence.argmax())
+    moved, before = change[:, :, None], offset[:, None]
+    each = (moved * (halves[1] - halves[0] @ (before + 0.5 * moved))).sum(axis=(3, 4))
+    evidence = np.minimum(evidence, 3.0 * each.min(axis=2)) - math.log(len(SUPPOSED))
+    which, best = np.unravel_index(int(evidence.argmax()), evidence.shape)
     first, excess = information[1].sum(axis=0), gradient[1].sum(axis=0)
-    excess = excess - first @ offset[-1, 0]
+    excess = excess - first @ offset[-1]
     # what a block says little about is left out: the pose may be off by `USUAL` there
     spread = first + first @ known[-1] @ first / factor
     inverse = np.linalg.inv(spread + one)
     expected = float((inverse * spread).sum())
     misfit = float(excess[:, 0] @ inverse @ excess[:, 0]) / expected if expected > LEAST_EXPECTED else None
-    turns, moves = USUAL * change[best, :, 0].reshape(2, 3)
-    return Change(float(evidence[best]), best + 1, turns, moves, misfit)
+    turns, moves = USUAL * change[which, best, :, 0].reshape(2, 3)
+    return Change(float(evidence[which, best]), int(best) + 1, turns, moves, misfit)

@@ -151,7 +151,7 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
             responses.values, event.time_s - responses.time_s,
         ),
         (camera.pose.rotation, camera.pose.center), pixels, event.camera, (event.points, event.covariances),
-        (TAKEN * known.spread, known.spread * known.coherence), responses.blocks[-1],
+        (TAKEN * known.spread, known.spread), responses.blocks[-1],
     )  # fmt: skip
     responses = replace(responses, time_s=event.time_s, values=values, blocks=(*responses.blocks[:-1], sums_of_block))
     test = replace(test, responses=responses)
