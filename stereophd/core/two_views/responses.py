@@ -28,7 +28,7 @@ LEAST_EXPECTED = 1.0
 
 
 @dataclass(frozen=True)
-class Change:
+class PoseChange:
     """A change of a camera's pose."""
 
     # Logarithm of the Bayes factor for it: without a change it exceeds c with a probability of at most exp(-c)
@@ -134,7 +134,7 @@ def add_residual(sums: Array, slope: Array, residual: tuple[float, float], covar
             sums[k, i, 6] += along_u * residual[0] + along_v * residual[1]
 
 
-def find_change(sums: Array, factor: float) -> Change | None:
+def find_change(sums: Array, factor: float) -> PoseChange | None:
     """Find a change of a camera's pose in the last one, two, ... blocks, against all before.
 
     Parameters
@@ -147,7 +147,7 @@ def find_change(sums: Array, factor: float) -> Change | None:
 
     Returns
     -------
-    Change or None
+    PoseChange or None
         The one with the largest evidence; None where nothing is known.
     """
     diagonal = sums.sum(axis=(0, 1)).diagonal()
@@ -189,4 +189,4 @@ def find_change(sums: Array, factor: float) -> Change | None:
     expected = float((inverse * spread).sum())
     misfit = float(excess[:, 0] @ inverse @ excess[:, 0]) / expected if expected > LEAST_EXPECTED else None
     turns, moves = USUAL * change[which, best, :, 0].reshape(2, 3)
-    return Change(float(evidence[which, best]), int(best) + 1, turns, moves, misfit)
+    return PoseChange(float(evidence[which, best]), int(best) + 1, turns, moves, misfit)

@@ -31,7 +31,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.core.two_views.responses import Change, find_change
+from stereophd.core.two_views.responses import PoseChange, find_change
 from stereophd.core.two_views.turns import all_turns, frame_ratios, look_at_frame, turn_ratios
 
 # Mean time between two false alarms, s, if the model holds: ten days.
@@ -235,7 +235,7 @@ def _responses_at(known: Responses | None, track_ids: Integers, cameras: int, ti
     return replace(known, all_ids=track_ids, track_ids=ids, rows=rows, since_s=since_s, values=values)
 
 
-def _change(responses: Responses, camera: int, known: CameraLooks) -> Change | None:
+def _change(responses: Responses, camera: int, known: CameraLooks) -> PoseChange | None:
     """Return the clearest change of a camera's pose within the blocks that have ended."""
     return find_change(np.stack(responses.blocks[:-1])[:, :, camera], max(known.scatter, 1.0))
 
