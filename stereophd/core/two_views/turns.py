@@ -8,13 +8,14 @@ from functools import cache
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Booleans
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.numerics.compilation.compiled import compiled
+from stereophd.core.two_views.responses import add_residual, follow_detection, predict_track, square_of
 
 # Sizes of the turns (rad), how many sides each is to, and the standard deviation that a turn lends to each point, as a
 # part of its size: the family has no gaps.
-SMALLEST, LARGEST, RATIO, SIDES = math.radians(0.15), math.radians(12.0), 1.35, 16
+SMALLEST, LARGEST, RATIO, SIDES = math.radians(0.25), math.radians(12.0), 1.35, 16
 SPREAD = 0.2
 # The same of turns about the axis and of moves along it, whose size counts at one focal length from the middle.
 SPREAD_ABOUT = 0.02
@@ -56,97 +57,110 @@ def prepare_turns() -> None:
     )
     frame_ratios(ratios, 0.0)
     tracks = np.empty((0, 6)), np.empty((0, 6, 6)), np.empty(0, dtype=np.bool_), 0.0
+    followed = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_), np.empty((0, 6, 6)), 0.0
     pose, detections = Pose(np.eye(3), np.zeros(3)), (none, np.empty((0, 2, 2)))
     # the arrays of a pose are read-only: those of others would load another form of the kernel
-    nearest_detections(tracks, (pose.rotation, pose.center), (1.0, 1.0, 0.0, 0.0), detections, (0, 0), 1.0)
+    look_at_frame(
+        tracks, followed, (pose.rotation, pose.center), (1.0, 1.0, 0.0, 0.0), 0, detections, (1.0, 1.0),
+        np.zeros((2, 1, 6, 7)),
+    )  # fmt: skip
 
 
 @compiled
-def nearest_detections(
-    tracks: tuple[Array, Array, Booleans, float], pose: tuple[Array, Array], camera: tuple[float, float, float, float],
-    detections: tuple[Array, Array], most: tuple[int, int], limit: float,
-) -> tuple[Array, Array, Array, Booleans, Array]:  # fmt: skip
-    """Return tracks predicted into an image, the most certain first, and what detections are about them.
+def look_at_frame(
+    tracks: tuple[Array, Array, Booleans, float], followed: tuple[Integers, Booleans, Array, float],
+    pose: tuple[Array, Array], camera: tuple[float, float, float, float], index: int,
+    detections: tuple[Array, Array], noise: tuple[float, float], sums: Array,
+) -> tuple[Array, Array, Array, Booleans, Array, Array, Array]:  # fmt: skip
+    """Return tracks predicted into an image, what detections are about them, and what these say about the poses.
 
     Parameters
     ----------
     tracks : tuple
-        States (n, 6), covariances (n, 6, 6), which of them are wanted (n,), and the time since then, s.
+        States (n, 6), covariances (n, 6, 6), which of them are in view (n,), and the time since then, s.
+    followed : tuple
+        Rows of the tracks that are looked at (t,), -1 for none; which of those count (t,), their responses (t, 6, 6 c)
+        to the poses of all c cameras, and the time since these, s.
     pose : tuple of arrays
         Rotation (3, 3) and centre (3,).
     camera : tuple
         fx, fy, cx, cy, px.
+    index : int
+        Number of the camera.
     detections : tuple of arrays
         Undistorted pixels (m, 2) and their covariances (m, 2, 2), px^2.
-    most : tuple
-        How many tracks count, and how many of those are wanted at most.
-    limit : float
-        Squared residual, in variances, within which a detection is a track's.
+    noise : tuple
+        Squared residual, in variances, within which a detection is a track's, and the factor of the variances of sums.
+    sums : array (2, c, 6, 7)
+        Information about the pose of each camera, and gradient, from every other one of the tracks looked at.
 
     Returns
     -------
-    pixels, covariances : array (c, 2), (c, 2, 2)
-        Of the wanted tracks, and of a detection about them.
-    squares : array (c,)
+    pixels, covariances : array (k, 2), (k, 2, 2)
+        Of the tracks looked at that count and are in view, and of a detection about them.
+    squares : array (k,)
         Squared residuals of their nearest detections, in variances.
     free : array (m,)
         Which detections belong to no other track.
     mean : array (2,)
         Sum of those residuals that are within the limit, in its standard deviations; NaN without any.
+    responses, sums : array (t, 6, 6 c), (2, c, 6, 7)
+        After the frame.
     """
-    states, covariances, wanted, since_s = tracks
-    rotation, center = pose
-    fx, fy, cx, cy = camera
+    states, covariances, in_view, since_s = tracks
+    rows, counting, responses, passed_s = followed
     points, noises = detections
-    noise = np.zeros((2, 2))
+    limit, factor = noise
+    average = np.zeros((2, 2))
     for j in range(len(points)):
-        noise += noises[j] / len(points)
-    pixels, spreads, traces = np.empty((len(states), 2)), np.empty((len(states), 2, 2)), np.empty(len(states))
-    x, seen = np.empty(3), np.empty((2, 3))
+        average += noises[j] / len(points)
+    responses, sums = responses.copy(), sums.copy()
+    responses[:, :3] += passed_s * responses[:, 3:]
+    place_of = np.full(len(states), -1)
+    for i in range(len(rows)):
+        if rows[i] >= 0:
+            place_of[rows[i]] = i
+    # of the tracks that are looked at, and of one of the others
+    places, pixels, seen = np.empty((len(rows) + 1, 3)), np.empty((len(rows) + 1, 2)), np.empty((len(rows) + 1, 2, 3))
+    shared, spreads = np.empty((len(rows) + 1, 2, 6)), np.empty((len(rows) + 1, 2, 2))
+    squares, nearest = np.full(len(rows), np.inf), np.full(len(rows), -1)
+    owners, free = np.zeros(len(points), dtype=np.int64), np.ones(len(points), dtype=np.bool_)
     for k in range(len(states)):
-        for a in range(3):
-            x[a] = 0.0
-            for b in range(3):
-                x[a] += rotation[a, b] * (states[k, b] + since_s * states[k, b + 3] - center[b])
-        pixels[k] = fx * x[0] / x[2] + cx, fy * x[1] / x[2] + cy
-        for b in range(3):
-            seen[0, b] = fx / x[2] * (rotation[0, b] - x[0] / x[2] * rotation[2, b])
-            seen[1, b] = fy / x[2] * (rotation[1, b] - x[1] / x[2] * rotation[2, b])
-        spreads[k] = 0.0
-        for a in range(3):
-            for b in range(3):
-                moved = covariances[k, a, b] + since_s * (
-                    covariances[k, a, b + 3] + covariances[k, a + 3, b] + since_s * covariances[k, a + 3, b + 3]
-                )
-                for r in range(2):
-                    for s in range(2):
-                        spreads[k, r, s] += seen[r, a] * moved * seen[s, b]
-        traces[k] = spreads[k, 0, 0] + spreads[k, 1, 1]
-    order = np.argsort(traces, kind="mergesort")[: most[0]]
-    chosen, free = order[wanted[order]][: most[1]], np.ones(len(points), dtype=np.bool_)
-    residuals, squares = np.empty((len(chosen), 2)), np.full(len(chosen), np.inf)
-    total, variance, count = np.zeros(2), np.zeros((2, 2)), 0
-    for k in order:
-        spreads[k] += noise
-        a, b, c = spreads[k, 0, 0], spreads[k, 0, 1], spreads[k, 1, 1]
-        place = np.flatnonzero(chosen == k)
+        if not in_view[k]:
+            continue
+        i = place_of[k]
+        predict_track(
+            states[k], covariances[k], since_s, pose, camera, (places[i], pixels[i], seen[i], shared[i], spreads[i])
+        )
+        spreads[i] += average
         for j in range(len(points)):
-            u, v = points[j, 0] - pixels[k, 0], points[j, 1] - pixels[k, 1]
-            square = (c * u * u - 2.0 * b * u * v + a * v * v) / (a * c - b * b)
-            if not len(place):
+            square = square_of(points[j, 0] - pixels[i, 0], points[j, 1] - pixels[i, 1], spreads[i])
+            owners[j] += square < limit
+            if i < 0:
                 free[j] &= square >= limit
-            elif square < squares[place[0]]:
-                squares[place[0]], residuals[place[0]] = square, (u, v)
-        if len(place) and squares[place[0]] < limit:
-            total += residuals[place[0]]
-            variance += spreads[k]
+            elif square < squares[i]:
+                squares[i], nearest[i] = square, j
+    total, variance, count = np.zeros(2), np.zeros((2, 2)), 0
+    for i in range(len(rows)):
+        if squares[i] >= limit:
+            continue
+        j = nearest[i]
+        u, v = points[j, 0] - pixels[i, 0], points[j, 1] - pixels[i, 1]
+        if counting[i]:
+            total += np.array([u, v])
+            variance += spreads[i]
             count += 1
+        if owners[j] == 1:
+            slope = follow_detection(responses[i], (places[i], seen[i], shared[i], spreads[i]), camera[:2], index)
+            if counting[i]:
+                add_residual(sums[i % 2], slope, (u, v), spreads[i], factor)
     mean = np.full(2, np.nan)
     if count:
         mean[0] = total[0] / math.sqrt(variance[0, 0])
         rest = variance[1, 1] - variance[0, 1] ** 2 / variance[0, 0]
         mean[1] = (total[1] - variance[0, 1] / variance[0, 0] * total[0]) / math.sqrt(rest)
-    return pixels[chosen], spreads[chosen], squares, free, mean
+    kept = np.array([i for i in range(len(rows)) if rows[i] >= 0 and counting[i] and in_view[rows[i]]], dtype=np.int64)
+    return pixels[kept], spreads[kept], squares[kept], free, mean, responses, sums
 
 
 @compiled

@@ -1,18 +1,23 @@
-"""Whether a camera has been knocked: a sequential test of its detections against what the tracks predict for it.
+"""Whether a camera has been knocked: two sequential tests of its detections against what the tracks predict for it.
 
-At a look, the confirmed tracks are predicted into the image. For each track and each of a set of *turns* of the camera
-(to any side by 0.15 to 12 degrees, about its axis, or nearer), the likelihood of the frame is compared with that
-without a turn. A detection is any one of the track's neighbours, or false, or missed: nothing is gated, so a turn of a
-hundred standard deviations is as visible as one of three. The log-likelihood ratios of the tracks add up to one of the
-frame, and those of the frames to a CUSUM for each turn, which never falls below 0. Without a knock a CUSUM exceeds c
-with a probability of at most exp(-c) (Wald). A camera is knocked when one is beyond the value that is exceeded once in
-`FALSE_ALARM_S` by chance, over all looks, turns and cameras. In a frame a track speaks for a turn at most twice
-as loud as all others together, and half of the tracks, two at least, must speak for it: a wrong track is no knock.
+**Turns** show at once, and by however much. At a look, the confirmed tracks are predicted into the image. For each
+track and each of a set of turns of the camera (to any side by 0.25 to 12 degrees, about its axis, or nearer), the
+likelihood of the frame is compared with that without a turn. A detection is any one of the track's neighbours, or
+false, or missed: nothing is gated, so a turn of a hundred standard deviations is as visible as one of three. The
+log-likelihood ratios of the tracks add up to one of the frame, and those of the frames to a CUSUM for each turn, which
+never falls below 0. Without a knock a CUSUM exceeds c with a probability of at most exp(-c) (Wald). A camera is knocked
+when one is beyond the value that is exceeded once in `FALSE_ALARM_S` by chance, over all looks, turns and cameras. In a
+frame a track speaks for a turn at most twice as loud as all others together, and half of the tracks, two at least, must
+speak for it: a wrong track is no knock. Tracks soon follow a small turn; from then on this test says nothing.
+
+**Changes of a pose** that tracks follow show in the residuals of all cameras, a little in each. The test knows how far
+each track has followed each camera (`stereophd.core.two_views.responses`), and compares the poses of the last seconds,
+all six unknowns of each, with what they were off by before.
 
 A small steady misfit of lens, pose or motion is no knock either: the spread of the residuals, which follows
 their tail, widens all likelihoods. Objects that move as one, such as the corners of a board, may be off
 together, and stay so while they brake: the ratios are divided by the factor by which the running mean of the residuals
-spreads more than that of independent ones.
+spreads more than that of independent ones. What poses seem to change by all the time divides the evidence as well.
 """
 
 import math
@@ -22,18 +27,24 @@ from statistics import median
 
 import numpy as np
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.core.two_views.turns import all_turns, frame_ratios, nearest_detections, turn_ratios
+from stereophd.core.two_views.responses import PoseChange, find_change
+from stereophd.core.two_views.turns import all_turns, frame_ratios, look_at_frame, turn_ratios
 
 # Mean time between two false alarms, s, if the model holds: ten days.
 FALSE_ALARM_S = 864_000.0
-# Most looks a second at all cameras; tracks of a look, the most certain ones; the fewest that must agree.
-MOST_LOOKS, MOST_TRACKS, FEWEST_TRACKS = 80.0, 10, 2.0
-# Pairs of a track and a detection of a look: in a crowd fewer tracks are predicted.
+# Most looks a second at all cameras; tracks that are looked at, chosen as if at random, by their numbers' multiples of
+# the golden ratio; the fewest that must agree.
+MOST_LOOKS, MOST_TRACKS, FEWEST_TRACKS = 80.0, 12, 2.0
+GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+# Pairs of a track and a detection of a look: in a crowd fewer of the other tracks are predicted.
 MOST_PAIRS = 20_000
+# Residuals are summed over blocks of so long, s; a change is looked for in the last one, two, ... so many of them,
+# against all before, whose sums shrink by a factor of e in so many blocks.
+BLOCK_S, BLOCKS, REMEMBERED = 1.0, 5, 20
 # Age from which a track counts, s: a new one may be wrong.
 LEAST_AGE_S = 1.0
 # After so long without a look the sums begin anew, s.
@@ -41,12 +52,12 @@ FORGET_S = 5.0
 # Part of the threshold from which a camera may be the one that was knocked, if another is beyond it.
 SUSPICIOUS = 0.4
 # So long after a knock tracks have followed the camera, if it moved their images by less than so many deviations of the
-# noise: then any other camera may be the one.
+# noise: then a turn is as well that of any other camera.
 CLEAR_S, FOLLOWED = 0.2, 10.0
 # Part of the tracks that must agree, if it is more than the fewest.
 AGREEING = 0.5
 # A frame whose median squared residual is below this, in variances, is passed over while no CUSUM is above 0.
-CALM = 2.0
+CALM = 3.0
 # Part of the running mean of residuals that stays from look to look.
 LASTING = 0.925
 # Squared residual, in variances, within which a detection belongs to a track, and beyond which it is surely another's.
@@ -73,15 +84,6 @@ class Knock:
 
 
 @dataclass(frozen=True)
-class SuspectedTurn:
-    """A sum of CUSUMs that is large, but may still be chance."""
-
-    first_s: float  # When it was first as large
-    since_s: float  # When it began to grow
-    turn: int
-
-
-@dataclass(frozen=True)
 class CameraLooks:
     """What is known of one camera."""
 
@@ -93,7 +95,24 @@ class CameraLooks:
     coherence: float = 1.0  # Factor of the variance of that mean
     sums: Array | None = None  # CUSUM of each turn (h,); None: all are 0
     since_s: Array | None = None  # Since when each is above 0, s
-    suspicion: SuspectedTurn | None = None
+    # Mean squared misfit of a block to those before, in what the model expects, and of how many blocks it is
+    scatter: float = 1.0
+    blocks: int = 0
+
+
+@dataclass(frozen=True)
+class Responses:
+    """How far tracks have followed the cameras, and what their residuals say about the poses."""
+
+    time_s: float  # Of the last look
+    all_ids: Integers  # Of all tracks
+    track_ids: Integers  # (t,): Tracks that are looked at, -1 for none
+    rows: Integers  # (t,): Their rows among all
+    since_s: Array  # (t,): Since when
+    values: Array  # (t, 6, 6 c): Derivatives of their states with respect to the poses of all c cameras
+    began_s: float  # When the last block began
+    # Sums (2, c, 6, 7) of each block: the first is of all before the others, the last one goes on
+    blocks: tuple[Array, ...]
 
 
 @dataclass(frozen=True)
@@ -101,7 +120,7 @@ class KnockTest:
     """State of the test; it is replaced, never changed. After the first knock nothing is tested."""
 
     cameras: dict[str, CameraLooks] = field(default_factory=dict)
-    born_s: dict[int, float] = field(default_factory=dict)  # Track -> time at which it was first seen here
+    responses: Responses | None = None
     is_over: bool = False
 
 
@@ -116,19 +135,35 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
         return test, None
     camera = cameras[event.camera].at(event.time_s)
     elapsed_s = event.time_s - since_s
-    seen = np.flatnonzero(camera.in_view(before.states[:, :3] + elapsed_s * before.states[:, 3:]))
-    if not len(seen):
+    in_view = camera.in_view(before.states[:, :3] + elapsed_s * before.states[:, 3:])
+    if not in_view.any():
         return test, None
-    born_s = {track: test.born_s.get(track, event.time_s) for track in before.track_ids.tolist()}
-    test = replace(test, born_s=born_s)
-    is_old = np.array([born_s[track] <= event.time_s - LEAST_AGE_S for track in before.track_ids[seen].tolist()])
+    responses = _responses_at(test.responses, before.track_ids, len(cameras), event.time_s)
+    predicted = max(MOST_PAIRS // len(event.points), MOST_TRACKS)
+    if predicted < len(in_view):
+        in_view[predicted:] &= np.isin(before.track_ids[predicted:], responses.track_ids)
     pixels = camera.fx, camera.fy, camera.cx, camera.cy
     # what belongs to a track that is not looked at speaks for no turn of the others
-    points, noise, nearest, is_free, alone = nearest_detections(
-        (before.states[seen], before.covariances[seen], is_old, elapsed_s), (camera.pose.rotation, camera.pose.center),
-        pixels, (event.points, event.covariances),
-        (max(MOST_TRACKS, MOST_PAIRS // len(event.points)), MOST_TRACKS), TAKEN * known.spread,
+    points, noise, nearest, is_free, alone, values, sums_of_block = look_at_frame(
+        (before.states, before.covariances, in_view, elapsed_s),
+        (
+            responses.rows, responses.since_s <= event.time_s - LEAST_AGE_S,
+            responses.values, event.time_s - responses.time_s,
+        ),
+        (camera.pose.rotation, camera.pose.center), pixels, event.camera, (event.points, event.covariances),
+        (TAKEN * known.spread, known.spread), responses.blocks[-1],
     )  # fmt: skip
+    responses = replace(responses, time_s=event.time_s, values=values, blocks=(*responses.blocks[:-1], sums_of_block))
+    test = replace(test, responses=responses)
+    if known.looked_s < responses.began_s and len(responses.blocks) > BLOCKS + 1:
+        change = _change(responses, event.camera, known)
+        if change is not None:
+            if known.blocks > BLOCKS and change.evidence > _least_evidence(len(cameras)):
+                return KnockTest(is_over=True), _changed(test, responses, cameras, event.time_s)
+            if change.misfit is not None:
+                blocks = known.blocks + 1
+                scatter = known.scatter + (change.misfit - known.scatter) / min(blocks, REMEMBERED)
+                known = replace(known, scatter=scatter, blocks=blocks)
     squares: list[float] = nearest.tolist()
     if not squares:
         return replace(test, cameras={**test.cameras, name: replace(known, looked_s=event.time_s)}), None
@@ -149,24 +184,76 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
         lasting = alone if lasting is None else LASTING * lasting + math.sqrt(1.0 - LASTING**2) * alone
         together = [float(lasting @ lasting)]
     coherence = _followed(known.coherence, together, MEDIAN, known.looks)
-    ratio, suspicion = _suspicion(sums, rising_s, _threshold(), event.time_s, known.suspicion)
-    looks = CameraLooks(event.time_s, known.looks + 1, spread, lasting, coherence, sums, rising_s, suspicion)
+    looks = CameraLooks(
+        event.time_s, known.looks + 1, spread, lasting, coherence, sums, rising_s, known.scatter, known.blocks
+    )
     test = replace(test, cameras={**test.cameras, name: looks})
-    return (test, None) if ratio < 1.0 else (KnockTest(is_over=True), _knock(test, cameras, event.time_s))
+    knock = _turned(test, cameras, event.camera, event.time_s)
+    return (test, None) if knock is None else (KnockTest(is_over=True), knock)
 
 
-def _knock(test: KnockTest, cameras: tuple[Camera, ...], time_s: float) -> Knock:
-    """Return which camera was knocked: the tracks follow it, and then others seem to be; it was the first."""
-    suspects = [(c, test.cameras[c.name].suspicion) for c in cameras if c.name in test.cameras]
-    (camera, first), *others = sorted(((c, s) for c, s in suspects if s is not None), key=lambda each: each[1].first_s)
-    u, v = (all_turns().shifts[first.turn] * (camera.fx, camera.fy)).tolist()
-    size = all_turns().size(first.turn)
-    noise_px = max(camera.detector.sigma) * math.sqrt(test.cameras[camera.name].spread)
-    if time_s > first.since_s + CLEAR_S and size * camera.fx < FOLLOWED * noise_px:
-        names = tuple(c.name for c, _ in suspects if c is not camera)
-    else:
-        names = tuple(c.name for c, _ in others)
-    return Knock(camera.name, time_s, first.since_s, math.degrees(size), (u, v), names)
+def _turned(test: KnockTest, cameras: tuple[Camera, ...], index: int, time_s: float) -> Knock | None:
+    """Return the knock if a camera has turned, unless tracks would by now have followed such a turn."""
+    camera = cameras[index]
+    known = test.cameras[camera.name]
+    if known.sums is None or known.since_s is None or known.sums.max() < _threshold():
+        return None
+    turn = int(known.sums.argmax())
+    since_s, size = float(known.since_s[turn]), all_turns().size(turn)
+    is_small = size * camera.fx < FOLLOWED * max(camera.detector.sigma) * math.sqrt(known.spread)
+    if is_small and time_s > since_s + CLEAR_S:
+        return None
+    u, v = (all_turns().shifts[turn] * (camera.fx, camera.fy)).tolist()
+    largest = {name: each.sums.max() for name, each in test.cameras.items() if each.sums is not None}
+    others = tuple(
+        each.name for each in cameras if each is not camera and largest.get(each.name, 0.0) > SUSPICIOUS * _threshold()
+    )
+    return Knock(camera.name, time_s, since_s, math.degrees(size), (u, v), others)
+
+
+def _responses_at(known: Responses | None, track_ids: Integers, cameras: int, time_s: float) -> Responses:
+    """Return responses with the tracks there are, in the block of a time."""
+    if known is None:
+        nothing, nobody = np.zeros((2, cameras, 6, 7)), np.full(MOST_TRACKS, -1)
+        values = np.zeros((MOST_TRACKS, 6, 6 * cameras))
+        known = Responses(time_s, nobody, nobody, nobody, np.full(MOST_TRACKS, time_s), values, time_s, (nothing,))
+    if time_s >= known.began_s + BLOCK_S:
+        blocks = known.blocks
+        if len(blocks) > BLOCKS + 1:
+            blocks = (math.exp(-1.0 / REMEMBERED) * blocks[0] + blocks[1], *blocks[2:])
+        known = replace(known, began_s=time_s, blocks=(*blocks, np.zeros_like(blocks[0])))
+    if np.array_equal(track_ids, known.all_ids):
+        return known
+    # the places of tracks that go are those of tracks that come
+    chosen = np.sort(track_ids[np.argsort(track_ids * GOLDEN % 1.0)[:MOST_TRACKS]])
+    stay, come = np.isin(known.track_ids, chosen), np.setdiff1d(chosen, known.track_ids)
+    places = np.flatnonzero(~stay)[: len(come)]
+    ids, since_s, values = np.where(stay, known.track_ids, -1), known.since_s.copy(), known.values.copy()
+    ids[places], since_s[places], values[places] = come, time_s, 0.0
+    row_of = {track: row for row, track in enumerate(track_ids.tolist())}
+    rows = np.array([row_of.get(track, -1) for track in ids.tolist()])
+    return replace(known, all_ids=track_ids, track_ids=ids, rows=rows, since_s=since_s, values=values)
+
+
+def _change(responses: Responses, camera: int, known: CameraLooks) -> PoseChange | None:
+    """Return the clearest change of a camera's pose within the blocks that have ended."""
+    return find_change(np.stack(responses.blocks[:-1])[:, :, camera], max(known.scatter, 1.0))
+
+
+def _changed(test: KnockTest, responses: Responses, cameras: tuple[Camera, ...], time_s: float) -> Knock:
+    """Return the camera whose pose has changed most clearly, and those for which the evidence is not much less."""
+    changes = [
+        (camera, change)
+        for index, camera in enumerate(cameras)
+        if camera.name in test.cameras and (change := _change(responses, index, test.cameras[camera.name])) is not None
+    ]
+    (camera, first), *others = sorted(changes, key=lambda each: -each[1].evidence)
+    names = tuple(c.name for c, change in others if change.evidence > SUSPICIOUS * first.evidence)
+    side = np.array([first.turns[1] - first.moves[0], -first.turns[0] - first.moves[1]])
+    size = max(float(np.hypot(*side)), abs(first.turns[2]), abs(first.moves[2]))
+    u, v = (side * (camera.fx, camera.fy)).tolist()
+    since_s = responses.began_s - BLOCK_S * first.blocks
+    return Knock(camera.name, time_s, since_s, math.degrees(size), (u, v), names)
 
 
 def _followed(factor: float, squares: list[float], quantile: tuple[float, float, float], looks: int) -> float:
@@ -190,20 +277,12 @@ def _added(
     return after, np.where(before > 0.0, time_s if since_s is None else since_s, time_s)
 
 
-def _suspicion(
-    sums: Array | None, since_s: Array | None, threshold: float, time_s: float, before: SuspectedTurn | None
-) -> tuple[float, SuspectedTurn | None]:
-    """Return how far the largest CUSUM has come, in thresholds, and whether the camera is suspected."""
-    if sums is None or since_s is None:
-        return 0.0, before if before is not None and time_s < before.first_s + FORGET_S else None
-    turn = int(sums.argmax())
-    ratio = float(sums[turn]) / threshold
-    if ratio < SUSPICIOUS:
-        return ratio, before if ratio > 0.5 * SUSPICIOUS else None
-    return ratio, SuspectedTurn(time_s if before is None else before.first_s, float(since_s[turn]), turn)
-
-
 @cache
 def _threshold() -> float:
     """CUSUM that is exceeded once in `FALSE_ALARM_S` by chance."""
     return math.log(len(all_turns().spread) * FALSE_ALARM_S * MOST_LOOKS)
+
+
+def _least_evidence(cameras: int) -> float:
+    """Evidence for a change of one of so many poses that is exceeded once in `FALSE_ALARM_S` by chance."""
+    return math.log(cameras * BLOCKS * FALSE_ALARM_S / BLOCK_S)

@@ -1,0 +1,192 @@
+"""How tracks follow cameras that are not where they should be, and what residuals say about the cameras' poses.
+
+The response of a track is the derivative of its state with respect to the pose of each camera: three turns, rad, and
+three moves, both along the camera's axes. A detection moves the response by the gain of the filter, as it moves the
+state. Residuals of a filter are independent, so the information that they hold about the poses adds up (Willsky and
+Jones 1976).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from stereophd.core.arrays import Array
+from stereophd.core.numerics.compilation.compiled import compiled
+
+# The size of a knock, rad, and as a part of the distance of the tracks: standard deviation of each unknown, and of what
+# a pose was off by before; and the part of it by which a pose may seem to change without a knock.
+USUAL, TOLERATED = math.radians(0.5), 0.02
+# What may change: all unknowns, or any one of them alone; precisions of each, in squares of the usual size.
+SUPPOSED = np.vstack([np.ones(6), 1e6 - (1e6 - 1.0) * np.eye(6)])
+# Information beyond the inverse of this is lost to rounding: the noise counts as that much larger.
+ROUNDING = 1e-10
+# Unknowns that a block must say something about, for its misfit to count.
+LEAST_EXPECTED = 1.0
+
+
+@dataclass(frozen=True)
+class PoseChange:
+    """A change of a camera's pose."""
+
+    # Logarithm of the Bayes factor for it: without a change it exceeds c with a probability of at most exp(-c)
+    evidence: float
+    blocks: int  # In how many of the last blocks it shows
+    turns: Array  # (3,): About the camera's axes, rad
+    moves: Array  # (3,): Along them, in distances of the tracks
+    # Squared misfit of the first block to those before it, in what the model expects; None where that says little
+    misfit: float | None
+
+
+@compiled
+def predict_track(
+    state: Array, covariance: Array, since_s: float, pose: tuple[Array, Array],
+    camera: tuple[float, float, float, float], out: tuple[Array, Array, Array, Array, Array],
+) -> None:  # fmt: skip
+    """Predict a track into an image.
+
+    Into `out`: its place along the camera's axes (3,), its pixel (2,), the derivative of that with respect to the
+    position (2, 3), its covariance with the state (2, 6), and its covariance (2, 2).
+    """
+    rotation, center = pose
+    fx, fy, cx, cy = camera
+    place, pixel, seen, shared, spread = out
+    for a in range(3):
+        place[a] = 0.0
+        for b in range(3):
+            place[a] += rotation[a, b] * (state[b] + since_s * state[b + 3] - center[b])
+    pixel[0], pixel[1] = fx * place[0] / place[2] + cx, fy * place[1] / place[2] + cy
+    for b in range(3):
+        seen[0, b] = fx / place[2] * (rotation[0, b] - place[0] / place[2] * rotation[2, b])
+        seen[1, b] = fy / place[2] * (rotation[1, b] - place[1] / place[2] * rotation[2, b])
+    for r in range(2):
+        for b in range(6):
+            shared[r, b] = 0.0
+            for a in range(3):
+                shared[r, b] += seen[r, a] * (covariance[a, b] + since_s * covariance[a + 3, b])
+        for b in range(3):
+            shared[r, b] += since_s * shared[r, b + 3]
+    for r in range(2):
+        for s in range(2):
+            spread[r, s] = 0.0
+            for a in range(3):
+                spread[r, s] += shared[r, a] * seen[s, a]
+
+
+@compiled
+def square_of(u: float, v: float, covariance: Array) -> float:
+    """Return the squared length of a residual (u, v), in the variances of a covariance (2, 2)."""
+    a, b, c = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    return float((c * u * u - 2.0 * b * u * v + a * v * v) / (a * c - b * b))
+
+
+@compiled
+def follow_detection(
+    response: Array, predicted: tuple[Array, Array, Array, Array], camera: tuple[float, float], index: int
+) -> Array:
+    """Move the response (6, 6 c) of a track by a detection of the camera with an index.
+
+    `predicted` is the track's place, the derivative of its pixel, the covariance of that with the state, and that of
+    the detection, as `predict_track` writes them; `camera` is fx, fy, px. Returns the derivative of the residual
+    with respect to the poses (2, 6 c).
+    """
+    place, seen, shared, spread = predicted
+    out = np.empty((2, response.shape[1]))
+    for r in range(2):
+        for q in range(out.shape[1]):
+            out[r, q] = -(seen[r, 0] * response[0, q] + seen[r, 1] * response[1, q] + seen[r, 2] * response[2, q])
+        per_length = camera[r] / place[2]
+        along = -per_length * place[r] / place[2]
+        out[r, 6 * index + 3 + r] -= per_length
+        out[r, 6 * index + 5] -= along
+        # a turn w moves the place p by w x p
+        out[r, 6 * index + 1 - r] += per_length * place[2] * (1.0 if r == 0 else -1.0)
+        out[r, 6 * index + 2] += per_length * place[1 - r] * (-1.0 if r == 0 else 1.0)
+        out[r, 6 * index] += along * place[1]
+        out[r, 6 * index + 1] -= along * place[0]
+    a, b, c = spread[0, 0], spread[0, 1], spread[1, 1]
+    determinant = a * c - b * b
+    for i in range(6):
+        gain_u = (c * shared[0, i] - b * shared[1, i]) / determinant
+        gain_v = (a * shared[1, i] - b * shared[0, i]) / determinant
+        for q in range(out.shape[1]):
+            response[i, q] += gain_u * out[0, q] + gain_v * out[1, q]
+    return out
+
+
+@compiled
+def add_residual(sums: Array, slope: Array, residual: tuple[float, float], covariance: Array, factor: float) -> None:
+    """Add what a residual says to the information (6, 6) and the gradient (6,) of each camera, `sums` (c, 6, 7).
+
+    `slope` (2, 6 c) is its derivative with respect to the poses; `factor` multiplies its covariance (2, 2). Of the
+    information only the lower triangle is added to.
+    """
+    a, b, c = covariance[0, 0], covariance[0, 1], covariance[1, 1]
+    determinant = (a * c - b * b) * factor
+    for k in range(len(sums)):
+        for i in range(6):
+            u, v = slope[0, 6 * k + i], slope[1, 6 * k + i]
+            along_u, along_v = (c * u - b * v) / determinant, (a * v - b * u) / determinant
+            for j in range(i + 1):
+                sums[k, i, j] += along_u * slope[0, 6 * k + j] + along_v * slope[1, 6 * k + j]
+            sums[k, i, 6] += along_u * residual[0] + along_v * residual[1]
+
+
+def find_change(sums: Array, factor: float) -> PoseChange | None:
+    """Find a change of a camera's pose in the last one, two, ... blocks, against all before.
+
+    Parameters
+    ----------
+    sums : array (b, 2, 6, 7)
+        Information and gradient of each block, from each half of the tracks, as `add_residual` makes them. The first
+        block is all that was before.
+    factor : float
+        Of the variances of the sums.
+
+    Returns
+    -------
+    PoseChange or None
+        The one with the largest evidence; None where nothing is known.
+    """
+    diagonal = sums.sum(axis=(0, 1)).diagonal()
+    if not (diagonal.all() and np.isfinite(sums).all()):
+        return None
+    far = math.sqrt(diagonal[:2].sum() / diagonal[3:5].sum())
+    unit, one = USUAL * np.array([1.0, 1.0, 1.0, far, far, far]), np.eye(6)
+    information = sums[..., :6] * (unit[:, None] * unit)
+    information = information + np.swapaxes(np.tril(information, -1), -1, -2)
+    gradient = sums[..., 6:] * unit[:, None]
+    factor = max(factor, ROUNDING * information.sum(axis=(0, 1)).max())
+    # what the pose was off by before each of the times at which it may have changed, the latest first
+    halves = information[:0:-1].cumsum(axis=0) / factor, gradient[:0:-1].cumsum(axis=0) / factor
+    late, pull = halves[0].sum(axis=1), halves[1].sum(axis=1)
+    known = np.linalg.inv(information.sum(axis=(0, 1)) / factor - late + one)
+    offset = known @ (gradient.sum(axis=(0, 1)) / factor - pull)
+    known = known + TOLERATED**2 * one
+    # in axes in which what is known before is the identity: rounding makes no information negative
+    root = np.linalg.cholesky(known)
+    values, vectors = np.linalg.eigh(np.swapaxes(root, -1, -2) @ late @ root)
+    values, turned = np.maximum(values, 0.0)[..., None], np.swapaxes(vectors, -1, -2)
+    back = turned @ np.linalg.inv(root)
+    found = np.swapaxes(back, -1, -2) @ (values / (1.0 + values) * back)
+    rest = np.swapaxes(back, -1, -2) @ (turned @ np.swapaxes(root, -1, -2) @ (pull - late @ offset) / (1.0 + values))
+    precision = SUPPOSED[:, None, :, None] * one + found
+    change = np.linalg.solve(precision, np.broadcast_to(rest, (len(SUPPOSED), *rest.shape)))
+    lost = np.log(np.linalg.det(precision)) - np.log(SUPPOSED.prod(axis=1))[:, None]
+    evidence = 0.5 * ((rest * change).sum(axis=(2, 3)) - lost)
+    # neither half of the tracks speaks more than twice as loud as the other
+    moved, before = change[:, :, None], offset[:, None]
+    each = (moved * (halves[1] - halves[0] @ (before + 0.5 * moved))).sum(axis=(3, 4))
+    evidence = np.minimum(evidence, 3.0 * each.min(axis=2)) - math.log(len(SUPPOSED))
+    which, best = np.unravel_index(int(evidence.argmax()), evidence.shape)
+    first, excess = information[1].sum(axis=0), gradient[1].sum(axis=0)
+    excess = excess - first @ offset[-1]
+    # what a block says little about is left out: the pose may be off by `USUAL` there
+    spread = first + first @ known[-1] @ first / factor
+    inverse = np.linalg.inv(spread + one)
+    expected = float((inverse * spread).sum())
+    misfit = float(excess[:, 0] @ inverse @ excess[:, 0]) / expected if expected > LEAST_EXPECTED else None
+    turns, moves = USUAL * change[which, best, :, 0].reshape(2, 3)
+    return PoseChange(float(evidence[which, best]), int(best) + 1, turns, moves, misfit)
