@@ -22,8 +22,10 @@ from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadrati
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
+    ANNEALED_TOLERANCE,
     adjusted_to,
     fit_until,
+    marginal_fit,
     problem_of,
     refitted,
     restricted_fit,
@@ -256,14 +258,15 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             answer, suspicions, held = Answer(fit, 1.0, None), [], (Remark("time", text, is_reservation=True),)
             break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
-        answer = state(task, fit, choices)
+        answer = Answer(*marginal_fit(task, fit), None)
+        factors = other_noise(task, answer.fit, loosened)
+        if last or (factors == 1.0).all():
+            # unknowns and detections are chosen, which costs far more, with a noise that stays
+            answer = state(task, with_stated_motion(task, answer.fit), choices)
+            factors = other_noise(task, answer.fit, loosened)
         basis = with_stated_motion(task, answer.fit)
-        rng = np.random.default_rng(NOISE_SEED)
-        estimate = noise_factors(problem_of(task, answer.fit), answer.fit.adjustment, rng)
-        hides = estimate.hides & (loosened < MOST_LOOSENED)
-        if (estimate.differs | hides).any() and not last:
-            factors = np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
-            task, noise, loosened = task.with_noise(factors), noise * factors, loosened + hides
+        if (factors != 1.0).any() and not last:
+            task, noise, loosened = task.with_noise(factors), noise * factors, loosened + (factors == LOOSENED)
             fit = adjusted_anew(task, basis)
             continue
         enlarged, suspicions = suspected(task, answer)
@@ -279,6 +282,16 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     tested = (*given_up, *((enlarged, suspicion) for suspicion in suspicions))
     remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held)
     return Believed(task, answer, noise, tested, freed, doubtful, remarks)
+
+
+def other_noise(task: Task, fit: Fit, loosened: Integers) -> Array:
+    """Factors (c,) on the noise of each camera's detections that a marginal optimum shows; 1 where it is as stated.
+
+    A noise that hides itself is loosened, unless it has been so often (c,).
+    """
+    estimate = noise_factors(problem_of(task, fit), fit.adjustment, np.random.default_rng(NOISE_SEED))
+    hides = estimate.hides & (loosened < MOST_LOOSENED)
+    return np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
 
 
 def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
@@ -337,7 +350,9 @@ def adjusted_anew(task: Task, fit: Fit) -> Fit:
     cameras = task.parameters.build(fit.adjustment.values)
     trajectories = fit.observations.trajectories
     observations = task.observations(cameras, trajectories, fit.detections)
-    adjusted = adjusted_to(task, replace(fit, held=None), observations, trajectories, fit.detections)
+    adjusted = adjusted_to(
+        task, replace(fit, held=None), observations, trajectories, fit.detections, tolerance=ANNEALED_TOLERANCE
+    )
     chosen = refitted(task, adjusted)
     return adjusted if chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections) else chosen
 
