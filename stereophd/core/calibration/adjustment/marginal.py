@@ -52,15 +52,15 @@ from dataclasses import dataclass, replace
 from itertools import islice
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, solve_triangular
+from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
     Adjustment,
-    damped_bands,
     eliminate,
+    factor_knots,
     posterior_covariance,
     within_prior,
 )
@@ -77,7 +77,8 @@ SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS, REMEMBERED = 0.05, 20.0, 1.0, 2
 # A search has settled as well where as many steps as are remembered lower the objective by less than this together: no
 # detection tells their points apart. It follows curved valleys of scenes that hold little, step by small step.
 STALLED = 0.5
-# A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says.
+# A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says; the
+# next one is at most twice as large a share.
 DECREASE, LEAST_SHARE = 1e-4, 1.0 / 64.0
 # Squared distance from which a detection is left out by the loss.
 LEFT_OUT = 50.0
@@ -105,21 +106,29 @@ class MarginalOptimum:
     noise_factor: float  # Noise of the motion, in units of the scene's scale, over what is stated
 
 
-def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 1.0) -> MarginalOptimum:
+def marginal_optimum(
+    problem: Problem,
+    found: Adjustment,
+    noise_factor: float = 1.0,
+    near: Array | None = None,
+    settled: float = SETTLED,
+) -> MarginalOptimum:
     """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
 
     Values that the problem holds stay, and keep the covariance of the prior. The search begins at a factor on the noise
-    of the motion. Returns the adjustment given, not
-    converged, at the noise stated, where the normal equations are singular.
+    of the motion, and at values `near` (m,) the maximum, by default those of the adjustment. It ends where a step has
+    the length `settled`, in posterior standard deviations. Returns the adjustment given, not converged, at the noise
+    stated, where the normal equations are singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
-    unknowns = np.append(found.values, np.full(int(len(problem.knots.links()) > 0), np.log(noise_factor)))
+    values = found.values if near is None else near
     try:
         for _ in range(MOST_WEIGHTINGS):
             posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
-            at, left = _minimised(posterior, posterior.at(unknowns, states))
-            unknowns, states, before = at.unknowns, at.states, weights
+            at, left = _minimised(posterior, posterior.of_answer(values, states, noise_factor), settled)
+            values, noise_factor = at.unknowns[:size], float(np.exp(at.unknowns[size:].sum()))
+            states, before = at.states, weights
             weights = problem.weights(at.equations.distances)
             if np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
                 break
@@ -127,11 +136,10 @@ def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 
     except LinAlgError:
         return MarginalOptimum(replace(found, converged=False), 1.0)
     moved = replace(
-        found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
+        found, values=values, states=states, covariance=covariance, cost=at.equations.cost,
         distances=at.equations.distances, converged=left <= LONGEST_LEFT,
     )  # fmt: skip
-    log_noise = float(at.unknowns[size:].sum())
-    return MarginalOptimum(moved, float(np.exp(log_noise)))
+    return MarginalOptimum(moved, noise_factor)
 
 
 def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: float) -> Array:
@@ -242,7 +250,7 @@ class MarginalPosterior:
         for _ in range(KNOT_STEPS):
             if not np.isfinite(cost):
                 raise LinAlgError("the cost is not finite")
-            step = cho_solve_banded((_factor(bands), True), vector, check_finite=False)
+            step = cho_solve_banded((factor_knots(bands), True), vector, check_finite=False)
             if float(vector @ step) <= KNOTS_SETTLED:
                 break
             share = 1.0
@@ -257,7 +265,7 @@ class MarginalPosterior:
             states, (cost, bands, vector) = moved, tried
         equations = self.equations(unknowns, states)
         return Point(
-            unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, _factor(equations.bands))
+            unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, factor_knots(equations.bands))
         )
 
     def _parted(self, unknowns: Array) -> tuple[Array, float]:
@@ -269,7 +277,7 @@ class MarginalPosterior:
         """Gradient (size,) of the objective, and a root D (size, size) of the covariance D D^T of the unknowns."""
         linearisation, equations = self.linearisation, at.equations
         problem, (values, _) = linearisation.problem, self._parted(at.unknowns)
-        factor, slopes = _factor(equations.bands), self.slopes(at)
+        factor, slopes = factor_knots(equations.bands), self.slopes(at)
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
         by_noise = float(slopes.by_noise.sum())
         direct = linearisation.of_values(slopes.by_value) + (self._flat + by_noise) * by_scale
@@ -290,7 +298,7 @@ class MarginalPosterior:
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
         values, log_noise = self._parted(at.unknowns)
-        return VolumeSlopes.of(self.linearisation, values, at.states, log_noise, _factor(at.equations.bands))
+        return VolumeSlopes.of(self.linearisation, values, at.states, log_noise, factor_knots(at.equations.bands))
 
     def _knots_against(self, at: Point, factor: Array, right: Array) -> Array:
         """Solve H x = right (6 k,) with the second derivatives H of the cost by the knots, second ones of pixels too.
@@ -353,30 +361,29 @@ def _short(bands: Array, direction: Array) -> float:
     return KNOT_DIFFERENCE / max(float(np.sqrt(abs(direction @ banded_product(bands, direction)))), 1e-300)
 
 
-def _factor(bands: Array) -> Array:
-    """Cholesky factor of the matrix of the knots, in lower banded form."""
-    factor: Array = cholesky_banded(damped_bands(bands, 0.0), lower=True, check_finite=False)
-    return factor
-
-
-def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
+def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple[Point, float]:
     """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
-    length, pairs, objectives = 0.0, list[tuple[Array, Array]](), [at.objective]
+    length, reach, pairs, objectives = 0.0, 1.0, list[tuple[Array, Array]](), [at.objective]
     gradient, root = posterior.gradient(at)
     for _ in range(MOST_STEPS):
         step = -_times_inverse(gradient, root, pairs)
         length = float(np.linalg.norm(solve_triangular(root, step, lower=True)))
-        if length <= SETTLED:
+        if length <= settled:
             break
-        step *= min(1.0, LONGEST_STEP / length)
+        step *= min(reach, LONGEST_STEP / length)
         slope = float(gradient @ step)
-        tried = _tried(posterior, at, step)
-        found = next((p for share, p in tried if p.objective <= at.objective + DECREASE * share * slope), None)
+        lower = (
+            (share, point)
+            for share, point in _tried(posterior, at, step)
+            if point.objective <= at.objective + DECREASE * share * slope
+        )
+        share, found = next(lower, (1.0, None))
         if found is None and not pairs:
             break
         if found is None:
-            pairs = []  # what was remembered of the curvature misleads
+            pairs, reach = [], 1.0  # what was remembered of the curvature misleads
             continue
+        reach = min(2.0 * share * reach, 1.0)
         objectives.append(found.objective)
         if len(objectives) > REMEMBERED and objectives[-1 - REMEMBERED] - found.objective < STALLED:
             return found, length

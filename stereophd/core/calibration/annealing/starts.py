@@ -18,6 +18,7 @@ from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.annealing.fits import (
     FITTED_PASSES,
+    ROUGHLY,
     marginal_fit,
     paired_fit,
     pairings_of,
@@ -44,6 +45,9 @@ MOST_PAIRINGS, AMBIGUOUS = 3, 0.9
 # squared sigmas per coordinate; up to the second one the noise may be stated too small, and the answer says so. A
 # detection that the last adjustment left out counts no more than `LEFT_OUT`, wherever it lies.
 NOISE_AS_STATED, MOST_RESIDUAL = 2.0, 9.0
+# Pairings of the same tracks end at the same cameras if poses, clocks and rates are this near in every value, in prior
+# standard deviations.
+SAME_CAMERAS = 1.0
 # Two starts agree when their difference is within this many standard deviations, root mean square over parameters.
 AGREEMENT = 1.0
 # Another start is a rival of the best if it is this near in evidence plus log-prior, and this far in the same measure.
@@ -79,11 +83,13 @@ def run_start(
 
 
 def _is_followed(task: Task, first: Start, pairing: Pairing) -> bool:
-    """Whether a start followed a pairing like this one, and has succeeded or had the greater gain."""
+    """Whether a start followed this pairing, from cameras nearby, and has succeeded or had the greater gain."""
     followed = first.pairing
     if followed is None or not (first.succeeded or pairing.gain <= followed.gain):
         return False
-    return same_pairing(task.parameters, task.pairs, followed, pairing)
+    apart = np.abs(pairing.values - followed.values)[task.stages[0].free]
+    is_near = bool((apart <= SAME_CAMERAS * task.parameters.prior_std[task.stages[0].free]).all())
+    return is_near and same_pairing(task.parameters, task.pairs, followed, pairing)
 
 
 def _follow(task: Task, number: int, origin: str, start: Array, pairing: Pairing | None) -> Start:
@@ -125,7 +131,7 @@ def _follow(task: Task, number: int, origin: str, start: Array, pairing: Pairing
     why = disagreement(task, fit)
     if why is not None and why == task.parameters.prior_disagreement(values):
         # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
-        fit = with_stated_motion(task, marginal_fit(task, fit)[0])
+        fit = with_stated_motion(task, marginal_fit(task, fit, settled=ROUGHLY)[0])
         values = fit.adjustment.values
         history.append(values)
         why = disagreement(task, fit)
