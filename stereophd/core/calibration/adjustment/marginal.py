@@ -49,6 +49,7 @@ and state clocks up to four times too sure. `exact_covariance` differentiates th
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
@@ -61,7 +62,6 @@ from stereophd.core.calibration.adjustment.solver import (
     Adjustment,
     eliminate,
     factor_knots,
-    posterior_covariance,
     within_prior,
 )
 from stereophd.core.calibration.adjustment.trajectories import banded_product
@@ -151,14 +151,14 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: flo
     """
     posterior = MarginalPosterior(Linearisation.of(problem.weighted(problem.weights(adjustment.distances))))
     at = posterior.of_answer(adjustment.values, adjustment.states, noise_factor)
-    root = np.asarray(np.linalg.cholesky(posterior.covariance(at)), dtype=np.float64)
+    root = posterior.root(at)
     curvature, size = np.empty_like(root), len(adjustment.values)
     for k, step in enumerate(CURVATURE_STEP * root.T):
         ends = [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
         if len(ends) < 2:
             raise LinAlgError("no normal equations beside the optimum")
         (ahead, beyond), (behind, before) = ends
-        change = posterior.gradient(beyond)[0] - posterior.gradient(before)[0]
+        change = posterior.gradient(beyond) - posterior.gradient(before)
         curvature[:, k] = root.T @ change / (CURVATURE_STEP * (ahead + behind))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
     covariance = within_prior(inverse.T @ curvature @ inverse, posterior.prior_std)
@@ -178,6 +178,11 @@ class Point:
     states: Array
     equations: NormalEquations
     objective: float
+
+    @cached_property
+    def eliminated(self) -> tuple[Array, Array]:
+        """The knots eliminated from the normal equations."""
+        return eliminate(self.equations, 0.0)
 
 
 @dataclass(frozen=True)
@@ -273,8 +278,8 @@ class MarginalPosterior:
         count = self.linearisation.problem.parameters.size
         return unknowns[:count], float(unknowns[count:].sum())
 
-    def gradient(self, at: Point) -> tuple[Array, Array]:
-        """Gradient (size,) of the objective, and a root D (size, size) of the covariance D D^T of the unknowns."""
+    def gradient(self, at: Point) -> Array:
+        """Gradient (size,) of the objective."""
         linearisation, equations = self.linearisation, at.equations
         problem, (values, _) = linearisation.problem, self._parted(at.unknowns)
         factor, slopes = factor_knots(equations.bands), self.slopes(at)
@@ -293,7 +298,7 @@ class MarginalPosterior:
         )
         if (held := problem.held) is not None:
             gradient[: len(held)][held] = 0.0
-        return gradient, np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
+        return gradient
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
@@ -334,7 +339,11 @@ class MarginalPosterior:
 
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point."""
-        return posterior_covariance(at.equations, self.prior_std)
+        return within_prior(at.eliminated[1], self.prior_std)
+
+    def root(self, at: Point) -> Array:
+        """Root D (size, size) of the covariance D D^T of the unknowns."""
+        return np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
 
 
 def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.random.Generator) -> Array:
@@ -346,11 +355,12 @@ def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.r
     std = posterior.prior_std
     variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
     root, loose = std[:, None] * vectors * np.sqrt(np.maximum(variances, 0.0)), variances > LOOSE**2
-    bends, gradient = [np.zeros(len(std))], posterior.gradient(at)[0]
-    for step in BEND_STEP * rng.standard_normal((BENDS, int(loose.sum()))) @ root[:, loose].T:
+    bends, gradient = [np.zeros(len(std))], posterior.gradient(at)
+    count = BENDS if loose.any() else 0
+    for step in BEND_STEP * rng.standard_normal((count, int(loose.sum()))) @ root[:, loose].T:
         ends = [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
         if len(ends) == 2 and ends[0][0] == ends[1][0]:
-            mean = sum(posterior.gradient(point)[0] for _, point in ends) / 2.0 - gradient
+            mean = sum(posterior.gradient(point) for _, point in ends) / 2.0 - gradient
             bends.append(-root[:, ~loose] @ (root[:, ~loose].T @ mean) / (BEND_STEP * ends[0][0]) ** 2)
     return np.array(bends)
 
@@ -364,8 +374,9 @@ def _short(bands: Array, direction: Array) -> float:
 def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple[Point, float]:
     """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
     length, reach, pairs, objectives = 0.0, 1.0, list[tuple[Array, Array]](), [at.objective]
-    gradient, root = posterior.gradient(at)
+    gradient = posterior.gradient(at)
     for _ in range(MOST_STEPS):
+        root = posterior.root(at)
         step = -_times_inverse(gradient, root, pairs)
         length = float(np.linalg.norm(solve_triangular(root, step, lower=True)))
         if length <= settled:
@@ -388,7 +399,7 @@ def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple
         if len(objectives) > REMEMBERED and objectives[-1 - REMEMBERED] - found.objective < STALLED:
             return found, length
         before, before_gradient = at, gradient
-        at, (gradient, root) = found, posterior.gradient(found)
+        at, gradient = found, posterior.gradient(found)
         pair = (at.unknowns - before.unknowns, gradient - before_gradient)
         if float(pair[0] @ pair[1]) > 0.0:
             pairs = [*pairs, pair][-REMEMBERED:]
@@ -400,8 +411,7 @@ def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tup
 
     The knots begin where they follow the step to first order, near their minimum.
     """
-    eliminated, _ = eliminate(at.equations, 0.0)
-    following = (eliminated[:, :-1] @ step).reshape(at.states.shape)
+    following = (at.eliminated[0][:, :-1] @ step).reshape(at.states.shape)
     share = 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):
