@@ -19,7 +19,6 @@ NUMBER = re.compile(rf"(?<![\w.^-])(\d[\d,.]*\d|\d) ({UNIT})(?![\w/^])")
 
 # Numbers with a decimal point on two pages that are not one quantity.
 REVIEWED = {
-    "0.2 s": "how soon a knock must be noticed; how well clocks are known where a Gaussian is too narrow",
     "1.4 times": "a ratio of shares that a check asks for; errors whose NEES is twice as large",
 }
 
