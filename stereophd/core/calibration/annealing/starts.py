@@ -63,8 +63,8 @@ def run_start(
 
     A pairing nearly as good as the best is followed too, and the one of the greater evidence counts. Further pairings,
     and the start's own values at the widest noise, are tried only where none has succeeded so far. A pairing that the
-    `first` start followed with success ends where it ended. The number is for the record; the seed is that of the
-    further draws among which one-camera tracks are paired.
+    `first` start followed ends where it ended. The number is for the record; the seed is that of the further draws
+    among which one-camera tracks are paired.
     """
     tried: list[Start] = []
     is_timely = task.limit.begin(f"start {number + 1} of at most {task.most_starts}: one-camera tracks are paired")
@@ -83,9 +83,9 @@ def run_start(
 
 
 def _is_followed(task: Task, first: Start, pairing: Pairing) -> bool:
-    """Whether a start that succeeded followed this pairing, from cameras nearby."""
+    """Whether a start followed this pairing, from cameras nearby, and has succeeded or had the greater gain."""
     followed = first.pairing
-    if followed is None or not first.succeeded:
+    if followed is None or not (first.succeeded or pairing.gain <= followed.gain):
         return False
     apart = np.abs(pairing.values - followed.values)[task.stages[0].free]
     is_near = bool((apart <= SAME_CAMERAS * task.parameters.prior_std[task.stages[0].free]).all())
