@@ -99,7 +99,7 @@ def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
     starts: list[Start] = run.unfinished.read("starts", list[Start], {Motion: task.filter.motion}) or []
     if enough(starts, agreeing) or (starts and run.limit.is_over):
         return starts
-    for start in _run_starts(task, values, seeds, starts, run.jobs):
+    for start in _run_starts(task, values, seeds, len(starts), run.jobs):
         starts.append(start)
         if not run.limit.is_over:  # one that the time has cut short is done again
             run.unfinished.keep("starts", starts)
@@ -110,19 +110,20 @@ def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
 
 
 def _run_starts(
-    task: Task, values: Array, seeds: list[np.random.SeedSequence], done: list[Start], jobs: int
+    task: Task, values: Array, seeds: list[np.random.SeedSequence], done: int, jobs: int
 ) -> Iterator[Start]:
-    """Outcomes of the starts that are not done yet, in order; all others know the first one."""
-    first = done[0] if done else run_start(task, 0, values[0], seeds[0])
-    if not done:
-        yield first
-    numbers = range(max(len(done), 1), len(values))
-    arguments = ((task, number, values[number], seeds[number], first) for number in numbers)
+    """Outcomes of the starts that are not done yet, in order."""
+    numbers = range(done, len(values))
+    if jobs == 1 or len(numbers) < 2:
+        for number in numbers:
+            yield run_start(task, number, values[number], seeds[number])
+        return
     # No more ahead than there are workers: starts that are not needed are not begun.
-    yield from map(_run_start, arguments) if jobs == 1 else on_processes(_run_start, arguments, jobs)
+    arguments = ((task, number, values[number], seeds[number]) for number in numbers)
+    yield from on_processes(_run_start, arguments, jobs)
 
 
-def _run_start(arguments: tuple[Task, int, Array, np.random.SeedSequence, Start]) -> Start:
+def _run_start(arguments: tuple[Task, int, Array, np.random.SeedSequence]) -> Start:
     return run_start(*arguments)
 
 

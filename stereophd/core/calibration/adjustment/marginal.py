@@ -49,19 +49,19 @@ and state clocks up to four times too sure. `exact_covariance` differentiates th
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import islice
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
+from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, solve_triangular
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
     Adjustment,
+    damped_bands,
     eliminate,
-    factor_knots,
+    posterior_covariance,
     within_prior,
 )
 from stereophd.core.calibration.adjustment.trajectories import banded_product
@@ -77,8 +77,7 @@ SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS, REMEMBERED = 0.05, 20.0, 1.0, 2
 # A search has settled as well where as many steps as are remembered lower the objective by less than this together: no
 # detection tells their points apart. It follows curved valleys of scenes that hold little, step by small step.
 STALLED = 0.5
-# A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says; the
-# next one is at most twice as large a share.
+# A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says.
 DECREASE, LEAST_SHARE = 1e-4, 1.0 / 64.0
 # Squared distance from which a detection is left out by the loss.
 LEFT_OUT = 50.0
@@ -106,29 +105,21 @@ class MarginalOptimum:
     noise_factor: float  # Noise of the motion, in units of the scene's scale, over what is stated
 
 
-def marginal_optimum(
-    problem: Problem,
-    found: Adjustment,
-    noise_factor: float = 1.0,
-    near: Array | None = None,
-    settled: float = SETTLED,
-) -> MarginalOptimum:
+def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 1.0) -> MarginalOptimum:
     """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
 
     Values that the problem holds stay, and keep the covariance of the prior. The search begins at a factor on the noise
-    of the motion, and at values `near` (m,) the maximum, by default those of the adjustment. It ends where a step has
-    the length `settled`, in posterior standard deviations. Returns the adjustment given, not converged, at the noise
-    stated, where the normal equations are singular.
+    of the motion. Returns the adjustment given, not
+    converged, at the noise stated, where the normal equations are singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
-    values = found.values if near is None else near
+    unknowns = np.append(found.values, np.full(int(len(problem.knots.links()) > 0), np.log(noise_factor)))
     try:
         for _ in range(MOST_WEIGHTINGS):
             posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
-            at, left = _minimised(posterior, posterior.of_answer(values, states, noise_factor), settled)
-            values, noise_factor = at.unknowns[:size], float(np.exp(at.unknowns[size:].sum()))
-            states, before = at.states, weights
+            at, left = _minimised(posterior, posterior.at(unknowns, states))
+            unknowns, states, before = at.unknowns, at.states, weights
             weights = problem.weights(at.equations.distances)
             if np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
                 break
@@ -136,10 +127,11 @@ def marginal_optimum(
     except LinAlgError:
         return MarginalOptimum(replace(found, converged=False), 1.0)
     moved = replace(
-        found, values=values, states=states, covariance=covariance, cost=at.equations.cost,
+        found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
         distances=at.equations.distances, converged=left <= LONGEST_LEFT,
     )  # fmt: skip
-    return MarginalOptimum(moved, noise_factor)
+    log_noise = float(at.unknowns[size:].sum())
+    return MarginalOptimum(moved, float(np.exp(log_noise)))
 
 
 def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: float) -> Array:
@@ -151,14 +143,14 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: flo
     """
     posterior = MarginalPosterior(Linearisation.of(problem.weighted(problem.weights(adjustment.distances))))
     at = posterior.of_answer(adjustment.values, adjustment.states, noise_factor)
-    root = posterior.root(at)
+    root = np.asarray(np.linalg.cholesky(posterior.covariance(at)), dtype=np.float64)
     curvature, size = np.empty_like(root), len(adjustment.values)
     for k, step in enumerate(CURVATURE_STEP * root.T):
         ends = [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
         if len(ends) < 2:
             raise LinAlgError("no normal equations beside the optimum")
         (ahead, beyond), (behind, before) = ends
-        change = posterior.gradient(beyond) - posterior.gradient(before)
+        change = posterior.gradient(beyond)[0] - posterior.gradient(before)[0]
         curvature[:, k] = root.T @ change / (CURVATURE_STEP * (ahead + behind))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
     covariance = within_prior(inverse.T @ curvature @ inverse, posterior.prior_std)
@@ -178,11 +170,6 @@ class Point:
     states: Array
     equations: NormalEquations
     objective: float
-
-    @cached_property
-    def eliminated(self) -> tuple[Array, Array]:
-        """The knots eliminated from the normal equations."""
-        return eliminate(self.equations, 0.0)
 
 
 @dataclass(frozen=True)
@@ -255,7 +242,7 @@ class MarginalPosterior:
         for _ in range(KNOT_STEPS):
             if not np.isfinite(cost):
                 raise LinAlgError("the cost is not finite")
-            step = cho_solve_banded((factor_knots(bands), True), vector, check_finite=False)
+            step = cho_solve_banded((_factor(bands), True), vector, check_finite=False)
             if float(vector @ step) <= KNOTS_SETTLED:
                 break
             share = 1.0
@@ -270,7 +257,7 @@ class MarginalPosterior:
             states, (cost, bands, vector) = moved, tried
         equations = self.equations(unknowns, states)
         return Point(
-            unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, factor_knots(equations.bands))
+            unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, _factor(equations.bands))
         )
 
     def _parted(self, unknowns: Array) -> tuple[Array, float]:
@@ -278,11 +265,11 @@ class MarginalPosterior:
         count = self.linearisation.problem.parameters.size
         return unknowns[:count], float(unknowns[count:].sum())
 
-    def gradient(self, at: Point) -> Array:
-        """Gradient (size,) of the objective."""
+    def gradient(self, at: Point) -> tuple[Array, Array]:
+        """Gradient (size,) of the objective, and a root D (size, size) of the covariance D D^T of the unknowns."""
         linearisation, equations = self.linearisation, at.equations
         problem, (values, _) = linearisation.problem, self._parted(at.unknowns)
-        factor, slopes = factor_knots(equations.bands), self.slopes(at)
+        factor, slopes = _factor(equations.bands), self.slopes(at)
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
         by_noise = float(slopes.by_noise.sum())
         direct = linearisation.of_values(slopes.by_value) + (self._flat + by_noise) * by_scale
@@ -298,12 +285,12 @@ class MarginalPosterior:
         )
         if (held := problem.held) is not None:
             gradient[: len(held)][held] = 0.0
-        return gradient
+        return gradient, np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
         values, log_noise = self._parted(at.unknowns)
-        return VolumeSlopes.of(self.linearisation, values, at.states, log_noise, factor_knots(at.equations.bands))
+        return VolumeSlopes.of(self.linearisation, values, at.states, log_noise, _factor(at.equations.bands))
 
     def _knots_against(self, at: Point, factor: Array, right: Array) -> Array:
         """Solve H x = right (6 k,) with the second derivatives H of the cost by the knots, second ones of pixels too.
@@ -339,11 +326,7 @@ class MarginalPosterior:
 
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point."""
-        return within_prior(at.eliminated[1], self.prior_std)
-
-    def root(self, at: Point) -> Array:
-        """Root D (size, size) of the covariance D D^T of the unknowns."""
-        return np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
+        return posterior_covariance(at.equations, self.prior_std)
 
 
 def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.random.Generator) -> Array:
@@ -355,12 +338,11 @@ def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.r
     std = posterior.prior_std
     variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
     root, loose = std[:, None] * vectors * np.sqrt(np.maximum(variances, 0.0)), variances > LOOSE**2
-    bends, gradient = [np.zeros(len(std))], posterior.gradient(at)
-    count = BENDS if loose.any() else 0
-    for step in BEND_STEP * rng.standard_normal((count, int(loose.sum()))) @ root[:, loose].T:
+    bends, gradient = [np.zeros(len(std))], posterior.gradient(at)[0]
+    for step in BEND_STEP * rng.standard_normal((BENDS, int(loose.sum()))) @ root[:, loose].T:
         ends = [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
         if len(ends) == 2 and ends[0][0] == ends[1][0]:
-            mean = sum(posterior.gradient(point) for _, point in ends) / 2.0 - gradient
+            mean = sum(posterior.gradient(point)[0] for _, point in ends) / 2.0 - gradient
             bends.append(-root[:, ~loose] @ (root[:, ~loose].T @ mean) / (BEND_STEP * ends[0][0]) ** 2)
     return np.array(bends)
 
@@ -371,35 +353,35 @@ def _short(bands: Array, direction: Array) -> float:
     return KNOT_DIFFERENCE / max(float(np.sqrt(abs(direction @ banded_product(bands, direction)))), 1e-300)
 
 
-def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple[Point, float]:
+def _factor(bands: Array) -> Array:
+    """Cholesky factor of the matrix of the knots, in lower banded form."""
+    factor: Array = cholesky_banded(damped_bands(bands, 0.0), lower=True, check_finite=False)
+    return factor
+
+
+def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
     """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
-    length, reach, pairs, objectives = 0.0, 1.0, list[tuple[Array, Array]](), [at.objective]
-    gradient = posterior.gradient(at)
+    length, pairs, objectives = 0.0, list[tuple[Array, Array]](), [at.objective]
+    gradient, root = posterior.gradient(at)
     for _ in range(MOST_STEPS):
-        root = posterior.root(at)
         step = -_times_inverse(gradient, root, pairs)
         length = float(np.linalg.norm(solve_triangular(root, step, lower=True)))
-        if length <= settled:
+        if length <= SETTLED:
             break
-        step *= min(reach, LONGEST_STEP / length)
+        step *= min(1.0, LONGEST_STEP / length)
         slope = float(gradient @ step)
-        lower = (
-            (share, point)
-            for share, point in _tried(posterior, at, step)
-            if point.objective <= at.objective + DECREASE * share * slope
-        )
-        share, found = next(lower, (1.0, None))
+        tried = _tried(posterior, at, step)
+        found = next((p for share, p in tried if p.objective <= at.objective + DECREASE * share * slope), None)
         if found is None and not pairs:
             break
         if found is None:
-            pairs, reach = [], 1.0  # what was remembered of the curvature misleads
+            pairs = []  # what was remembered of the curvature misleads
             continue
-        reach = min(2.0 * share * reach, 1.0)
         objectives.append(found.objective)
         if len(objectives) > REMEMBERED and objectives[-1 - REMEMBERED] - found.objective < STALLED:
             return found, length
         before, before_gradient = at, gradient
-        at, gradient = found, posterior.gradient(found)
+        at, (gradient, root) = found, posterior.gradient(found)
         pair = (at.unknowns - before.unknowns, gradient - before_gradient)
         if float(pair[0] @ pair[1]) > 0.0:
             pairs = [*pairs, pair][-REMEMBERED:]
@@ -411,7 +393,8 @@ def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tup
 
     The knots begin where they follow the step to first order, near their minimum.
     """
-    following = (at.eliminated[0][:, :-1] @ step).reshape(at.states.shape)
+    eliminated, _ = eliminate(at.equations, 0.0)
+    following = (eliminated[:, :-1] @ step).reshape(at.states.shape)
     share = 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):

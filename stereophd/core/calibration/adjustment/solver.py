@@ -47,14 +47,11 @@ class Adjustment:
     converged: bool
 
 
-def factor_knots(bands: Array, damping: float = 0.0) -> Array:
-    """Cholesky factor of the matrix of the knots, both lower banded (12, 6 k), its diagonal damped.
-
-    Unknowns without any weight are held. Raises LinAlgError when the damped matrix is not positive definite.
-    """
+def damped_bands(bands: Array, damping: float) -> Array:
+    """Matrix of the knots in lower banded form (12, 6 k), its diagonal damped; unknowns without any weight are held."""
     bands = bands.copy()
     bands[0] = np.where(bands[0] > LEAST_INFORMATION, bands[0] * (1.0 + damping + ROUNDING), 1.0)
-    return np.asarray(cholesky_banded(bands, lower=True, check_finite=False))
+    return bands
 
 
 def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
@@ -62,8 +59,9 @@ def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]
 
     Raises LinAlgError when the damped matrix of the knots is not positive definite.
     """
+    factor = (cholesky_banded(damped_bands(equations.bands, damping), lower=True, check_finite=False), True)
     both = np.column_stack([equations.coupling, equations.state_vector])
-    eliminated = cho_solve_banded((factor_knots(equations.bands, damping), True), both, check_finite=False)
+    eliminated = cho_solve_banded(factor, both, check_finite=False)
     return eliminated, equations.matrix - equations.coupling.T @ eliminated[:, :-1]
 
 

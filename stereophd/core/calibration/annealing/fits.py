@@ -4,15 +4,15 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded
+from scipy.linalg import solveh_banded
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import SETTLED, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import marginal_optimum
 from stereophd.core.calibration.adjustment.problem import Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.shared_errors import shared_errors
-from stereophd.core.calibration.adjustment.solver import adjust, factor_knots, posterior_covariance
+from stereophd.core.calibration.adjustment.solver import adjust, damped_bands, posterior_covariance
 from stereophd.core.calibration.adjustment.trajectories import (
     Knots,
     fit_states,
@@ -48,9 +48,6 @@ TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
 FITTED_PASSES = 3
 # Frames by which a trajectory may go on before its first detection and after its last one, in a pass.
 PADDED_FRAMES = 2.0
-# Length, in posterior standard deviations, of the steps at which the search for a marginal optimum ends that others
-# follow.
-ROUGHLY = 0.5
 # Times at most that trajectories of marginal optima choose their detections, and the change of a weight that counts.
 MOST_CHOICES, SAME_WEIGHT = 2, 0.1
 
@@ -240,7 +237,7 @@ def with_all_members(problem: Problem, values: Array, states: Array) -> Array:
     given = problem.observations.weights
     weights = np.ones(len(problem.observations)) if given is None else given
     _, bands, vector = Linearisation.of(problem.weighted(weights)).of_knots(values, states)
-    step: Array = cho_solve_banded((factor_knots(bands), True), vector)
+    step: Array = solveh_banded(damped_bands(bands, 0.0), vector, lower=True)
     return states + step.reshape(states.shape)
 
 
@@ -287,15 +284,13 @@ def with_covariance(task: Task, fit: Fit, covariance: Array) -> Fit:
     return replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
 
 
-def marginal_fit(
-    task: Task, fit: Fit, factor: float = 1.0, near: Array | None = None, settled: float = SETTLED
-) -> tuple[Fit, float]:
+def marginal_fit(task: Task, fit: Fit, factor: float = 1.0) -> tuple[Fit, float]:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
-    Values that are held stay. Also returns the noise of the motion over that of the fit. Where the search begins and
-    ends `marginal_optimum` says.
+    Values that are held stay. Also returns the noise of the motion over that of the fit; it is looked for from a factor
+    on.
     """
-    found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment, factor, near, settled)
+    found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment, factor)
     cameras = task.parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
@@ -303,13 +298,13 @@ def marginal_fit(
     return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor
 
 
-def stated_fit(task: Task, joint: Fit, factor: float = 1.0) -> tuple[Fit, float]:
+def stated_fit(task: Task, joint: Fit) -> tuple[Fit, float]:
     """`marginal_fit` of detections that its own trajectories choose, weighed by the errors that they share there.
 
     The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
     residuals look like shared errors.
     """
-    stated, factor = marginal_fit(task, joint, factor)
+    stated, factor = marginal_fit(task, joint)
     for _ in range(MOST_CHOICES if stated.adjustment.converged else 0):
         again = refitted(task, stated, still=True)
         if again is None or _same_members(again, stated):

@@ -19,11 +19,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
-from stereophd.core.calibration.adjustment.solver import eliminate, factor_knots
+from stereophd.core.calibration.adjustment.solver import damped_bands, eliminate
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.fits import problem_of
 from stereophd.core.calibration.annealing.known_scale import (
@@ -200,7 +200,7 @@ class _Factors:
 
     @staticmethod
     def of(equations: NormalEquations) -> _Factors:
-        of_knots = (factor_knots(equations.bands, DAMPING), True)
+        of_knots = (cholesky_banded(damped_bands(equations.bands, DAMPING), lower=True), True)
         eliminated, schur = eliminate(equations, DAMPING)
         of_schur = cho_factor(schur)
         value_step = cho_solve(of_schur, equations.value_vector - equations.coupling.T @ eliminated[:, -1])

@@ -22,11 +22,8 @@ from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadrati
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
-    ANNEALED_TOLERANCE,
-    ROUGHLY,
     adjusted_to,
     fit_until,
-    marginal_fit,
     problem_of,
     refitted,
     restricted_fit,
@@ -229,10 +226,10 @@ def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Ta
     return replace(task, scale=measured), rescaled(task, fit, measured), ()
 
 
-def state(task: Task, rough: Answer, choices: Choices) -> Answer:
-    """State an answer: with the unknowns that predict the log best, and detections that the trajectories choose."""
-    joint, comparison = selected(task, with_stated_motion(task, rough.fit), choices)
-    stated, noise_factor = stated_fit(task, joint, rough.noise_factor)
+def state(task: Task, fit: Fit, choices: Choices) -> Answer:
+    """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
+    joint, comparison = selected(task, fit, choices)
+    stated, noise_factor = stated_fit(task, joint)
     return Answer(stated, noise_factor, comparison)
 
 
@@ -253,23 +250,21 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     count = len(task.parameters.cameras)
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     loosened, suspicions, held = np.zeros(count, dtype=np.int64), list[Suspicion](), tuple[Remark, ...]()
-    answer, near = Answer(fit, 1.0, None), None
     for number in range(MOST_ROUNDS):
         if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and doubted: these cameras are the best so far"
             answer, suspicions, held = Answer(fit, 1.0, None), [], (Remark("time", text, is_reservation=True),)
             break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
-        answer = Answer(*marginal_fit(task, fit, answer.noise_factor, near, ROUGHLY), None)
-        factors = other_noise(task, answer.fit, loosened)
-        if last or (factors == 1.0).all():
-            # unknowns and detections are chosen, which costs far more, with a noise that stays
-            answer = state(task, answer, choices)
-            factors = other_noise(task, answer.fit, loosened)
+        answer = state(task, fit, choices)
         basis = with_stated_motion(task, answer.fit)
-        if (factors != 1.0).any() and not last:
-            task, noise, loosened = task.with_noise(factors), noise * factors, loosened + (factors == LOOSENED)
-            fit, near = adjusted_anew(task, basis), basis.adjustment.values
+        rng = np.random.default_rng(NOISE_SEED)
+        estimate = noise_factors(problem_of(task, answer.fit), answer.fit.adjustment, rng)
+        hides = estimate.hides & (loosened < MOST_LOOSENED)
+        if (estimate.differs | hides).any() and not last:
+            factors = np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
+            task, noise, loosened = task.with_noise(factors), noise * factors, loosened + hides
+            fit = adjusted_anew(task, basis)
             continue
         enlarged, suspicions = suspected(task, answer)
         held = held_remarks(enlarged, suspicions)
@@ -279,22 +274,11 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         given_up.append((enlarged, wrong))
         freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
         task, fit = with_freed(task, basis, enlarged, wrong)
-        near = np.append(basis.adjustment.values, wrong.values)
     size = task.parameters.size
     doubtful = np.hstack([np.zeros((size, 0)), *(suspicion.spread[:size] for suspicion in suspicions)])
     tested = (*given_up, *((enlarged, suspicion) for suspicion in suspicions))
     remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held)
     return Believed(task, answer, noise, tested, freed, doubtful, remarks)
-
-
-def other_noise(task: Task, fit: Fit, loosened: Integers) -> Array:
-    """Factors (c,) on the noise of each camera's detections that a marginal optimum shows; 1 where it is as stated.
-
-    A noise that hides itself is loosened, unless it has been so often (c,).
-    """
-    estimate = noise_factors(problem_of(task, fit), fit.adjustment, np.random.default_rng(NOISE_SEED))
-    hides = estimate.hides & (loosened < MOST_LOOSENED)
-    return np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
 
 
 def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
@@ -353,9 +337,7 @@ def adjusted_anew(task: Task, fit: Fit) -> Fit:
     cameras = task.parameters.build(fit.adjustment.values)
     trajectories = fit.observations.trajectories
     observations = task.observations(cameras, trajectories, fit.detections)
-    adjusted = adjusted_to(
-        task, replace(fit, held=None), observations, trajectories, fit.detections, tolerance=ANNEALED_TOLERANCE
-    )
+    adjusted = adjusted_to(task, replace(fit, held=None), observations, trajectories, fit.detections)
     chosen = refitted(task, adjusted)
     return adjusted if chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections) else chosen
 

@@ -9,8 +9,6 @@ A start succeeds only if the trajectories that two cameras share explain the det
 sum of evidence (PMB filter at the true noise) and log-prior.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from stereophd.core.arrays import Array
@@ -18,19 +16,16 @@ from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.annealing.fits import (
     FITTED_PASSES,
-    ROUGHLY,
-    marginal_fit,
     paired_fit,
     pairings_of,
     refitted,
+    stated_fit,
     tracked_fit,
     with_stated_motion,
 )
 from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
 from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio
 from stereophd.core.calibration.pairing.association import track_detections, with_cameras
-from stereophd.core.calibration.pairing.choice import Pairing
-from stereophd.core.calibration.pairing.search import same_pairing
 from stereophd.core.calibration.time_limit import TIME_OVER
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -45,9 +40,6 @@ MOST_PAIRINGS, AMBIGUOUS = 3, 0.9
 # squared sigmas per coordinate; up to the second one the noise may be stated too small, and a warning reports it. A
 # detection that the last adjustment left out counts no more than `LEFT_OUT`, wherever it lies.
 NOISE_AS_STATED, MOST_RESIDUAL = 2.0, 9.0
-# Pairings of the same tracks end at the same cameras if poses, clocks and rates are this near in every value, in prior
-# standard deviations.
-SAME_CAMERAS = 1.0
 # Two starts agree when their difference is within this many standard deviations, root mean square over parameters.
 AGREEMENT = 1.0
 # Another start is a rival of the best if it is this near in evidence plus log-prior, and this far in the same measure.
@@ -56,15 +48,12 @@ RIVAL_SCORE, RIVAL_DISTANCE = 5.0, 5.0
 LEAST_SHARE = 0.05
 
 
-def run_start(
-    task: Task, number: int, values: Array, seed: np.random.SeedSequence, first: Start | None = None
-) -> Start:
+def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequence) -> Start:
     """Follow one start through all passes: from the pairings found, the best first, then from its own values (m,).
 
     A pairing nearly as good as the best is followed too, and the one of the greater evidence counts. Further pairings,
-    and the start's own values at the widest noise, are tried only where none has succeeded so far. A pairing that the
-    `first` start followed ends where it ended. The number is for the record; the seed is that of the further draws
-    among which one-camera tracks are paired.
+    and the start's own values at the widest noise, are tried only where none has succeeded so far. The number is for
+    the record; the seed is that of the further draws among which one-camera tracks are paired.
     """
     tried: list[Start] = []
     is_timely = task.limit.begin(f"start {number + 1} of at most {task.most_starts}: one-camera tracks are paired")
@@ -72,36 +61,20 @@ def run_start(
     for place, pairing in enumerate(pairings):
         if best_of(tried) is not None and pairing.gain < AMBIGUOUS * pairings[0].gain:
             break
-        origin = f"{PAIRING} {place}"
-        if first is not None and _is_followed(task, first, pairing):
-            tried.append(replace(first, number=number, start=values, origin=origin))
-        else:
-            tried.append(_follow(task, number, origin, values, pairing))
+        tried.append(_follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing)))
     if best_of(tried) is None:
         tried.append(_follow(task, number, WIDE, values, None))
     return best_of(tried) or max(tried, key=lambda one: one.explained)
 
 
-def _is_followed(task: Task, first: Start, pairing: Pairing) -> bool:
-    """Whether a start followed this pairing, from cameras nearby, and has succeeded or had the greater gain."""
-    followed = first.pairing
-    if followed is None or not (first.succeeded or pairing.gain <= followed.gain):
-        return False
-    apart = np.abs(pairing.values - followed.values)[task.stages[0].free]
-    is_near = bool((apart <= SAME_CAMERAS * task.parameters.prior_std[task.stages[0].free]).all())
-    return is_near and same_pairing(task.parameters, task.pairs, followed, pairing)
-
-
-def _follow(task: Task, number: int, origin: str, start: Array, pairing: Pairing | None) -> Start:
-    """Follow a start from paired tracks, or from its values at the widest noise, through all passes."""
+def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> Start:
+    """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes."""
     history: list[Array] = []
 
     def failed(why: str, fit: Fit | None = None, part: float = 0.0) -> Start:
-        passes = np.array(history).reshape(-1, len(start))
-        return Start(number, why, start, passes, fit, np.nan, np.nan, part, origin, pairing)
+        return Start(number, why, start, np.array(history).reshape(-1, len(start)), fit, np.nan, np.nan, part, origin)
 
     values, inflations = start, task.settings.inflation
-    fit = None if pairing is None else paired_fit(task, pairing)
     if fit is not None:
         values = fit.adjustment.values
         history.append(values)
@@ -129,16 +102,16 @@ def _follow(task: Task, number: int, origin: str, start: Array, pairing: Pairing
     values = fit.adjustment.values
     part = explained(task, fit)
     why = disagreement(task, fit)
-    if why is not None and why == task.parameters.prior_disagreement(values):
+    if why is not None and task.parameters.prior_disagreement(values) is not None:
         # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
-        fit = with_stated_motion(task, marginal_fit(task, fit, settled=ROUGHLY)[0])
+        fit = with_stated_motion(task, stated_fit(task, fit)[0])
         values = fit.adjustment.values
         history.append(values)
         why = disagreement(task, fit)
     if why is not None:
         return failed(why, fit, part)
     prior = float(task.parameters.log_prior(values))
-    return Start(number, SUCCEEDED, start, np.array(history), fit, evidence(task, fit), prior, part, origin, pairing)
+    return Start(number, SUCCEEDED, start, np.array(history), fit, evidence(task, fit), prior, part, origin)
 
 
 def evidence(task: Task, fit: Fit) -> float:

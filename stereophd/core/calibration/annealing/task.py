@@ -13,7 +13,6 @@ from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import Knots
-from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import ClockOffsets, search_offsets
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, image_tracks, make_pairs, one_camera_tracks
 from stereophd.core.calibration.settings import AnnealedSettings
@@ -148,7 +147,6 @@ class Start:
     log_prior: float
     explained: float  # Detections of shared trajectories, in parts of those not expected to be false
     origin: str  # Where the passes began: `PAIRING` and its number, or `WIDE`
-    pairing: Pairing | None = None  # That pairing
 
     @property
     def succeeded(self) -> bool:

@@ -76,12 +76,12 @@ def distinct_pairings(
     ]
     kept: list[Pairing] = []
     for pairing in sorted(pairings, key=lambda pairing: -pairing.gain):
-        if not any(same_pairing(parameters, pairs, other, pairing) for other in kept):
+        if not any(_same(parameters, pairs, other, pairing) for other in kept):
             kept.append(pairing)
     return kept
 
 
-def same_pairing(parameters: ParameterSet, pairs: TrackPairs, one: Pairing, other: Pairing) -> bool:
+def _same(parameters: ParameterSet, pairs: TrackPairs, one: Pairing, other: Pairing) -> bool:
     """Whether two pairings are of the same tracks, at about the same cameras.
 
     Where more than poses is unknown the tracks decide: lenses and rates of clocks differ from draw to draw.

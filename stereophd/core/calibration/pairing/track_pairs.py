@@ -17,9 +17,8 @@ from stereophd.core.multi.pmb.filter import PmbFilter
 from stereophd.core.two_views.linking import linked
 from stereophd.core.two_views.track_rays import RawTracks, Rays, rays_of
 
-# Times at which a pair of tracks is compared, fewer where pairs are many: about so many in all, but not less than the
-# fewest. How many a pair needs, and reach of the clocks in standard deviations.
-PAIR_TIMES, ALL_TIMES, FEWEST_TIMES, LEAST_TIMES, REACH = 48, 60_000, 16, 6, 4.0
+# Times at which a pair of tracks is compared, how many it needs, and reach of the clocks in standard deviations.
+PAIR_TIMES, LEAST_TIMES, REACH = 48, 6, 4.0
 # Largest distance in the image from the prediction of a track to its next detection, in heights of the image.
 IMAGE_REACH = 1.0 / 12.0
 
@@ -122,20 +121,17 @@ def make_pairs(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[in
     times = [parameters.cameras[c].clock.to_true(raw.log_times[a:b]) for c, a, b in _segments(raw)]
     nothing = np.empty(0, dtype=np.int64)
     members: list[tuple[int, int]] = []
-    common: list[tuple[int, int]] = []
+    pair, entries = [nothing], [nothing]
     for a in range(len(tracks)):
         for b in np.flatnonzero(raw.cameras > raw.cameras[a]).tolist():
             slack = REACH * np.hypot(spread[a], spread[b])
-            begin = np.searchsorted(times[a], times[b][0] - slack)
-            end = np.searchsorted(times[a], times[b][-1] + slack, side="right")
-            if end - begin >= LEAST_TIMES:
-                members.append((a, b))
-                common.append((int(raw.first[a] + begin), int(raw.first[a] + end)))
-    count = min(max(ALL_TIMES // max(len(members), 1), FEWEST_TIMES), PAIR_TIMES)
-    pair, entries = [nothing], [nothing]
-    for number, (begin, end) in enumerate(common):
-        entries.append(np.unique(np.linspace(begin, end - 1, count).astype(np.int64)))
-        pair.append(np.full(len(entries[-1]), number))
+            both = np.flatnonzero((times[a] >= times[b][0] - slack) & (times[a] <= times[b][-1] + slack))
+            if len(both) < LEAST_TIMES:
+                continue
+            some = both[np.unique(np.linspace(0, len(both) - 1, PAIR_TIMES).astype(int))]
+            pair.append(np.full(len(some), len(members)))
+            members.append((a, b))
+            entries.append(raw.first[a] + some)
     of_pair, all_entries = np.concatenate(pair), np.concatenate(entries)
     pairs = np.array(members, dtype=np.int64).reshape(-1, 2)
     others = pairs[of_pair, 1]

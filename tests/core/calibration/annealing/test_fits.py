@@ -131,21 +131,6 @@ def test_core_alone_calibrates(made: MadeUp, task: Task) -> None:
     assert not any(remark.is_reservation for remark in result.remarks)
 
 
-def test_a_pairing_that_the_first_start_followed_ends_where_it_ended(made: MadeUp, task: Task) -> None:
-    first = run_start(task, 0, task.parameters.prior_mean, np.random.SeedSequence(1))
-    values = 0.3 * task.parameters.prior_std
-    second = run_start(task, 1, values, np.random.SeedSequence(2), first)
-    assert second.fit is first.fit
-    assert (second.number, second.start is values, second.score) == (1, True, first.score)
-    # where the first one failed, a better pairing is followed
-    assert first.pairing is not None
-    failed = replace(first, outcome="failed", pairing=replace(first.pairing, gain=0.0))
-    third = run_start(task, 2, values, np.random.SeedSequence(2), failed)
-    assert third.succeeded
-    assert third.fit is not None
-    check_near_truth(made, third.fit)
-
-
 def test_a_noise_that_is_stated_too_small_lets_a_start_succeed(made: MadeUp, task: Task) -> None:
     small = task.with_noise(np.array([0.5, 0.5]))
     fit = fit_from(small, made.truth)

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
-from stereophd.core.calibration.pairing import track_pairs
 from stereophd.core.calibration.pairing.hypotheses import crowded, hypotheses
 from stereophd.core.calibration.pairing.search import coarse_columns
-from stereophd.core.calibration.pairing.track_pairs import FEWEST_TIMES, PAIR_TIMES, TrackPairs, make_pairs
+from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import rotation_from_vector
@@ -96,18 +94,3 @@ def test_hypotheses_without_pairs_are_none() -> None:
     pairs = pairs_about(true, true.cameras, 0)
     empty = pairs.take(np.empty(0, dtype=np.int64))
     assert hypotheses(true, empty, true.prior_mean, np.arange(true.size)) == []
-
-
-def test_many_pairs_are_compared_at_fewer_times(monkeypatch: pytest.MonkeyPatch) -> None:
-    true = unknowns(cameras_around())
-    every = pairs_about(true, true.cameras, 1)
-    monkeypatch.setattr(track_pairs, "ALL_TIMES", 0)
-    fewer = pairs_about(true, true.cameras, 1)
-    np.testing.assert_array_equal(every.tracks, fewer.tracks)
-    counts = [np.bincount(pairs.pair) for pairs in (every, fewer)]
-    assert FEWEST_TIMES < counts[0].min() <= counts[0].max() <= PAIR_TIMES
-    assert (counts[1] == FEWEST_TIMES).all()
-    # over the same stretch
-    for pair in range(len(fewer.tracks)):
-        ends = [np.flatnonzero(pairs.pair == pair)[[0, -1]] for pairs in (every, fewer)]
-        np.testing.assert_array_equal(every.entries[ends[0]], fewer.entries[ends[1]])
