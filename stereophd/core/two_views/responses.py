@@ -23,7 +23,7 @@ USUAL, TOLERATED = math.radians(0.5), 0.02
 SUPPOSED = np.vstack([np.ones(6), 1e6 - (1e6 - 1.0) * np.eye(6)])
 # Information beyond the inverse of this is lost to rounding: the noise counts as that much larger.
 ROUNDING = 1e-10
-# Unknowns that a block must say something about, for its misfit to count.
+# Number of unknowns that a block must inform, for its misfit to count.
 LEAST_EXPECTED = 1.0
 
 
