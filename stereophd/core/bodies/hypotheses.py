@@ -145,13 +145,19 @@ def moments(
     groups: Integers, weights: Array, means: Array, covariances: Array, n_groups: int
 ) -> tuple[Array, Array, Array]:
     """Return weight (g,), mean (g, 8) and covariance (g, 8, 8) of mixtures, from the group of each Gaussian."""
-    masses = np.where(np.arange(n_groups)[:, None] == groups, weights, 0.0)
-    totals = masses.sum(axis=1)
-    shares = masses / np.maximum(totals, 1e-300)[:, None]
-    joint = shares @ means
+    order = np.argsort(groups, kind="stable")
+    present, starts = np.unique(groups[order], return_index=True)
+
+    def summed(values: Array) -> Array:
+        sums = np.zeros((n_groups, *values.shape[1:]))
+        sums[present] = np.add.reduceat(values[order], starts) if len(starts) else 0.0
+        return sums
+
+    totals = summed(weights)
+    shares = weights / np.maximum(totals, 1e-300)[groups]
+    joint = summed(shares[:, None] * means)
     off = means - joint[groups]
-    spread = np.tensordot(shares, covariances + off[:, :, None] * off[:, None, :], 1)
-    return totals, joint, spread
+    return totals, joint, summed(shares[:, None, None] * (covariances + off[:, :, None] * off[:, None, :]))
 
 
 def reassociate(hypotheses: Hypotheses, camera: int, n_tracks: int, n_boxes: int) -> Hypotheses:
