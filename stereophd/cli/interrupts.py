@@ -1,12 +1,12 @@
 """Signals such as Ctrl-C end a run by an exception, so that unfinished outputs are removed before it exits.
 
-The first signal raises an exception. Python prints and drops an exception that a signal raises inside a destructor or
-inside a callback from compiled code, as the compiler of the kernels uses. This module suppresses the print and raises
-the exception again a moment later. Compiled code may also replace it by another exception; `check` raises it again at
-the next step of the run. Where a kernel makes a named tuple, an exception would end the process by a segmentation
-fault: it is raised as soon as the kernel has returned (`outside_kernels`). Further signals do not disturb what the
-first one began; one that comes after `PATIENCE_S` ends the process at once, and the next run removes what is left
-behind.
+The first signal raises an exception. Where compiled code calls Python, an exception would be lost (the compiler of the
+kernels, which then misses what it compiled) or end the process by a segmentation fault (a kernel that makes a named
+tuple): it is raised as soon as the compiled code has returned (`outside_kernels`). Python prints and drops an exception
+that a signal raises inside a destructor. This module suppresses the print and raises the exception again a moment
+later. Compiled code may also replace it by another exception; `check` raises it again at the next step of the run.
+Further signals do not disturb what the first one began; one that comes after `PATIENCE_S` ends the process at once,
+and the next run removes what is left behind.
 """
 
 from __future__ import annotations
@@ -78,13 +78,14 @@ def check() -> None:
 
 
 def outside_kernels(frame: FrameType | None, action: Callable[[], None]) -> None:
-    """Call what raises an exception in a signal handler, now or at the next instruction outside a kernel.
+    """Call what raises an exception in a signal handler, now or at the next instruction outside kernels.
 
     Python calls the handler of a signal that came while a kernel worked at the first instruction of Python after it. A
     kernel that returns a named tuple gets its class and makes it by Python code, and takes for granted that this
-    succeeds. `frame` is the one that the signal interrupted, as a handler is given it.
+    succeeds; so does the compiler of the kernels when it hands over what it compiled. `frame` is the one that the
+    signal interrupted, as a handler is given it.
     """
-    caller = _caller_of_kernel(frame)
+    caller = _caller_of_compiled(frame)
     if caller is None:
         action()
         return
@@ -99,14 +100,15 @@ def outside_kernels(frame: FrameType | None, action: Callable[[], None]) -> None
     sys.settrace(lambda *_: None)
 
 
-def _caller_of_kernel(frame: FrameType | None) -> FrameType | None:
-    """Return the frame that called the kernel that is making a named tuple; None if there is no such kernel."""
+def _caller_of_compiled(frame: FrameType | None) -> FrameType | None:
+    """Return the frame that called the compiled code that is calling Python; None if there is no such code."""
     while frame is not None:
         code = frame.f_code
         gets_class = code.co_name == "_numba_unpickle"
         makes_tuple = code.co_varnames[:1] == ("_cls",) and "_tuple_new" in code.co_names  # collections.namedtuple
+        hands_over = code.co_name.startswith("_raw_object_cache_")  # llvmlite's callbacks
         frame = frame.f_back
-        if gets_class or makes_tuple:
+        if gets_class or makes_tuple or hands_over:
             return frame
     return None
 

@@ -215,6 +215,43 @@ def test_a_signal_while_a_kernel_makes_a_named_tuple() -> None:
     assert (done.returncode, done.stdout, done.stderr) == (0, "raised\n", "")
 
 
+COMPILER = """
+import signal
+import numba
+from llvmlite.binding import executionengine
+from stereophd.cli import interrupts
+
+interrupts.install()
+read = executionengine.string_at
+
+def interrupted(*words):
+    data = read(*words)
+    if b"kernel" in data:
+        signal.raise_signal(signal.SIGINT)
+    return data
+
+executionengine.string_at = interrupted
+
+@numba.njit(cache=True)
+def kernel(count):
+    return count + 1
+
+try:
+    kernel(1)
+    print("not raised")
+except KeyboardInterrupt:
+    print("raised")
+"""
+
+
+def test_ctrl_c_while_the_compiler_hands_over_a_kernel(tmp_path: Path) -> None:
+    """Raised there, the exception would be lost, and the compiler would fail for want of what it compiled."""
+    script = tmp_path / "script.py"  # kernels of a file are cached
+    script.write_text(COMPILER)
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=GIVE_UP_S)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "raised\n", "")
+
+
 def test_a_system_without_posix_calls_runs_commands(config: Path, tmp_path: Path) -> None:
     """Signals, locks, exchanged folders and users that other systems lack have fallbacks."""
     script = """
