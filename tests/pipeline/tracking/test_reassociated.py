@@ -21,20 +21,18 @@ KEY = ["camera", "u_px", "v_px"]
 
 
 @pytest.fixture(scope="module")
-def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]]:
-    """Reports, and associations with the true objects, of two short scenes, without and with the option."""
+def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, tuple[dict[str, Any], pd.DataFrame]]:
+    """Report, and associations with the true objects, of a short scene, without and with the option."""
     folder = tmp_path_factory.mktemp("board")
-    out: dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]] = {False: [], True: []}
-    for seed in (0, 1):
-        scene = folder / f"scene{seed}"
-        simulate(load_config(CONFIG, [*SHORT, f"seed={seed}"]), scene)
-        truth = pd.read_parquet(scene / "detections.parquet")[[*KEY, "object_id"]]
-        for anew in out:
-            tracks = folder / f"tracks{seed}{anew}"
-            changes = [*SHORT, f"report.smooth={{reassociate: {str(anew).lower()}}}"]
-            report = track(load_config(CONFIG, changes), scene / "detections.parquet", tracks)
-            found = pd.read_parquet(tracks / "associations.parquet")
-            out[anew].append((report, found.merge(truth, on=KEY)))
+    scene = folder / "scene"
+    simulate(load_config(CONFIG, [*SHORT, "seed=0"]), scene)
+    truth = pd.read_parquet(scene / "detections.parquet")[[*KEY, "object_id"]]
+    out = {}
+    for anew in (False, True):
+        tracks = folder / f"tracks{anew}"
+        changes = [*SHORT, f"report.smooth={{reassociate: {str(anew).lower()}}}"]
+        report = track(load_config(CONFIG, changes), scene / "detections.parquet", tracks)
+        out[anew] = report, pd.read_parquet(tracks / "associations.parquet").merge(truth, on=KEY)
     return out
 
 
@@ -50,30 +48,30 @@ def _wrong(found: pd.DataFrame) -> int:
     return int((most != found.object_id).sum())
 
 
-def test_fewer_detections_are_of_a_neighbour(runs: dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]]) -> None:
-    before, after = (sum(_wrong(found) for _, found in runs[anew]) for anew in (False, True))
+def test_fewer_detections_are_of_a_neighbour(runs: dict[bool, tuple[dict[str, Any], pd.DataFrame]]) -> None:
+    before, after = (_wrong(runs[anew][1]) for anew in (False, True))
     assert before > 0
     assert after < 0.5 * before
-    after, before = (sum(len(_probable(found)) for _, found in runs[anew]) for anew in (True, False))
+    before, after = (len(_probable(runs[anew][1])) for anew in (False, True))
     assert after >= before
 
 
 def test_a_detection_has_one_track_and_is_counted_once(
-    runs: dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]],
+    runs: dict[bool, tuple[dict[str, Any], pd.DataFrame]],
 ) -> None:
-    for report, rows in runs[True]:
-        found = _probable(rows)
-        assert not found.duplicated(KEY).any()
-        assert not found.duplicated(["track_id", "camera", "frame"]).any()
-        counted = sum(sum(one["n_detections"].values()) for one in report["tracks"])
-        assert counted == len(found)
+    report, rows = runs[True]
+    found = _probable(rows)
+    assert not found.duplicated(KEY).any()
+    assert not found.duplicated(["track_id", "camera", "frame"]).any()
+    counted = sum(sum(one["n_detections"].values()) for one in report["tracks"])
+    assert counted == len(found)
 
 
 def test_probabilities_of_a_detection_add_up_to_at_most_one(
-    runs: dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]],
+    runs: dict[bool, tuple[dict[str, Any], pd.DataFrame]],
 ) -> None:
     """What a track was given anew is its own alone, with probability 1; without the option nothing is that certain."""
-    for anew, found in ((anew, rows) for anew, several in runs.items() for _, rows in several):
+    for anew, (_, found) in runs.items():
         assert not found.duplicated([*KEY, "frame", "track_id"]).any()
         sums = found.groupby([*KEY, "frame"]).probability.transform("sum")
         assert sums.max() < 1.0 + 1e-9
@@ -84,9 +82,9 @@ def test_probabilities_of_a_detection_add_up_to_at_most_one(
 
 
 def test_what_a_track_that_is_not_written_was_given_keeps_the_rows_of_others(
-    runs: dict[bool, list[tuple[dict[str, Any], pd.DataFrame]]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    runs: dict[bool, tuple[dict[str, Any], pd.DataFrame]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    filtered, chosen = (runs[anew][1][1] for anew in (False, True))
+    filtered, chosen = (runs[anew][1] for anew in (False, True))
     given = chosen[chosen.probability == 1.0]
     key = [*KEY, "frame"]
     others = filtered.merge(given[[*key, "track_id"]], on=key, suffixes=("", "_given"))
@@ -94,8 +92,8 @@ def test_what_a_track_that_is_not_written_was_given_keeps_the_rows_of_others(
     left_out = int(others.track_id_given.mode()[0])
     is_written = smoothed._is_written
     monkeypatch.setattr(smoothed, "_is_written", lambda one, *rest: one.track_id != left_out and is_written(one, *rest))
-    config = load_config(CONFIG, [*SHORT, "seed=1", "report.smooth={reassociate: true}"])
-    simulate(config, tmp_path / "scene")
+    config = load_config(CONFIG, [*SHORT, "report.smooth={reassociate: true}"])
+    simulate(load_config(CONFIG, [*SHORT, "seed=0"]), tmp_path / "scene")
     track(config, tmp_path / "scene" / "detections.parquet", tmp_path / "tracks")
     found = pd.read_parquet(tmp_path / "tracks" / "associations.parquet")
     assert left_out not in set(found.track_id)
