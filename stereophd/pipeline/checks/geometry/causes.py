@@ -29,8 +29,6 @@ from stereophd.pipeline.checks.log.sample import CameraSample
 
 # An alternative is named if it raises the excess by this much, to this multiple.
 LEAST_GAIN, LEAST_RATIO = 0.08, 1.4
-# The same for a clock offset or rate: rays of slow objects meet nearly as well at other times.
-LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO = 0.15, 1.5
 # Share of the logs of right set-ups in which chance may let any of the alternatives pass.
 FALSE_ALARMS = 0.005
 # Clock offsets that are tried: up to this many seconds, in this many steps; ratios of usual frame rates.
@@ -62,11 +60,7 @@ def best_explanation(
     """
     size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
     few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
-    views = geometry.views
-    quick = replace(geometry, pairs=few, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in few))
-    if tolerances != TOLERANCES:
-        given = tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in geometry.pairs)
-        geometry = replace(geometry, given=given)
+    quick, geometry = geometry.with_pairs(few, tolerances), geometry.with_pairs(geometry.pairs, tolerances)
     steps = SHIFT_STEPS if thorough else QUICK_STEPS
     trials = [
         *([] if clocks_only else _camera_trials(geometry)),
@@ -98,9 +92,8 @@ def _affordable(pair: Candidates, count: int, tables: int) -> int:
 
 
 def _is_decisive(one: Explanation) -> bool:
-    clock, met, given = one.trial.cause in ("clock_offset", "frame_rate"), one.met, one.given.excess
-    gain, ratio = (LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO) if clock else (LEAST_GAIN, LEAST_RATIO)
-    return met.excess >= given + gain and met.excess >= ratio * max(given, 0.0) and met.score >= LEAST_SCORE
+    met, given = one.met, one.given.excess
+    return met.excess >= max(given + LEAST_GAIN, LEAST_RATIO * given) and met.score >= LEAST_SCORE
 
 
 @dataclass(frozen=True)

@@ -279,6 +279,11 @@ class Geometry:
         """The cameras as stated."""
         return [Reading(sample.camera) for sample in self.samples]
 
+    def with_pairs(self, pairs: tuple[Candidates, ...], tolerances: tuple[float, ...]) -> Geometry:
+        """Return how often rays of these detections of the pairs meet, at the best of the tolerances."""
+        views = self.views
+        return replace(self, pairs=pairs, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in pairs))
+
     @cached_property
     def rays(self) -> list[tuple[Array, Array]]:
         """The rays of every pair, with the cameras as stated (see `rays_of`)."""
@@ -330,6 +335,5 @@ def measure(samples: list[CameraSample], depths: tuple[float, float], thorough: 
         found = candidates(samples, a, b, most)
         if found is not None:
             pairs.append(found)
-    given = [meeting(pair, Reading(samples[pair.a].camera), Reading(samples[pair.b].camera)) for pair in pairs]
-    expected = [expected_excess(pair, samples, depths) for pair in pairs]
-    return Geometry(samples, tuple(pairs), tuple(given), tuple(expected))
+    expected = tuple(expected_excess(pair, samples, depths) for pair in pairs)
+    return Geometry(samples, (), (), expected).with_pairs(tuple(pairs), TOLERANCES)
