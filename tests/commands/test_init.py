@@ -243,3 +243,40 @@ def test_a_configuration_of_the_user_stays(scene: Path, tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=message):
             init(tmp_path / "new", **options)
+
+
+@pytest.mark.parametrize(
+    ("motion", "model"),
+    [({"model": "damped_velocity", "time_constant_s": 1.0}, "damped_velocity"),
+     ({"model": "constant_velocity"}, "constant_velocity")],
+)  # fmt: skip
+def test_velocities_that_decay_are_told_from_those_that_last(
+    motion: dict[str, Any], model: str, tmp_path: Path
+) -> None:
+    """The acceleration feeds the decaying ones up to their spread of 0.3 m/s; the others hardly change in 8 s."""
+    values = yaml.safe_load((ROOT / "configs" / "quickstart.yaml").read_text())
+    values["cameras"].pop("middle")
+    decays = "time_constant_s" in motion
+    noise = 0.3 * (2.0 / motion["time_constant_s"]) ** 0.5 if decays else 0.02
+    values["simulate"] |= {"duration_s": 8.0, "motion": motion | {"acceleration_std": noise}}
+    values["simulate"].pop("acceleration_std")
+    values["simulate"]["objects"] |= {"births_per_s": 0.0}
+    simulate(make_config(values), tmp_path / "scene")
+    init(tmp_path / "study", tmp_path / "scene" / "detections.parquet")
+    found = load_config(tmp_path / "study" / "config.yaml").config.motion
+    assert found.model == model
+    if decays:
+        assert found.time_constant_s == pytest.approx(motion["time_constant_s"], rel=0.8)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("given", ["motion.acceleration_std=[0.3, 0.3, 0.2]", "motion={model: static}"])
+def test_a_motion_of_the_user_stays(given: str, scene: Path, tmp_path: Path) -> None:
+    init(tmp_path, scene / "detections.parquet", overrides=[given])
+    key, value = given.split("=")
+    written = yaml.safe_load((tmp_path / "config.yaml").read_text())["motion"]
+    assert (written if key == "motion" else written["acceleration_std"]) == yaml.safe_load(value)
+
+
+def test_only_track_estimates_an_acceleration(scene: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="only track estimates it"):
+        init(tmp_path / "study", scene / "detections.parquet", overrides=["motion.acceleration_std=estimate"])

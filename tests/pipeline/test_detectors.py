@@ -21,7 +21,10 @@ from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.core.geometry.camera import Detector
 from stereophd.errors import InputError
+from stereophd.pipeline.build import build_labelled_filter
+from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
 from stereophd.pipeline.detectors.statistics import BETWEEN_AXES, DetectorSums, NoisePrior, estimate_detector
+from stereophd.pipeline.stream import open_stream
 from tests.commands.test_track import SCENE
 
 FromFarAway = Callable[[int], tuple[dict, Path]]
@@ -257,3 +260,19 @@ def test_a_text_that_is_not_estimate(tmp_path: Path) -> None:
     path.write_text(SCENE)
     with pytest.raises(InputError, match="expected estimate or sigma_px, p_detect and clutter_per_frame, found guess"):
         load_config(path, ["cameras.left.detector=guess"])
+
+
+@pytest.mark.parametrize("start_px", [0.08, 30.0])
+def test_a_noise_that_rays_hardly_know_is_where_the_log_is_most_probable(logs: Path, start_px: float) -> None:
+    """From a noise that is wrong by two stated errors; no tracks begin with the small one."""
+    loaded = load_config(logs / "scene.yaml", (*SIMULATED, *given(TRUE)), 1)
+    sigma = np.full(2, start_px)
+    cameras = tuple(replace(one, detector=replace(one.detector, sigma=sigma)) for one in loaded.build_cameras())
+    parts = stretches(open_stream(loaded.config, cameras, logs / "log0" / "detections.parquet"))
+    found, report = estimate_detectors(
+        cameras, {name: NoisePrior(sigma, 1.5) for name in TRUE},
+        lambda used: build_labelled_filter(loaded.config, used, "scene.yaml", 1), parts,
+    )  # fmt: skip
+    for camera in found:
+        np.testing.assert_allclose(camera.detector.sigma, TRUE[camera.name][0], rtol=0.3)
+        assert report["cameras"][camera.name]["confirmed"]

@@ -3,6 +3,7 @@
 import logging
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from itertools import islice
 from typing import Any
 
@@ -34,6 +35,8 @@ LEAST_FRAMES = 10
 MOST_PASSES = 5
 CONVERGED = 0.02
 CONVERGED_ERRORS = 0.5
+# Stated error of the noise from rays from which the filter is asked for another, and by how many of them at most.
+LEAST_UNSURE, MOST_ERRORS = 0.2, 2.0
 # Detections of a tentative object that chance gives.
 CHANCE_PAIR = 2
 # After the last of them, changes below this share are no finding.
@@ -206,6 +209,7 @@ def estimate_detectors(
         For ``report.json``: by camera the values, their standard errors and the numbers behind them, and whether the
         log states the noise of its detections.
     """
+    cameras, priors = _most_probable(cameras, priors, build_filter, parts)
     started = cameras
     estimates: dict[str, DetectorEstimate] = {}
     passes, converged, nearly, own_noise = 0, False, False, False
@@ -213,18 +217,14 @@ def estimate_detectors(
         passes += 1
         sums, own_noise = _pass(build_filter(cameras), [part.with_cameras(cameras) for part in parts])
         converged = nearly = True
-        updated = []
         for camera, mine in zip(cameras, sums, strict=True):
-            detector = camera.detector
             if camera.name in priors:
                 prior = priors[camera.name]
                 mine = mine.with_noise_of(sums) if prior.boxes else mine
-                estimate = estimates[camera.name] = estimate_detector(mine, detector, prior)
-                converged = converged and _agree(detector, estimate, prior, CONVERGED)
-                nearly = nearly and _agree(detector, estimate, prior, NEARLY_CONVERGED)
-                detector = estimate.detector
-            updated.append(replace(camera, detector=detector))
-        cameras = tuple(updated)
+                estimate = estimates[camera.name] = estimate_detector(mine, camera.detector, prior)
+                converged = converged and _agree(camera.detector, estimate, prior, CONVERGED)
+                nearly = nearly and _agree(camera.detector, estimate, prior, NEARLY_CONVERGED)
+        cameras = _with_detectors(cameras, {name: estimate.detector for name, estimate in estimates.items()})
         texts = [_text(name, estimate) for name, estimate in estimates.items()]
         LOGGER.info("detectors, pass %d: %s", passes, "; ".join(texts))
     for camera in started:
@@ -234,12 +234,45 @@ def estimate_detectors(
             back = prior.put(last, prior.noise)
             estimates[camera.name] = replace(estimates[camera.name], detector=back, noise=prior.noise)
     estimates = {name: estimate.lasting(priors[name]) for name, estimate in estimates.items()}
-    cameras = tuple(
-        replace(camera, detector=estimates[camera.name].detector) if camera.name in estimates else camera
-        for camera in cameras
-    )
+    cameras = _with_detectors(cameras, {name: estimate.detector for name, estimate in estimates.items()})
     report = {name: _report(estimate, priors[name]) for name, estimate in estimates.items()}
     return cameras, {"passes": passes, "converged": nearly, "noise_in_log": own_noise, "cameras": report}
+
+
+def _most_probable(
+    cameras: tuple[Camera, ...],
+    priors: Mapping[str, NoisePrior],
+    build_filter: Callable[[tuple[Camera, ...]], Estimator[Any]],
+    parts: Sequence[EventStream],
+) -> tuple[tuple[Camera, ...], Mapping[str, NoisePrior]]:
+    """Return cameras and priors with the noise at which the filter finds the log most probable, so many errors away.
+
+    Where rays hardly know the noise, no tracks begin with a wrong one that could correct it.
+    """
+    if max((prior.spread for prior in priors.values()), default=0.0) < LEAST_UNSURE:
+        return cameras, priors
+
+    @cache
+    def moved(errors: float) -> tuple[float, tuple[Camera, ...], Mapping[str, NoisePrior]]:
+        """Return the evidence for so many errors more, and what it is for."""
+        away = {name: replace(one, noise=one.noise * np.exp(errors * one.spread)) for name, one in priors.items()}
+        noisy = {
+            one.name: away[one.name].put(one.detector, away[one.name].noise) for one in cameras if one.name in away
+        }
+        used = _with_detectors(cameras, noisy)
+        records = (record for part in parts for record in run_estimator(build_filter(used), part.with_cameras(used)))
+        return sum(record.info.log_likelihood for record in records) - 0.5 * errors**2, used, away
+
+    errors = 0.0
+    for step in (1.0, -1.0):
+        while abs(errors + step) <= MOST_ERRORS and moved(errors + step)[0] > moved(errors)[0]:
+            errors += step
+    return moved(errors)[1:]
+
+
+def _with_detectors(cameras: tuple[Camera, ...], detectors: Mapping[str, Detector]) -> tuple[Camera, ...]:
+    """Return cameras with other detectors."""
+    return tuple(replace(camera, detector=detectors.get(camera.name, camera.detector)) for camera in cameras)
 
 
 def _agree(present: Detector, estimate: DetectorEstimate, prior: NoisePrior, share: float) -> bool:

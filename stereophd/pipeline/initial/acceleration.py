@@ -19,7 +19,6 @@ import numpy as np
 from stereophd.config.loading import LoadedConfig, variant
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
-from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
@@ -58,23 +57,17 @@ class AccelerationEstimate:
         return {"acceleration_std": self.value, "most_likely": self.usual, "events": self.events, "tried": tried}
 
 
-def estimate_acceleration(
-    loaded: LoadedConfig, cameras: tuple[Camera, ...], parts: Sequence[Sequence[Event]], start: float
-) -> AccelerationEstimate:
+def estimate_acceleration(loaded: LoadedConfig, parts: Sequence[Sequence[Event]], start: float) -> AccelerationEstimate:
     """Return the acceleration of the objects, length/s^2, from stretches of a log and a starting value.
 
-    The configuration has a filter for many objects; its own acceleration does not count. The cameras are those of the
-    events, with their detectors.
+    The configuration has a filter for many objects; its own acceleration does not count.
     """
     found: dict[float, Array] = {}
 
     def likelihoods(value: float) -> Array:
         """Return the log-likelihood of every event."""
         if value not in found:
-            config = variant(loaded, [("estimate", {"motion.acceleration_std": value})]).config
-            estimator = build_labelled_filter(config, cameras, loaded.path, 1)
-            records = (record for part in parts for record in run_estimator(estimator, part))
-            found[value] = np.array([record.info.log_likelihood for record in records])
+            found[value] = log_likelihoods(variant(loaded, [("estimate", {"motion.acceleration_std": value})]), parts)
         return found[value]
 
     def climb(value: float, factor: float, least: float) -> float:
@@ -108,6 +101,13 @@ def estimate_acceleration(
     return AccelerationEstimate(value, usual, tried, sum(map(len, parts)))
 
 
+def log_likelihoods(loaded: LoadedConfig, parts: Sequence[Sequence[Event]]) -> Array:
+    """Return the log-likelihood of every event of stretches of a log under a configuration with their cameras."""
+    estimator = build_labelled_filter(loaded.config, loaded.build_cameras(), loaded.path, 1)
+    records = (record for part in parts for record in run_estimator(estimator, part))
+    return np.array([record.info.log_likelihood for record in records])
+
+
 def _of_windows(found: dict[float, Array]) -> float:
     """Return the least value that is enough for all but a few of the population that windows of the log show."""
     values = sorted(found)
@@ -137,15 +137,14 @@ def with_estimated_motion(loaded: LoadedConfig, log_path: Path | str) -> tuple[L
             f"{loaded.path}: motion.acceleration_std: expected a number where filter.kind is not phd or pmb, found "
             f"{ESTIMATE}"
         )
-    cameras = loaded.build_cameras()
-    parts = [list(part) for part in stretches(open_stream(config, cameras, log_path))]
+    parts = [list(part) for part in stretches(open_stream(config, loaded.build_cameras(), log_path))]
     if sum(map(len, parts)) < LEAST_EVENTS:
         raise InputError(
             f"{log_path}: expected at least {LEAST_EVENTS} frames to estimate motion.acceleration_std from, found "
             f"{sum(map(len, parts))}; state a number"
         )
     start = USUAL_RATIO * float(np.max(config.filter.birth.velocity_std))
-    estimate = estimate_acceleration(loaded, cameras, parts, start)
+    estimate = estimate_acceleration(loaded, parts, start)
     LOGGER.info("%s: motion.acceleration_std estimated: %g", log_path, estimate.value)
     stated = variant(loaded, [("estimated from the log", {"motion.acceleration_std": estimate.value})])
     return stated, estimate.report()

@@ -26,7 +26,7 @@ from stereophd.pipeline.checks.settings import expected_depths, measure_motion, 
 from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
 from stereophd.pipeline.detectors.statistics import NoisePrior
-from stereophd.pipeline.initial.acceleration import estimate_acceleration
+from stereophd.pipeline.initial.acceleration import LEAST_GAIN, estimate_acceleration, log_likelihoods
 from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter, shared_depths
 from stereophd.pipeline.initial.template import Choice, Draft, rounded, scalar
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
@@ -130,8 +130,7 @@ def _with_bodies(
         draft = _with_cameras(draft, noisy, unknown)
         events = [list(part.with_cameras(noisy)) for part in parts]
     draft = _with_acceleration(draft, events, name)
-    loaded = loaded_draft(draft, name)
-    figures = measure_with_filter(loaded, loaded.build_cameras(), events)
+    figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
         return draft
     # bodies are where their region says, and their boxes tell their depth
@@ -267,20 +266,42 @@ def _with_filter(draft: Draft, usual: Draft, priors: Mapping[str, NoisePrior], l
         cameras = loaded_draft(draft, str(log_path)).build_cameras()
         events = [list(part.with_cameras(cameras)) for part in parts]
         draft = _with_acceleration(draft, events, str(log_path))
-    loaded = loaded_draft(draft, str(log_path))
-    figures = measure_with_filter(loaded, loaded.build_cameras(), events)
-    return draft if figures is None else draft.with_choices(_final(figures, usual, draft.unit))
+    figures = measure_with_filter(loaded_draft(draft, str(log_path)), events)
+    if figures is None:
+        return draft
+    draft = draft.with_choices(_final(figures, usual, draft.unit))
+    return _with_damping(draft, figures.speed_std, events, str(log_path))
 
 
 def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str) -> Draft:
-    """Return the draft with the acceleration that the log shows, from that of the draft on."""
+    """Return the draft with the acceleration that the log shows, from that of the draft on, unless it is given."""
+    if draft.is_given("motion.acceleration_std"):
+        return draft
     start = float(draft.choices["motion.acceleration_std"].value)
-    loaded = loaded_draft(draft, name)
-    found = estimate_acceleration(loaded, loaded.build_cameras(), parts, start)
+    found = estimate_acceleration(loaded_draft(draft, name), parts, start)
     why = f"from the likelihood of {len(found.tried)} values over {found.events} events"
     if found.value > found.usual:
         why += f" ({found.usual:g} for most of them, more where objects turn)"
     return draft.with_choices({"motion.acceleration_std": Choice(found.value, f"{why}; {draft.unit}/s^2")})
+
+
+def _with_damping(draft: Draft, speed_std: float, parts: list[list[Event]], name: str) -> Draft:
+    """Return the draft with velocities that decay, where that is more probable than that they last.
+
+    They decay in the time in which the acceleration of the draft holds the speeds at those of the tracks.
+    """
+    if draft.is_given("motion.model") or draft.is_given("motion.acceleration_std"):
+        return draft
+    settling = 2.0 * (speed_std / float(draft.choices["motion.acceleration_std"].value)) ** 2
+    changes = {
+        "motion.model": Choice("damped_velocity", "the log is more probable than with constant_velocity"),
+        "motion.time_constant_s": Choice(
+            rounded(settling), "in which this acceleration and the decay hold the speeds at those of the tracks; s"
+        ),
+    }
+    damped = draft.with_choices(changes)
+    lasting, decaying = (log_likelihoods(loaded_draft(one, name), parts).sum() for one in (draft, damped))
+    return damped if decaying > lasting + LEAST_GAIN else draft
 
 
 def _with_detectors(

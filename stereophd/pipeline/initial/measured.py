@@ -42,10 +42,9 @@ class SceneFigures:
     seen_s: float
 
 
-def measure_with_filter(
-    loaded: LoadedConfig, cameras: tuple[Camera, ...], parts: Sequence[Sequence[Event]]
-) -> SceneFigures | None:
+def measure_with_filter(loaded: LoadedConfig, parts: Sequence[Sequence[Event]]) -> SceneFigures | None:
     """Track stretches of a log with complete and wide enough settings; return what tracks show, None if hardly any."""
+    cameras = loaded.build_cameras()
     estimator = build_labelled_filter(loaded.config, cameras, loaded.path, 1)
     centers = np.array([camera.pose.center for camera in cameras])
     depths, speeds, counted = [], [], []

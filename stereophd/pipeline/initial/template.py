@@ -131,7 +131,7 @@ class Draft:
     head: tuple[str, ...] = ()  # Comments at the top of the file
     findings: tuple[Finding, ...] = ()  # What is doubtful of the estimates
     calibration: tuple[str, ...] = ()  # Lines at the end of the file: a section ``calibration`` to uncomment
-    given: frozenset[str] = frozenset()  # Keys of choices that the user states: nothing changes them
+    given: frozenset[str] = frozenset()  # Keys and sections that the user states: nothing changes them
 
     @property
     def must_be_calibrated(self) -> bool:
@@ -140,8 +140,12 @@ class Draft:
 
     def with_choices(self, changes: Mapping[str, Choice]) -> Draft:
         """Return the draft with other values, save those that are given."""
-        new = {key: choice for key, choice in changes.items() if key not in self.given}
+        new = {key: choice for key, choice in changes.items() if not self.is_given(key)}
         return replace(self, choices={**self.choices, **new})
+
+    def is_given(self, key: str) -> bool:
+        """Whether the user states the value of a key, or a section that holds it."""
+        return any(f"{key}.".startswith(f"{stated}.") for stated in self.given)
 
     def with_given(self, values: Mapping[str, Any]) -> Draft:
         """Return the draft with values of the user."""

@@ -13,9 +13,17 @@ from stereophd.core.geometry.pose import Pose
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL
-from stereophd.pipeline.checks.geometry.causes import LEAST_CLOCK_FRAMES
+from stereophd.pipeline.checks.geometry.causes import LEAST_CLOCK_FRAMES, RATES, Trial, _clock_trials
 from stereophd.pipeline.checks.geometry.findings import check_geometry, left_out
-from stereophd.pipeline.checks.geometry.rays import MOST_PAIRS, Candidates, Geometry, Meeting, measure, pairs_of
+from stereophd.pipeline.checks.geometry.rays import (
+    MOST_PAIRS,
+    SHARP,
+    Candidates,
+    Geometry,
+    Meeting,
+    measure,
+    pairs_of,
+)
 from stereophd.pipeline.checks.log import sample as sampling
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
@@ -151,6 +159,27 @@ def test_a_clock_by_which_slow_objects_still_meet_roughly(shift: float, causes: 
     """At a wide tolerance their rays meet as often with the wrong clock as with the right one."""
     found = _geometry(sample_log(_frames(CAMERAS, shift, pace=0.2), CAMERAS))
     assert [one.cause for one in found if one.status == "warning"] == causes
+
+
+def test_a_change_is_asked_of_the_detections_that_were_asked_before_it() -> None:
+    """A change of times shares a frame less with the other camera: that alone explains nothing."""
+    frames = _frames(CAMERAS, count=120)
+    samples, shorter = sample_log(frames, CAMERAS), sample_log(frames[:-1], CAMERAS)
+    geometry = measure(samples, DEPTHS, thorough=False)
+    geometry = geometry.with_pairs(geometry.pairs, SHARP)
+    change = Trial((1,), "frame_rate", "", "", geometry.views, shorter).explain(geometry, SHARP)
+    assert change is not None
+    assert len(samples[0].pixels) > 2 * len(geometry.pairs[0].detections)
+    assert change.met.share == pytest.approx(change.given.share, abs=0.01)
+    assert abs(change.certainty) < 2.0
+
+
+@pytest.mark.parametrize(("late_s", "certain"), [(0.0, False), (0.3, True)])
+def test_a_change_is_certain_where_more_meet_than_are_lost(late_s: float, certain: bool) -> None:
+    geometry = measure(sample_log(_frames(CAMERAS, late_s), CAMERAS), DEPTHS)
+    trials = list(_clock_trials(geometry, RATES, 40))
+    changes = [change.certainty for trial in trials if (change := trial.explain(geometry)) is not None]
+    assert (max(changes) > 5.0) == certain
 
 
 def test_a_clock_that_is_off_names_the_change_that_mends_it() -> None:
@@ -312,7 +341,7 @@ def _many(count: int, few_frames: int = 0, alone: int = 0) -> Geometry:
     for a, b in pairs_of(count):
         if b < count - alone:
             pairs.append(Candidates(a, b, none, np.empty(0), nowhere, np.empty((1, 0, 0, 2))))
-    met = Meeting(0.9, 0.1, 0.9, 9.0, 3.0, 100)
+    met = Meeting(0.9, 0.1, 0.9, 9.0, 3.0, np.ones(100, dtype=bool))
     return Geometry(samples, tuple(pairs), (met,) * len(pairs), (0.9,) * len(pairs))
 
 
@@ -336,7 +365,7 @@ def test_pairs_and_clocks_that_are_left_out_are_stated(count: int, few_frames: i
 
 def test_a_small_promise_is_not_called_a_small_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stereophd.pipeline.checks.geometry.findings.best_explanation", lambda *_, **__: None)
-    little = replace(_many(2), given=(Meeting(0.3, 0.28, 0.02, 1.0, 3.0, 100),), expected=(0.05,))
+    little = replace(_many(2), given=(Meeting(0.3, 0.28, 0.02, 1.0, 3.0, np.ones(100, dtype=bool)),), expected=(0.05,))
     (found,) = check_geometry(little, thorough=False)
     assert (found.status, found.remedy) == ("not checked", None)
     assert "hardly more than chance" in found.message

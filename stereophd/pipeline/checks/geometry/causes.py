@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 
 import numpy as np
 
@@ -27,8 +29,8 @@ from stereophd.pipeline.checks.log.sample import CameraSample
 
 # An alternative is named if it raises the excess by this much, to this multiple.
 LEAST_GAIN, LEAST_RATIO = 0.08, 1.4
-# The same for a clock offset or rate: rays of slow objects meet nearly as well at other times.
-LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO = 0.15, 1.5
+# Share of the logs of right set-ups in which chance may let any of the alternatives pass.
+FALSE_ALARMS = 0.005
 # Clock offsets that are tried: up to this many seconds, in this many steps; ratios of usual frame rates.
 LARGEST_SHIFT_S, SHIFT_STEPS = 6.0, 160
 RATES = (24 / 25, 25 / 24, 0.8, 1.25, 25 / 30, 1.2, 0.6, 5 / 3, 0.5, 2.0, 1.001, 1 / 1.001)
@@ -58,14 +60,11 @@ def best_explanation(
     """
     size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
     few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
-    views = geometry.views
-    quick = replace(geometry, pairs=few, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in few))
-    if tolerances != TOLERANCES:
-        given = tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in geometry.pairs)
-        geometry = replace(geometry, given=given)
+    quick, geometry = geometry.with_pairs(few, tolerances), geometry.with_pairs(geometry.pairs, tolerances)
+    steps = SHIFT_STEPS if thorough else QUICK_STEPS
     trials = [
         *([] if clocks_only else _camera_trials(geometry)),
-        *_clock_trials(geometry, () if clocks_only else RATES, SHIFT_STEPS if thorough else QUICK_STEPS),
+        *_clock_trials(geometry, () if clocks_only else RATES, steps),
     ]
     looks = [(trial, trial.explain(quick, tolerances)) for trial in trials]
     promising = [
@@ -73,10 +72,12 @@ def best_explanation(
     ]
     best_first = sorted(promising, key=lambda look: -look[1].met.excess)[:FINALISTS]
     finalists = [trial for trial, _ in promising if any(trial is other for other, _ in best_first)]
+    tried = sum(steps if trial.cause == "clock_offset" else 1 for trial in trials)
+    least = NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried, 1))
     found = [
         one
         for one in (trial.explain(geometry, tolerances) for trial in finalists)
-        if one is not None and _is_decisive(one)
+        if one is not None and one.certainty >= least and _is_decisive(one)
     ]
     if not found:
         return None
@@ -91,9 +92,8 @@ def _affordable(pair: Candidates, count: int, tables: int) -> int:
 
 
 def _is_decisive(one: Explanation) -> bool:
-    clock, met, given = one.trial.cause in ("clock_offset", "frame_rate"), one.met, one.given.excess
-    gain, ratio = (LEAST_CLOCK_GAIN, LEAST_CLOCK_RATIO) if clock else (LEAST_GAIN, LEAST_RATIO)
-    return met.excess >= given + gain and met.excess >= ratio * max(given, 0.0) and met.score >= LEAST_SCORE
+    met, given = one.met, one.given.excess
+    return met.excess >= max(given + LEAST_GAIN, LEAST_RATIO * given) and met.score >= LEAST_SCORE
 
 
 @dataclass(frozen=True)
@@ -110,21 +110,31 @@ class Trial:
 
     def explain(self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES) -> Explanation | None:
         """Return how much the change explains of the pairs concerned; None if it concerns none."""
-        after, before = [], []
+        after, before, changed = [], [], []
         for k, (pair, given) in enumerate(zip(geometry.pairs, geometry.given, strict=True)):
             if pair.a not in self.scope and pair.b not in self.scope:
                 continue
             found: Candidates | None = pair
             known: Rays = (None, None)
             if self.samples is not None:
-                found = candidates(self.samples, pair.a, pair.b, len(pair.detections), len(pair.pixels_b) - 1)
+                found = candidates(
+                    self.samples, pair.a, pair.b, len(pair.detections), len(pair.pixels_b) - 1, among=pair.detections
+                )
             else:
                 rays_a, rays_b = geometry.rays[k]
                 known = None if pair.a in self.scope else rays_a, None if pair.b in self.scope else rays_b
             if found is not None:
-                after.append(meeting(found, self.views[pair.a], self.views[pair.b], tolerances, known))
+                met = meeting(found, self.views[pair.a], self.views[pair.b], tolerances, known)
+                after.append(met)
                 before.append(given)
-        return Explanation(self, _mean(after), _mean(before)) if after else None
+                change = met.meets.astype(float) - given.meets[np.isin(pair.detections, found.detections)]
+                by_chance = (met.chance * (1.0 - met.chance) + given.chance * (1.0 - given.chance)) * len(change)
+                variance = (change != 0.0).sum() + by_chance / (len(found.pixels_b) - 1)
+                changed.append((change.sum() - (met.chance - given.chance) * len(change), variance))
+        if not after:
+            return None
+        gain, variance = np.sum(changed, axis=0).tolist()
+        return Explanation(self, _mean(after), _mean(before), gain / math.sqrt(max(variance, 1.0)))
 
 
 @dataclass(frozen=True)
@@ -135,6 +145,10 @@ class Explanation:
     # `met`, `given`: Means with the change and as stated, and the best score.
     met: Meeting
     given: Meeting
+    # Detections that meet with the change and not as stated, less those that meet only as stated and what chance adds,
+    # in standard deviations if either were as probable (Q. McNemar, "Note on the sampling error of the difference
+    # between correlated proportions or percentages", 1947).
+    certainty: float
 
 
 def _mean(meetings: list[Meeting]) -> Meeting:

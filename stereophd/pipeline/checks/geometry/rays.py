@@ -17,7 +17,7 @@ from itertools import combinations
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.two_views.epipolar import essential_matrices, nearest_depths, sampson_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
@@ -95,7 +95,7 @@ class Meeting:
     excess: float  # ``(share - chance) / (1 - chance)``: the share that meets for a reason
     score: float  # `share` minus `chance` in standard deviations of chance
     tolerance: float  # In standard deviations of the distance
-    count: int  # Detections
+    meets: Booleans  # (n,): Which of A's detections have one
 
 
 def candidates(
@@ -106,17 +106,20 @@ def candidates(
     shifts: int = SHIFTS,
     most_distances: int = MOST_DISTANCES,
     places: Callable[[CameraSample, Array], Array] | None = None,
+    among: Integers | None = None,
 ) -> Candidates | None:
     """Return detections of A with those of B at the same and at shifted times; None if their periods share nothing.
 
-    `places` says where B's detections are at a time, by default `pixels_at`.
+    `places` says where B's detections are at a time, by default `pixels_at`. Detections are taken `among` these of A,
+    by default all, as far as both periods have their times.
     """
     first, second = samples[a], samples[b]
     if len(first.pixels) == 0 or len(second.times) < 2:
         return None
     low, high = max(first.times[0], second.times[0]), min(first.times[-1], second.times[-1])
     times = first.times[first.frame_of]
-    usable = np.flatnonzero((times >= low) & (times <= high))
+    usable = np.arange(len(times)) if among is None else among
+    usable = usable[(times[usable] >= low) & (times[usable] <= high)]
     if len(usable) < 2 or high <= low:
         return None
     most = min(most, max(1, most_distances // ((1 + shifts) * max(1, int(np.diff(second.first).max())))))
@@ -215,15 +218,14 @@ def meeting(
     """Return how often the rays meet, at the tolerance with the highest score (`known`: see `distances`)."""
     least = distances(found, first, second, known)[0].min(axis=2)
     count = len(least[0])
-    shares = (least <= np.array(tolerances)[:, None, None]).mean(axis=2)
+    meets = least <= np.array(tolerances)[:, None, None]
+    shares = meets.mean(axis=2)
     chances, stds = shares[:, 1:].mean(axis=1), shares[:, 1:].std(axis=1, ddof=1)
     best: Meeting | None = None
-    for tolerance, share, chance, std in zip(
-        tolerances, shares[:, 0].tolist(), chances.tolist(), stds.tolist(), strict=True
-    ):
+    for k, (share, chance, std) in enumerate(zip(shares[:, 0].tolist(), chances.tolist(), stds.tolist(), strict=True)):
         spread = math.hypot(std, math.sqrt(max(chance * (1 - chance), 0.25 / count) / count))
         excess = (share - chance) / max(1.0 - chance, 1e-9)
-        one = Meeting(share, chance, excess, (share - chance) / max(spread, 1e-9), tolerance, count)
+        one = Meeting(share, chance, excess, (share - chance) / max(spread, 1e-9), tolerances[k], meets[k, 0])
         if best is None or one.score > best.score:
             best = one
     assert best is not None
@@ -277,6 +279,11 @@ class Geometry:
         """The cameras as stated."""
         return [Reading(sample.camera) for sample in self.samples]
 
+    def with_pairs(self, pairs: tuple[Candidates, ...], tolerances: tuple[float, ...]) -> Geometry:
+        """Return how often rays of these detections of the pairs meet, at the best of the tolerances."""
+        views = self.views
+        return replace(self, pairs=pairs, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in pairs))
+
     @cached_property
     def rays(self) -> list[tuple[Array, Array]]:
         """The rays of every pair, with the cameras as stated (see `rays_of`)."""
@@ -328,6 +335,5 @@ def measure(samples: list[CameraSample], depths: tuple[float, float], thorough: 
         found = candidates(samples, a, b, most)
         if found is not None:
             pairs.append(found)
-    given = [meeting(pair, Reading(samples[pair.a].camera), Reading(samples[pair.b].camera)) for pair in pairs]
-    expected = [expected_excess(pair, samples, depths) for pair in pairs]
-    return Geometry(samples, tuple(pairs), tuple(given), tuple(expected))
+    expected = tuple(expected_excess(pair, samples, depths) for pair in pairs)
+    return Geometry(samples, (), (), expected).with_pairs(tuple(pairs), TOLERANCES)
