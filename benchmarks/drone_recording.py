@@ -10,7 +10,8 @@ part of the detections by points anywhere in the image. With --nothing poses and
 known so, and lenses are as supplied. The recording is not part of the project: its folder is $STEREOPHD_DATA/drone/1,
 or that of ../shared/data. Further `--set` go to `calibrate`.
 
-Distances are taken after rigid alignment, at the times of RTK between two estimates of a track at most 0.25 s apart:
+Distances are taken after alignment as by `evaluate` (rigid, or a similarity without a length; estimates that are far
+off hardly count), at the times of RTK between two estimates of a track at most 0.25 s apart:
 by the times of the results (the clock of cam0, rate 1); with the rate of that clock taken from the recording's authors;
 and after the offset and rate of that clock that bring the tracks nearest to RTK, as `evaluate --align rigid
 --align-clock` finds them. Offsets of clocks are compared at the first frame of each camera, and at the middle of its
@@ -122,10 +123,14 @@ def write_log(folder: Path, path: Path, seed: int, wrong: float, shifts: dict[st
 def clock_of_tracks(out: Path, times: Array, path: Array, scale: bool) -> Registration:
     """How the frame, its scale and the clock of the tracks compare with RTK (positions (n, 3) at times (n,))."""
     table = pq.read_table(out / "tracks.parquet").to_pandas().sort_values("time_s", kind="stable")
-    truth = Truth(times, np.zeros(len(times), dtype=np.int64), path)
     points = table[["x", "y", "z"]].to_numpy()
-    start = aligned(tracks_at(out, times), path, scale)
-    return register(table["time_s"].to_numpy(), points, truth, LONGEST_STEP_S, Freedom(clock=True, scale=scale), start)
+    start, freedom = aligned(tracks_at(out, times), path, scale), Freedom(clock=True, scale=scale)
+    return register(table["time_s"].to_numpy(), points, of_rtk(times, path), LONGEST_STEP_S, freedom, start)
+
+
+def of_rtk(times: Array, path: Array) -> Truth:
+    """Return positions (n, 3) at times as the truth of one object."""
+    return Truth(times, np.zeros(len(times), dtype=np.int64), path)
 
 
 def tracks_at(out: Path, times: Array) -> Array:
@@ -190,8 +195,11 @@ def scores(folder: Path, out: Path, shifts: dict[str, float], scale: bool) -> di
         ("clock_aligned", found.track_times(times)),
     ):
         points = tracks_at(out, at)
-        distance = np.linalg.norm(aligned(points, path, scale).positions(points) - path, axis=1)
-        for part, rows in (("all", np.isfinite(distance)), ("seen_by_two", np.isfinite(distance) & two)):
+        known = np.isfinite(points[:, 0])
+        start_from, only = aligned(points, path, scale), Freedom(scale=scale)
+        best = register(times[known], points[known], of_rtk(times, path), LONGEST_STEP_S, only, start_from)
+        distance = np.linalg.norm(best.positions(points) - path, axis=1)
+        for part, rows in (("all", known), ("seen_by_two", known & two)):
             quantiles = np.quantile(distance[rows], [0.5, 0.9])
             result[f"{name}.{part}"] = [int(rows.sum()), *np.round(quantiles, 4).tolist()]
     refined = load_cameras(folder / "cameras.yaml").cameras

@@ -90,7 +90,7 @@ def calibrate(
     section = calibration_section(loaded)
     if options.time_s is not None and (section.method != "annealed" or section.posterior == "smc"):
         raise InputError("`time_s`: expected method annealed with posterior laplace, found particles, which need all")
-    problem = read_problem(loaded, log_path)
+    problem = read_problem(loaded, log_path, is_placed=unknown is None or not unknown.reason)
     control = control_path(loaded)
     inputs = {"detections": log_path, **({} if control is None else {"control": control})}
     record = provenance("calibrate", loaded.record, inputs=inputs)

@@ -131,8 +131,8 @@ def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurem
     return ScaleMeasurement("baseline", scale.distance, scale.std, (names.index(first), names.index(second)))
 
 
-def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProblem:
-    """Read a log, and check that it can constrain the unknown cameras.
+def read_problem(loaded: LoadedConfig, log_path: Path | str, is_placed: bool = True) -> CalibrationProblem:
+    """Read a log, and check that it can constrain the unknown cameras, if poses and clocks of all are known or found.
 
     Raises InputError as `build_parameters` does, and when the log is not usable, or an unknown camera saw nothing, or
     not while another did.
@@ -142,7 +142,8 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str) -> CalibrationProbl
     stream = open_stream(loaded.config, parameters.cameras, log_path)
     frames = covered(parameters.cameras, stream.frames, stream.source)
     recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
-    _check_overlap(parameters, recording, log_path)
+    if is_placed:
+        _check_overlap(parameters, recording, log_path)
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
     _check_method(loaded, parameters)
     return CalibrationProblem(

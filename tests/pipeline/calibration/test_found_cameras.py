@@ -47,6 +47,27 @@ def test_what_is_known_stays_as_it_is() -> None:
     assert with_found_cameras(loaded, "no log is read") == (loaded, None)
 
 
+def test_logs_of_unknown_clocks_that_show_nothing_are_undetermined(tmp_path: Path, log: Path) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from stereophd.commands.calibrate import calibrate
+
+    # a few frames, and the clock of the second camera is 1000 s off: by their clocks the logs share no time
+    table = pq.read_table(log).to_pandas()
+    table = table[table["time_s"] < 4.0]
+    table.loc[table["camera"] == "right", "time_s"] += 1000.0
+    pq.write_table(pa.Table.from_pandas(table, preserve_index=False), tmp_path / "log.parquet")
+    path = unknown_cameras(tmp_path)
+    tree = yaml.safe_load(path.read_text())
+    tree["cameras"]["right"]["clock"] = {"offset_s": "unknown"}
+    path.write_text(yaml.safe_dump(tree))
+    loaded = load_config(PAPER, ("calibration.priors={}",), None, path)
+    report = calibrate(loaded, tmp_path / "log.parquet", tmp_path / "out", plots=False)
+    assert report["status"] == "undetermined"
+    assert "no object can be followed" in report["reason"]
+
+
 def test_an_unknown_pose_is_refused_where_one_is_needed(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"cameras\.left\.pose: expected a known one, found unknown; `calibrate` finds"

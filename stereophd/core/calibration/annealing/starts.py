@@ -40,7 +40,8 @@ MOST_PAIRINGS, AMBIGUOUS = 3, 0.9
 # squared sigmas per coordinate; up to the second one the noise may be stated too small, and a warning reports it. A
 # detection that the last adjustment left out counts no more than `LEFT_OUT`, wherever it lies.
 NOISE_AS_STATED, MOST_RESIDUAL = 2.0, 9.0
-# Two starts agree when their difference is within this many standard deviations, root mean square over parameters.
+# Two starts agree when their difference is within this many standard deviations by the mean of their covariances, root
+# mean square over parameters.
 AGREEMENT = 1.0
 # Another start is a rival of the best if it is this near in evidence plus log-prior, and this far in the same measure.
 RIVAL_SCORE, RIVAL_DISTANCE = 5.0, 5.0
@@ -168,12 +169,16 @@ def disagreement(task: Task, fit: Fit, most_residual: float = MOST_RESIDUAL) -> 
 
 
 def agree(one: Start, other: Start, within: float = AGREEMENT) -> bool:
-    """Whether two starts found the same cameras, within the given number of standard deviations (root mean square)."""
+    """Whether two starts found the same cameras, within the given number of standard deviations (root mean square).
+
+    Both covariances measure the difference. A start that follows fewer detections, or in more pieces, leaves more open
+    than the best, and lies as far from it as that allows.
+    """
     assert one.fit is not None
     assert other.fit is not None
     difference = one.fit.adjustment.values - other.fit.adjustment.values
-    precision = np.linalg.inv(one.fit.adjustment.covariance)
-    return float(difference @ precision @ difference) <= within**2 * len(difference)
+    covariance = 0.5 * (one.fit.adjustment.covariance + other.fit.adjustment.covariance)
+    return float(difference @ np.linalg.solve(covariance, difference)) <= within**2 * len(difference)
 
 
 def best_of(starts: list[Start]) -> Start | None:

@@ -321,9 +321,13 @@ class PairProblem:
             # in the axes of a: b's centre is -R^T t
             depth_a, depth_b, sines = nearest_depths(a, b @ rotation, np.broadcast_to(-direction @ rotation, a.shape))
             telling = inlying & (sines > LEAST_SINE)
-            front = float(((depth_a > 0.0) & (depth_b > 0.0))[telling].mean()) if telling.any() else 0.0
-            options.append((front, rotation, direction, np.stack([depth_a, depth_b], axis=1), sines))
-        front, rotation, direction, depths, sines = max(options, key=lambda option: option[0])
+            in_front = (depth_a > 0.0) & (depth_b > 0.0)
+            front = float(in_front[telling].mean()) if telling.any() else 0.0
+            # rays that point the same way meet in front, however far
+            meet = np.where(sines > LEAST_SINE, in_front, (a * (b @ rotation)).sum(axis=1) > 0.0)
+            share = float(meet[inlying].mean()) if inlying.any() else 0.0
+            options.append((share, front, rotation, direction, np.stack([depth_a, depth_b], axis=1), sines))
+        _, front, rotation, direction, depths, sines = max(options, key=lambda option: option[0])
         good = inlying & (depths > 0.0).all(axis=1) & (sines > LEAST_SINE)
         tracks = [self.found.of_camera(number) for number in self.cameras]
         samples = np.column_stack([tracks[0][rows.i], self.found.tracks.log_times[rows.entry], tracks[1][rows.j]])

@@ -142,9 +142,9 @@ class PairSearch:
             ]
         kept: list[tuple[int, Hypothesis]] = []
         for shift, hypothesis in sorted(scored, key=lambda entry: -entry[1].score):
-            if sum(abs(shift - other) <= NEAR for other, _ in kept) < MOST_NEAR:
+            if len(kept) < most and sum(abs(shift - other) <= NEAR for other, _ in kept) < MOST_NEAR:
                 kept.append((shift, hypothesis))
-        return [hypothesis for _, hypothesis in kept[:most]]
+        return [hypothesis for _, hypothesis in kept]
 
     def _singles(self) -> list[tuple[Array, Array]]:
         """Slopes (g, 2) of tracks of a and of b that may be one curved object; the first are all tracks joined."""

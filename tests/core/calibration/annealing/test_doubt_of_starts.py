@@ -17,10 +17,10 @@ SIZE = 6
 FAILED = "residuals are 3.0 times the detector's noise"
 
 
-def start(number: int, place: float | None, evidence: float = -100.0, squared: float = 2.0) -> Start:
-    """A start that ended at a place, in standard deviations, or failed; its squared residuals are 2 by their noise."""
+def start(number: int, place: float | None, evidence: float = -100.0, squared: float = 2.0, std: float = 1.0) -> Start:
+    """A start that ended at a place, which it knows to `std`, or failed; its squared residuals are 2 by their noise."""
     values = np.full(SIZE, place or 0.0)
-    adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(SIZE), 0.0, np.full(4, squared), 1, True)
+    adjustment = Adjustment(values, np.empty((0, 2, 3)), std**2 * np.eye(SIZE), 0.0, np.full(4, squared), 1, True)
     fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
     outcome = FAILED if place is None else SUCCEEDED
     return Start(number, outcome, values, np.empty((0, SIZE)), fit, evidence, 0.0, 1.0, "pairing 0")
@@ -89,6 +89,13 @@ def test_starts_agree_within_one_standard_deviation_in_the_root_mean_square() ->
     assert agree(start(0, 0.0), start(1, 0.99))
     assert not agree(start(0, 0.0), start(1, 1.01))
     assert agree(start(0, 0.0), start(1, 4.9), within=5.0)
+
+
+def test_a_start_that_leaves_more_open_agrees_as_far_as_both_state() -> None:
+    best, other = start(0, 0.0), start(1, 2.2, std=3.0)
+    assert agree(best, other)
+    assert agree(other, best)
+    assert not agree(best, start(1, 2.3, std=3.0))
 
 
 def test_the_best_of_each_kind_is_distinct() -> None:
