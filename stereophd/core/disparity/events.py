@@ -128,6 +128,12 @@ class Rig:
             out[(cameras == camera) & (times == time_s)] = self.space(camera, time_s)
         return out
 
+    def numbered_spaces(self, cameras: NDArray[np.int64], times: Array) -> tuple[Array, Integers]:
+        """Packed spaces (s, 30) of components, and which of them (n,) each is at home in."""
+        if not self.moving:
+            return self.packed, cameras
+        return self.spaces(cameras, times), np.arange(len(cameras))
+
     def views(self, time_s: float) -> Array:
         """Packed spaces (c, 30) of all cameras at a time."""
         if not self.moving:

@@ -16,19 +16,24 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.initial import FirstSight
-from stereophd.core.disparity.moments import Sources, move
-from stereophd.core.disparity.moved import Moved
+from stereophd.core.disparity.moments import NO_REGION, RULES, Sources, looks_at, move
+from stereophd.core.disparity.moved import Moved, room_for_moved
+from stereophd.core.disparity.sample_move import Looks
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
+from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT
 from stereophd.core.multi.births.undetected import (
+    BirthRates,
+    FrameCounts,
     Undetected,
-    burst_of,
+    all_undetected,
+    birth_rates,
     expected_births,
     newborn_prior,
     undetected_shares,
 )
-from stereophd.core.multi.extract import select_objects
+from stereophd.core.multi.extract import Report, select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
+from stereophd.core.multi.prediction import BirthsBefore, Journey, PredictionNumbers, predict_event
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers, with_newborns
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
@@ -145,6 +150,47 @@ class DisparityFilter(ABC):
         """Return the state before the first event: no objects."""
         return FilterState(empty_mixture(self.state_size), None, 0, 0, 0)
 
+    def journey(self, state: FilterState, event: Event) -> Journey:
+        """Return how the components of a state come to an event."""
+        mixture, rig = state.mixture, self.rig
+        intervals = np.zeros(mixture.size + 1)
+        np.subtract(event.time_s, mixture.times, out=intervals[:-1])
+        return Journey(
+            *rig.numbered_spaces(mixture.cameras, mixture.times), self.motion.arrays(intervals),
+            rig.space(event.camera, event.time_s), rig.views(event.time_s),
+            NO_REGION if rig.region is None else rig.region, self._looks[state.n_events % len(self._looks)],
+            self.prediction_numbers(state.time_s, event),
+        )  # fmt: skip
+
+    @cached_property
+    def _looks(self) -> list[Looks]:
+        return [looks_at(self.sets, turn) for turn in range(len(self.sets.sets))]
+
+    def prediction_numbers(self, before_s: float | None, event: Event) -> PredictionNumbers:
+        """Return the numbers of a prediction from the time of the last event, None before the first."""
+        elapsed = 0.0 if before_s is None else max(event.time_s - before_s, 0.0)
+        settings = self.settings
+        return PredictionNumbers(
+            int(event.camera), settings.survival_per_s**elapsed, elapsed, float(settings.out_of_view_s),
+            self._detectors[event.camera][0] if self.split_missed else 0.0,
+        )  # fmt: skip
+
+    def carried(self, state: FilterState, journey: Journey) -> Moved:
+        """Return the components in the event's space, or none where the compiled prediction carries them by itself."""
+        if self.threads == 1 and self.sets.method not in RULES:
+            return self._none_carried
+        mixture, numbers = state.mixture, journey.numbers
+        homes = self.rig.spaces(mixture.cameras, mixture.times)
+        important = mixture.weights * numbers.survival >= IMPORTANT_WEIGHT
+        return move(
+            Sources(mixture.means, mixture.covariances, homes, journey.motion), journey.destination, self.sets,
+            state.n_events, numbers.shape_p_detect, important, self.threads, self.rig.region,
+        )  # fmt: skip
+
+    @cached_property
+    def _none_carried(self) -> Moved:
+        return room_for_moved(0, self.state_size)
+
     def predict(
         self, state: FilterState, event: Event, births: tuple[float, Undetected, int] | None = None
     ) -> Prediction:
@@ -152,69 +198,61 @@ class DisparityFilter(ABC):
 
         `births` replaces what `expected_births` returns, for filters of several camera hypotheses that share it.
         """
-        elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
-        mixture = state.mixture
-        weights = mixture.weights * self.settings.survival_per_s**elapsed
-        homes = self.rig.spaces(mixture.cameras, mixture.times)
-        motion = self.motion.arrays(event.time_s - mixture.times)
-        p_detect = self.rig.cameras[event.camera].detector.p_detect if self.split_missed else 0.0
-        moved = move(
-            Sources(mixture.means, mixture.covariances, homes, motion),
-            self.rig.space(event.camera, event.time_s),
-            self.sets,
-            state.n_events,
-            p_detect,
-            weights >= IMPORTANT_WEIGHT,
-            self.threads,
-            self.rig.region,
-        )
-        total = keep_surviving_weights(
-            weights, moved.status, moved.inside, mixture.means, mixture.tracks, mixture.cameras, homes, motion.reach,
-            motion.drift, self.rig.views(event.time_s), event.camera, elapsed, self.settings.out_of_view_s
-        )  # fmt: skip
-        if births is None:
-            known = self.rig.cameras[event.camera].detector.p_detect * total
-            births = self.expected_births(state.undetected, elapsed, event, known)
-        return Prediction(mixture.with_weights(weights), moved, *births)
+        journey = self.journey(state, event)
+        before = self.births_before(state.undetected, journey.numbers.elapsed, event)
+        weights, moved, _, *expected = predict_event(state.mixture, self.carried(state, journey), journey, before)
+        return Prediction(state.mixture.with_weights(weights), moved, *(births or expected))
 
     @cached_property
     def _remaining_shares(self) -> list[Array]:
         """Return the share (c, c) of the objects in view of each camera that a frame of each camera leaves."""
         return list(np.ascontiguousarray(undetected_shares(self.rig, self.settings.birth).T))
 
-    def expected_births(
-        self, undetected: Undetected | None, elapsed: float, event: Event, known: float = 0.0
-    ) -> tuple[float, Undetected, int]:
-        """Expected number of undetected objects in view of an event, what it leaves of them, and its burst of clutter.
+    @cached_property
+    def _birth_rates(self) -> BirthRates:
+        return birth_rates(self.settings.birth)
 
-        `known` is the expected number of detections of known objects.
-        """
-        detector, prior = self.rig.cameras[event.camera].detector, self.settings.birth
-        burst = burst_of(event, known, prior)
-        remaining = self._remaining_shares[event.camera]
-        return *expected_births(undetected, prior, remaining, elapsed, event, detector, burst, known), burst
+    def births_before(self, undetected: Undetected | None, elapsed: float, event: Event) -> BirthsBefore:
+        """Return what the births of an event follow from, and what the last event left undetected."""
+        p_detect, clutter, _ = self._detectors[event.camera]
+        return BirthsBefore(
+            undetected or all_undetected(len(self.rig.cameras)), self._birth_rates,
+            self._remaining_shares[event.camera],
+            FrameCounts(int(event.camera), elapsed, len(event.points), p_detect, clutter),
+        )  # fmt: skip
+
+    def expected_births(
+        self, undetected: Undetected | None, elapsed: float, event: Event
+    ) -> tuple[float, Undetected, int]:
+        """Return the births of an event, what it leaves, and its burst of clutter, where no object is known."""
+        return expected_births(*self.births_before(undetected, elapsed, event), 0.0)
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
         mixture = state.mixture
         chosen = select_objects(
             mixture,
-            self.settings.extraction,
-            (state.next_label, state.next_track),
+            self.report(state.next_label, state.next_track),
+            np.arange(mixture.size),
             self.rig.spaces(mixture.cameras, mixture.times),
             self.motion.arrays((0.0 if state.time_s is None else state.time_s) - mixture.times),
             self.sets.turn(state.n_events),
-            self.labels_may_split,
         )
         # `replace` takes longer
-        mixture, index = chosen.mixture, chosen.index
         state = FilterState(
-            mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track, state.undetected, state.history
-        )
-        estimates = Estimates(
-            mixture.tracks[index], chosen.means, chosen.covariances, chosen.existence, mixture.labels[index]
-        )
-        return state, estimates.divided(chosen.confirmed)
+            chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track, state.undetected,
+            state.history
+        )  # fmt: skip
+        return state, chosen.estimates()
+
+    def report(self, next_label: int, next_track: int) -> Report:
+        """Return how objects are reported, with the first unused label and identity."""
+        return Report(*self._levels, self.labels_may_split, next_label, next_track)
+
+    @cached_property
+    def _levels(self) -> tuple[float, float, float]:
+        levels = self.settings.extraction
+        return float(levels.confirm), float(levels.release), float(levels.tentative)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""
@@ -249,15 +287,10 @@ class DisparityFilter(ABC):
     def _newborns(self) -> list[FirstSight]:
         return [newborn_prior(space, self.settings.birth, self.rig.region) for space in self.rig.packed]
 
-    def event_numbers(self, event: Event, next_label: int, births: float, burst: int = 0) -> EventNumbers:
-        """Return the place of an event, its rates, and the first unused label, for compiled code.
-
-        A `burst` of detections is clutter, regardless of the rate of the detector.
-        """
+    def event_numbers(self, event: Event, next_label: int) -> EventNumbers:
+        """Return the place of an event, the rates of its detector, and the first unused label; nothing is born yet."""
         p_detect, clutter, area = self._detectors[event.camera]
-        return EventNumbers(
-            int(event.camera), float(event.time_s), next_label, p_detect, max(clutter, float(burst)), births, area
-        )
+        return EventNumbers(int(event.camera), float(event.time_s), next_label, p_detect, clutter, 0.0, area)
 
     @cached_property
     def _detectors(self) -> list[tuple[float, float, float]]:

@@ -4,44 +4,23 @@ Hypothesis by hypothesis, with no state shared between them: results do not depe
 out over threads. The update and the reduction of a hypothesis are those of the filter itself.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import Moved, allocate_moved, slice_moved
-from stereophd.core.disparity.sample_move import Look, carry_components
-from stereophd.core.disparity.space import PACKED_SIZE
+from stereophd.core.disparity.sample_move import Looks
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.pmb.hypotheses import PmbReduction, choose_hypotheses, make_hypotheses
 from stereophd.core.multi.pmb.reduction import reduce_tracks
 from stereophd.core.multi.pmb.update import associate_tracks
+from stereophd.core.multi.prediction import Journey, PredictionNumbers, homes_of, predict_components
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, allocate_mixture, copy_components, slice_components
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Components that a hypothesis gets room for at first.
 ROOM = 256
-
-
-class Looks(NamedTuple):
-    """Samples of an event, shared by all hypotheses: a first look, and a second one at corners of what is important."""
-
-    first: Look
-    second: Look
-
-
-class PredictionNumbers(NamedTuple):
-    """Numbers of a prediction."""
-
-    camera: int  # Index of the camera of the event
-    survival: float  # Probability that an object survives since the last event
-    # `elapsed`, `out_of_view_s`: Time since the last event, s, and the time constant of `keep_surviving_weights`.
-    elapsed: float
-    out_of_view_s: float
-    shape_p_detect: float  # Probability of detection for the shape of the missed part; 0 where it keeps its own
 
 
 @compiled
@@ -79,23 +58,13 @@ def predict(
     for h in range(len(begins)):
         last = first + ends[h] - begins[h]
         components = slice_components(mixture, begins[h], ends[h])
-        means, covariances, cameras = components.means, components.covariances, components.cameras
-        weights = components.weights * numbers.survival
-        moved = slice_moved(all_moved, first, last)
-        homes = np.empty((len(weights), PACKED_SIZE))
-        for k in range(len(weights)):
-            homes[k] = spaces[h, cameras[k]]
-        travel = slice_motion(motion, begins[h], ends[h])
-        carry_components(
-            np.arange(len(weights)), means, covariances, homes, travel,
-            weights >= IMPORTANT_WEIGHT, looks.first, looks.second, spaces[h, numbers.camera],
-            numbers.shape_p_detect, region, moved
+        journey = Journey(
+            spaces[h], components.cameras, slice_motion(motion, begins[h], ends[h]), spaces[h, numbers.camera],
+            spaces[h], region, looks, numbers
         )  # fmt: skip
-        keep_surviving_weights(
-            weights, moved.status, moved.inside, means, components.tracks, cameras, homes, travel.reach, travel.drift,
-            spaces[h], numbers.camera, numbers.elapsed, numbers.out_of_view_s
+        all_weights[first:last], _ = predict_components(
+            components, journey, homes_of(journey), np.arange(last - first), slice_moved(all_moved, first, last)
         )  # fmt: skip
-        all_weights[first:last] = weights
         first = last
     return all_weights, all_moved
 

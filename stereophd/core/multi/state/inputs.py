@@ -45,6 +45,13 @@ class EventNumbers(NamedTuple):
 
 
 @compiled
+def with_births(numbers: EventNumbers, births: float, burst: int) -> EventNumbers:
+    """Return numbers with births; a `burst` of detections is clutter, regardless of the rate of the detector."""
+    camera, time_s, next_label, p_detect, clutter, _, area = numbers
+    return EventNumbers(camera, time_s, next_label, p_detect, max(clutter, float(burst)), births, area)
+
+
+@compiled
 def with_newborns(detections: Detections, prior: FirstSight, size: int) -> EventArrays:
     """Return detections with the objects of `size` 6 or 3 that they may have given birth to."""
     points, noises, areas, readings = detections

@@ -45,6 +45,21 @@ class Past(NamedTuple):
     acceleration_std: float
 
 
+class SwapSearch(NamedTuple):
+    """What an event looks for crosswise pairs with: parameters of `swap_candidates`."""
+
+    cameras: tuple[int, int]  # None are looked for where the second is 0: no camera is before it
+    views: Array
+    prior: NewObjects
+    tolerance: float
+    deferred: DeferredPairs
+    event: int
+    # `time_s`, `began_s`: Time of the event, and begin of the past without and with an event that is added to it, s.
+    time_s: float
+    began_s: tuple[float, float]
+    acceleration_std: float
+
+
 class TrackPlaces(NamedTuple):
     """Reported tracks: heaviest component (n,), place now and at the beginning of the past (n, 3), error of the latter.
 
@@ -58,8 +73,24 @@ class TrackPlaces(NamedTuple):
 
 
 @compiled
+def search_pairs(
+    mixture: GaussianMixture, rows: Integers, homes: Array, search: SwapSearch, is_added: bool, most: int
+) -> Integers:
+    """Return `swap_candidates`; `is_added` says whether this event is one more of the past."""
+    if search.cameras[1] == 0:
+        return np.empty((0, 2), dtype=np.int64)
+    began_s = search.began_s[1] if is_added else search.began_s[0]
+    past = Past(search.time_s - began_s, search.acceleration_std)
+    return swap_candidates(
+        mixture, rows, homes, search.cameras, search.views, search.prior, search.tolerance, past, search.deferred,
+        search.event, most
+    )  # fmt: skip
+
+
+@compiled
 def swap_candidates(
     mixture: GaussianMixture,
+    rows: Integers,
     homes: Array,
     cameras: tuple[int, int],
     views: Array,
@@ -72,13 +103,13 @@ def swap_candidates(
 ) -> Integers:
     """Labels (n, 2) of the first pairs of reported tracks that two cameras may have paired crosswise, at most so many.
 
-    Tracks are ordered by label and then by falling weight; `homes` (n, 30) and `views` (c, 30) are the packed spaces of
-    the components, and of all cameras. Two epipolar lines up to `tolerance` px apart may be one. Two tracks that have
-    come into one plane since the `past` were not paired crosswise before. Deferred are pairs of tracks and the second
-    camera that are left out, until an event; `event` is the number of this one.
+    Tracks are ordered by label and then by falling weight; component k has the packed home space ``homes[rows[k]]``,
+    and `views` (c, 30) are those of all cameras. Two epipolar lines up to `tolerance` px apart may be one. Two tracks
+    that have come into one plane since the `past` were not paired crosswise before. Deferred are pairs of tracks and
+    the second camera that are left out, until an event; `event` is the number of this one.
     """
     labels, first, second = mixture.labels, views[cameras[0]], views[cameras[1]]
-    heads, places, before, errors = _reported_places(mixture, homes, past)
+    heads, places, before, errors = _reported_places(mixture, rows, homes, past)
     count = len(heads)
     # angle of the epipolar plane of each, and how far (rad) two planes may be apart
     axes = _epipolar_axes(first, second)
@@ -176,7 +207,7 @@ def _waits(one: int, other: int, camera: int, deferred: DeferredPairs, event: in
 
 
 @compiled
-def _reported_places(mixture: GaussianMixture, homes: Array, past: Past) -> TrackPlaces:
+def _reported_places(mixture: GaussianMixture, rows: Integers, homes: Array, past: Past) -> TrackPlaces:
     """Places of the means of the reported tracks, now and, with their velocities, in the past."""
     labels = mixture.labels
     heads = np.empty(len(labels), dtype=np.int64)
@@ -189,7 +220,7 @@ def _reported_places(mixture: GaussianMixture, homes: Array, past: Past) -> Trac
     moving = mixture.means.shape[1] == 6
     places, before, errors = np.empty((count, 3)), np.empty((count, 3)), np.zeros(count)
     for i in range(count):
-        mean, covariance, home = mixture.means[heads[i]], mixture.covariances[heads[i]], homes[heads[i]]
+        mean, covariance, home = mixture.means[heads[i]], mixture.covariances[heads[i]], homes[rows[heads[i]]]
         depth = disparity_scale(home) / mean[2]
         x, y = (mean[0] - home[CX]) / home[FX] * depth, (mean[1] - home[CY]) / home[FY] * depth
         vx, vy, vz = 0.0, 0.0, 0.0

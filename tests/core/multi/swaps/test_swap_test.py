@@ -65,7 +65,7 @@ def swap_test_of(multi_filter: PmbFilter) -> SwapTest:
     return multi_filter.swap_test
 
 
-@pytest.mark.parametrize("kernel", ["swap_candidates", "explain_rows"])
+@pytest.mark.parametrize("kernel", ["search_pairs", "explain_rows"])
 def test_kernels_are_compiled_beforehand_for_the_types_of_a_run(
     steps: list[Step], kernel: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -212,7 +212,7 @@ def test_pairs_in_one_epipolar_plane_are_found() -> None:
 
     def pairs(deferred: DeferredPairs, most: int, event: int = 5) -> list[tuple[int, int]]:
         found = swap_candidates(
-            mixture, homes, (0, 1), np.stack(spaces), prior, 8.0, Past(0.0, 0.0), deferred, event, most
+            mixture, np.arange(40), homes, (0, 1), np.stack(spaces), prior, 8.0, Past(0.0, 0.0), deferred, event, most
         )
         return [(first, second) for first, second in found.tolist()]
 
@@ -266,7 +266,7 @@ def test_pairs_that_were_in_one_plane_and_that_no_third_camera_tells_apart(
     mixture = make_mixture(np.ones(2), space.from_world(states), [1e-6 * np.eye(6)] * 2, reported=[True, True])
     count = len(cameras)
     found = swap_candidates(
-        mixture, rig.spaces(mixture.cameras, mixture.times), (0, 1), rig.packed,
+        mixture, np.arange(2), rig.spaces(mixture.cameras, mixture.times), (0, 1), rig.packed,
         NewObjects(np.full(count, 7.0), np.full(count, 1e3), 1.5, np.empty(0)), 8.0, Past(10.0, 0.01),
         no_deferred_pairs(), 0, 1,
     )  # fmt: skip
