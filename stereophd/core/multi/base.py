@@ -18,12 +18,9 @@ from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.moments import NO_REGION, RULES, Sources, looks_at, move
 from stereophd.core.disparity.moved import Moved, room_for_moved
-from stereophd.core.disparity.sample_move import Looks
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT
 from stereophd.core.multi.births.undetected import (
-    BirthRates,
-    FrameCounts,
     Undetected,
     all_undetected,
     birth_rates,
@@ -33,7 +30,7 @@ from stereophd.core.multi.births.undetected import (
 )
 from stereophd.core.multi.extract import Report, select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
-from stereophd.core.multi.prediction import BirthsBefore, Journey, PredictionNumbers, predict_event
+from stereophd.core.multi.prediction import Bare, predict_event
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers, with_newborns
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
@@ -150,46 +147,38 @@ class DisparityFilter(ABC):
         """Return the state before the first event: no objects."""
         return FilterState(empty_mixture(self.state_size), None, 0, 0, 0)
 
-    def journey(self, state: FilterState, event: Event) -> Journey:
-        """Return how the components of a state come to an event."""
-        mixture, rig = state.mixture, self.rig
+    def prediction(self, state: FilterState, event: Event) -> Bare:
+        """Return how the components of a state come to an event, as `predict_event` takes it."""
+        mixture, rig, numbers = state.mixture, self.rig, self.event_numbers(state.time_s, event, state.next_label)
         intervals = np.zeros(mixture.size + 1)
         np.subtract(event.time_s, mixture.times, out=intervals[:-1])
-        return Journey(
-            *rig.numbered_spaces(mixture.cameras, mixture.times), self.motion.arrays(intervals),
-            rig.space(event.camera, event.time_s), rig.views(event.time_s),
-            NO_REGION if rig.region is None else rig.region, self._looks[state.n_events % len(self._looks)],
-            self.prediction_numbers(state.time_s, event),
+        motion, destination = self.motion.arrays(intervals), rig.space(event.camera, event.time_s)
+        region = NO_REGION if rig.region is None else rig.region
+        carried = self._none_carried
+        if self.threads > 1 or self.sets.method in RULES:
+            homes = rig.spaces(mixture.cameras, mixture.times)
+            carried = move(
+                Sources(mixture.means, mixture.covariances, homes, motion), destination, self.sets, state.n_events,
+                numbers.shape_p_detect, mixture.weights * numbers.survival >= IMPORTANT_WEIGHT, self.threads, region,
+            )  # fmt: skip
+        return (
+            tuple(numbers), tuple(carried), *rig.numbered_spaces(mixture.cameras, mixture.times), tuple(motion),
+            destination, rig.views(event.time_s), region, self._looks[state.n_events % len(self._looks)],
+            tuple(state.undetected or self._all_undetected), self._birth_rates, self._remaining_shares[event.camera],
         )  # fmt: skip
 
     @cached_property
-    def _looks(self) -> list[Looks]:
-        return [looks_at(self.sets, turn) for turn in range(len(self.sets.sets))]
-
-    def prediction_numbers(self, before_s: float | None, event: Event) -> PredictionNumbers:
-        """Return the numbers of a prediction from the time of the last event, None before the first."""
-        elapsed = 0.0 if before_s is None else max(event.time_s - before_s, 0.0)
-        settings = self.settings
-        return PredictionNumbers(
-            int(event.camera), settings.survival_per_s**elapsed, elapsed, float(settings.out_of_view_s),
-            self._detectors[event.camera][0] if self.split_missed else 0.0,
-        )  # fmt: skip
-
-    def carried(self, state: FilterState, journey: Journey) -> Moved:
-        """Return the components in the event's space, or none where the compiled prediction carries them by itself."""
-        if self.threads == 1 and self.sets.method not in RULES:
-            return self._none_carried
-        mixture, numbers = state.mixture, journey.numbers
-        homes = self.rig.spaces(mixture.cameras, mixture.times)
-        important = mixture.weights * numbers.survival >= IMPORTANT_WEIGHT
-        return move(
-            Sources(mixture.means, mixture.covariances, homes, journey.motion), journey.destination, self.sets,
-            state.n_events, numbers.shape_p_detect, important, self.threads, self.rig.region,
-        )  # fmt: skip
+    def _looks(self) -> list[Bare]:
+        looks = [looks_at(self.sets, turn) for turn in range(len(self.sets.sets))]
+        return [(tuple(first), tuple(second)) for first, second in looks]
 
     @cached_property
     def _none_carried(self) -> Moved:
         return room_for_moved(0, self.state_size)
+
+    @cached_property
+    def _all_undetected(self) -> Undetected:
+        return all_undetected(len(self.rig.cameras))
 
     def predict(
         self, state: FilterState, event: Event, births: tuple[float, Undetected, int] | None = None
@@ -198,9 +187,7 @@ class DisparityFilter(ABC):
 
         `births` replaces what `expected_births` returns, for filters of several camera hypotheses that share it.
         """
-        journey = self.journey(state, event)
-        before = self.births_before(state.undetected, journey.numbers.elapsed, event)
-        weights, moved, _, *expected = predict_event(state.mixture, self.carried(state, journey), journey, before)
+        weights, moved, _, *expected = predict_event(tuple(state.mixture), self.prediction(state, event))
         return Prediction(state.mixture.with_weights(weights), moved, *(births or expected))
 
     @cached_property
@@ -209,30 +196,25 @@ class DisparityFilter(ABC):
         return list(np.ascontiguousarray(undetected_shares(self.rig, self.settings.birth).T))
 
     @cached_property
-    def _birth_rates(self) -> BirthRates:
-        return birth_rates(self.settings.birth)
-
-    def births_before(self, undetected: Undetected | None, elapsed: float, event: Event) -> BirthsBefore:
-        """Return what the births of an event follow from, and what the last event left undetected."""
-        p_detect, clutter, _ = self._detectors[event.camera]
-        return BirthsBefore(
-            undetected or all_undetected(len(self.rig.cameras)), self._birth_rates,
-            self._remaining_shares[event.camera],
-            FrameCounts(int(event.camera), elapsed, len(event.points), p_detect, clutter),
-        )  # fmt: skip
+    def _birth_rates(self) -> Bare:
+        return tuple(birth_rates(self.settings.birth))
 
     def expected_births(
         self, undetected: Undetected | None, elapsed: float, event: Event
     ) -> tuple[float, Undetected, int]:
         """Return the births of an event, what it leaves, and its burst of clutter, where no object is known."""
-        return expected_births(*self.births_before(undetected, elapsed, event), 0.0)
+        p_detect, clutter, _ = self._detectors[event.camera]
+        return expected_births(
+            undetected or self._all_undetected, birth_rates(self.settings.birth), self._remaining_shares[event.camera],
+            int(event.camera), elapsed, len(event.points), p_detect, clutter, 0.0,
+        )  # fmt: skip
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
         mixture = state.mixture
         chosen = select_objects(
             mixture,
-            self.report(state.next_label, state.next_track),
+            Report(*self.report, state.next_label, state.next_track),
             np.arange(mixture.size),
             self.rig.spaces(mixture.cameras, mixture.times),
             self.motion.arrays((0.0 if state.time_s is None else state.time_s) - mixture.times),
@@ -245,14 +227,11 @@ class DisparityFilter(ABC):
         )  # fmt: skip
         return state, chosen.estimates()
 
-    def report(self, next_label: int, next_track: int) -> Report:
-        """Return how objects are reported, with the first unused label and identity."""
-        return Report(*self._levels, self.labels_may_split, next_label, next_track)
-
     @cached_property
-    def _levels(self) -> tuple[float, float, float]:
+    def report(self) -> tuple[float, float, float, bool]:
+        """How objects are reported: `Report` without counters."""
         levels = self.settings.extraction
-        return float(levels.confirm), float(levels.release), float(levels.tentative)
+        return float(levels.confirm), float(levels.release), float(levels.tentative), self.labels_may_split
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""
@@ -287,10 +266,15 @@ class DisparityFilter(ABC):
     def _newborns(self) -> list[FirstSight]:
         return [newborn_prior(space, self.settings.birth, self.rig.region) for space in self.rig.packed]
 
-    def event_numbers(self, event: Event, next_label: int) -> EventNumbers:
-        """Return the place of an event, the rates of its detector, and the first unused label; nothing is born yet."""
+    def event_numbers(self, before_s: float | None, event: Event, next_label: int) -> EventNumbers:
+        """Return the numbers of an event, nothing born yet; the last one was at a time `before_s`, None if none was."""
         p_detect, clutter, area = self._detectors[event.camera]
-        return EventNumbers(int(event.camera), float(event.time_s), next_label, p_detect, clutter, 0.0, area)
+        elapsed = 0.0 if before_s is None else max(event.time_s - before_s, 0.0)
+        return EventNumbers(
+            int(event.camera), float(event.time_s), elapsed, next_label, len(event.points), p_detect,
+            p_detect if self.split_missed else 0.0, area, self.settings.survival_per_s**elapsed,
+            float(self.settings.out_of_view_s), clutter, 0.0,
+        )  # fmt: skip
 
     @cached_property
     def _detectors(self) -> list[tuple[float, float, float]]:

@@ -82,6 +82,5 @@ def prepare_last_first(kind: str) -> None:
     for kernel, arguments in multi_filter.last_kernels:
         # the form for other kernels that call it with such arguments
         kernel.compile(tuple(map(numba.typeof, arguments)))
-    multi_filter.extract(multi_filter.init())
     multi_filter.compile_tests()
     prepare(kind)

@@ -11,9 +11,9 @@ near 1 expects b times the time since its last frame, and cameras that look at o
 
 After a pause, and where a camera starts late, b times the elapsed time may be many more objects than the frame shows.
 An expectation above one is therefore limited to the detections beyond clutter and known objects, and one standard
-deviation more (`_room`): with thousands of expected births every false detection would be an object.
+deviation more: with thousands of expected births every false detection would be an object.
 
-A frame with far more detections than objects can make (`burst_of`) is no evidence of new objects: its surplus is
+A frame with far more detections than objects can make is no evidence of new objects: its surplus is
 clutter.
 """
 
@@ -79,49 +79,42 @@ def birth_rates(prior: BirthPrior) -> BirthRates:
     return BirthRates(float(prior.per_s), initial, float(prior.max_per_frame))
 
 
-class FrameCounts(NamedTuple):
-    """What the births of an event follow from, beside those before."""
-
-    camera: int
-    elapsed: float  # Time since the last event, s
-    n_detections: int
-    # `p_detect`, `clutter`: Those of the detector of the event's camera
-    p_detect: float
-    clutter: float
-
-
-@compiled
-def burst_of(n_detections: int, known: float, max_per_frame: float) -> int:
-    """Return the detections of a frame beyond those of known objects where they are a burst of clutter, else 0.
-
-    `known` is the expected number of detections of known objects; up to `max_per_frame` is no burst.
-    """
-    surplus = n_detections - known
-    return math.ceil(surplus) if surplus > max_per_frame else 0
-
-
 @compiled
 def expected_births(
-    before: Undetected, rates: BirthRates, remaining: Array, frame: FrameCounts, known: float
+    before: Undetected,
+    rates: BirthRates,
+    remaining: Array,
+    camera: int,
+    elapsed: float,
+    n_detections: int,
+    p_detect: float,
+    clutter: float,
+    known: float,
 ) -> tuple[float, Undetected, int]:
-    """Expected number of undetected objects in view of an event, what the event leaves of them, and its `burst_of`.
+    """Expected number of undetected objects in view of an event, what the event leaves of them, and its burst.
 
-    `before` is what the last event left. `remaining` (c,), a column of `undetected_shares`, has for each camera the
-    share of the objects in its view that the frame leaves; `known` is the expected number of detections of known
-    objects. Nothing is born from a burst of clutter, and the objects remain undetected.
+    `before` is what the last event left, `elapsed` the time since then, s. `remaining` (c,), a column of
+    `undetected_shares`, has for each camera the share of the objects in its view that the frame leaves. `p_detect` and
+    `clutter` are those of the detector, and `known` is the expected number of detections of known objects. What is
+    beyond them by more than `max_per_frame` is a burst of clutter, the number of these detections, else 0; nothing is
+    born from it, and the objects remain undetected.
     """
-    camera = frame.camera
-    after = Undetected(before.counts + rates.per_s * frame.elapsed, before.initial_share.copy(), before.peaks.copy())
+    after = Undetected(before.counts + rates.per_s * elapsed, before.initial_share.copy(), before.peaks.copy())
     counts, share, peaks = after
-    burst = burst_of(frame.n_detections, known, rates.max_per_frame)
-    if burst > 0:
-        return 0.0, after, burst
+    if n_detections - known > rates.max_per_frame:
+        return 0.0, after, math.ceil(n_detections - known)
     initial = 0.0
     if share[camera] > 0.0:
-        initial = _initial(rates, frame) * share[camera]
+        # as stated, or from the detections of this frame
+        initial = rates.initial
+        if math.isnan(initial):
+            initial = max((n_detections - clutter) / max(p_detect, 1e-9), LEAST_INITIAL)
+        initial *= share[camera]
         share[camera] = 0.0
     if counts[camera] > UNCHECKED_BIRTHS:
-        counts[camera] = min(counts[camera], max(_room(frame, known) - initial, UNCHECKED_BIRTHS))
+        surplus = n_detections - clutter - known + math.sqrt(n_detections)
+        room = max(surplus / max(p_detect, 1e-9), UNCHECKED_BIRTHS)
+        counts[camera] = min(counts[camera], max(room - initial, UNCHECKED_BIRTHS))
     counts[camera] += initial
     births = counts[camera]
     for c in range(len(counts)):
@@ -129,22 +122,7 @@ def expected_births(
         counts[c] *= remaining[c]
         share[c] *= remaining[c]
     peaks[camera] = 0.0
-    return births, after, burst
-
-
-@compiled
-def _room(frame: FrameCounts, known: float) -> float:
-    """Return how many undetected objects the detections of a frame allow, at least `UNCHECKED_BIRTHS`."""
-    surplus = frame.n_detections - frame.clutter - known + math.sqrt(frame.n_detections)
-    return max(surplus / max(frame.p_detect, 1e-9), UNCHECKED_BIRTHS)
-
-
-@compiled
-def _initial(rates: BirthRates, frame: FrameCounts) -> float:
-    """Return the number of objects in view at the first frame: as stated, or from the detections of that frame."""
-    if not math.isnan(rates.initial):
-        return rates.initial
-    return max((frame.n_detections - frame.clutter) / max(frame.p_detect, 1e-9), LEAST_INITIAL)
+    return births, after, 0
 
 
 @compiled

@@ -96,9 +96,9 @@ class FilterBatch:
         log-likelihoods (k,) of the event's detections.
         """
         template, mixture = self.template, state.mixture
-        prediction = template.prediction_numbers(state.time_s, event)
-        births, undetected, burst = template.expected_births(state.undetected, prediction.elapsed, event)
-        bare, arrays = template.event_numbers(event, state.next_label), template.event_arrays(event)
+        bare = template.event_numbers(state.time_s, event, state.next_label)
+        births, undetected, burst = template.expected_births(state.undetected, bare.elapsed, event)
+        arrays = template.event_arrays(event)
         settings: Any = template.reduction
         weight = prune_weight_for_births(settings.prune_weight, births, bare.p_detect, bare.clutter)
         numbers, reduction = with_births(bare, births, burst), settings._replace(prune_weight=weight)
@@ -109,7 +109,7 @@ class FilterBatch:
         def run(first: int) -> tuple[Integers, GaussianMixture, Array]:
             part = slice(first, first + CHUNK)
             begins, ends = state.begins[part], state.ends[part]
-            weights, moved = predict(begins, ends, mixture, spaces[part], looks, motion, prediction, region)
+            weights, moved = predict(begins, ends, mixture, spaces[part], looks, motion, bare, region)
             return template.update_hypotheses(begins, ends, mixture, weights, moved, arrays, numbers, reduction)
 
         starts = range(0, state.size, CHUNK)

@@ -14,7 +14,7 @@ from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, upda
 from stereophd.core.multi.pmb.hypotheses import PmbReduction, choose_hypotheses, make_hypotheses
 from stereophd.core.multi.pmb.reduction import reduce_tracks
 from stereophd.core.multi.pmb.update import associate_tracks
-from stereophd.core.multi.prediction import Journey, PredictionNumbers, homes_of, predict_components
+from stereophd.core.multi.prediction import homes_of, predict_components
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, allocate_mixture, copy_components, slice_components
 from stereophd.core.numerics.compilation.compiled import compiled
@@ -41,7 +41,7 @@ def predict(
     spaces: Array,
     looks: Looks,
     motion: MotionArrays,
-    numbers: PredictionNumbers,
+    numbers: EventNumbers,
     region: Array,
 ) -> tuple[Array, Moved]:
     """Carry the components of some hypotheses into the event's spaces: `DisparityFilter.predict`.
@@ -58,12 +58,10 @@ def predict(
     for h in range(len(begins)):
         last = first + ends[h] - begins[h]
         components = slice_components(mixture, begins[h], ends[h])
-        journey = Journey(
-            spaces[h], components.cameras, slice_motion(motion, begins[h], ends[h]), spaces[h, numbers.camera],
-            spaces[h], region, looks, numbers
-        )  # fmt: skip
+        homes = homes_of(spaces[h], components.cameras, spaces[h, numbers.camera])
         all_weights[first:last], _ = predict_components(
-            components, journey, homes_of(journey), np.arange(last - first), slice_moved(all_moved, first, last)
+            components, numbers, homes, slice_motion(motion, begins[h], ends[h]), spaces[h], region, looks,
+            np.arange(last - first), slice_moved(all_moved, first, last)
         )  # fmt: skip
         first = last
     return all_weights, all_moved

@@ -57,8 +57,9 @@ class PhdFilter(DisparityFilter):
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event: eq. (5), then reduction."""
         reduced, log_likelihood, labels, claims, left_out = _update(
-            prediction.mixture, prediction.moved, *self.detections(event), self.event_numbers(event, state.next_label),
-            (prediction.births, prediction.burst), self.reduction, self.claims,
+            prediction.mixture, prediction.moved, *self.detections(event),
+            self.event_numbers(state.time_s, event, state.next_label), (prediction.births, prediction.burst),
+            self.reduction, self.claims,
         )  # fmt: skip
         label = state.next_label + len(event.points)
         return (
@@ -88,9 +89,7 @@ def _update(
     births, burst = born
     event, numbers = with_newborns(detected, prior, mixture.means.shape[1]), with_births(bare, births, burst)
     weight = prune_weight_for_births(stated.prune_weight, births, bare.p_detect, bare.clutter)
-    reduction = PhdReduction(
-        weight, stated.merge_distance, stated.max_components, stated.mutual, stated.by_label
-    )  # fmt: skip
+    reduction = PhdReduction(weight, *stated[1:])
     updated, log_likelihood, by, shares = update_intensity(mixture, moved, event, numbers, reduction)
     labels, _ = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
     claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None

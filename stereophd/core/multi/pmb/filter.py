@@ -12,10 +12,10 @@ association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.moved import Moved
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.association.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.association.exact_association import association_marginals
 from stereophd.core.multi.association.likelihoods import FEW_COMPONENTS
@@ -40,13 +41,13 @@ from stereophd.core.multi.pmb.hypotheses import (
 )
 from stereophd.core.multi.pmb.reduction import reduce_tracks
 from stereophd.core.multi.pmb.update import associate_tracks
-from stereophd.core.multi.prediction import BirthsBefore, Journey, predict_event
+from stereophd.core.multi.prediction import Bare, predict_event
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.inputs import Detections, EventNumbers, with_births, with_newborns
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, empty_mixture
-from stereophd.core.multi.swaps.epipolar_pairs import SwapSearch, search_pairs
-from stereophd.core.multi.swaps.history import ClaimedDetections, History
-from stereophd.core.multi.swaps.swap_test import MOST_TESTS, SwapTest
+from stereophd.core.multi.swaps.epipolar_pairs import NewObjects, Past, swap_candidates
+from stereophd.core.multi.swaps.history import ClaimedDetections, DeferredPairs, History
+from stereophd.core.multi.swaps.swap_test import SwapTest
 from stereophd.core.numerics.compilation.compiled import compiled
 
 NO_HISTORY = History()
@@ -69,7 +70,7 @@ class PmbFilter(DisparityFilter):
         """Settings of the reduction, for compiled code."""
         settings = self.settings
         return PmbReduction(
-            recycle_below=float(settings.recycle_below), prune_weight=float(settings.prune_weight),
+            prune_weight=float(settings.prune_weight), recycle_below=float(settings.recycle_below),
             merge_distance=float(settings.merge_distance), max_components=most_components(settings.max_components),
             hypothesis_distance=float(settings.hypothesis_distance), least_share=float(settings.least_share),
             max_hypotheses=int(settings.max_hypotheses or BY_DETECTIONS),
@@ -96,45 +97,37 @@ class PmbFilter(DisparityFilter):
         )
 
     def compile_tests(self) -> None:
-        """Compile the test for pairs of tracks that are paired crosswise."""
+        """Compile the test for pairs of tracks that are paired crosswise, and what follows a swap."""
         self.swap_test.compile()
+        self.extract(self.init())
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
-        before = self.births_before(state.undetected, 0.0, event)
-        reduced, updated, claims = _update(
-            prediction.mixture, prediction.moved, *self.detections(event), self.event_numbers(event, state.next_label),
-            (prediction.births, prediction.burst), float(before.undetected.peaks[event.camera]), self.reduction,
-            self.claims,
+        peak = 0.0 if state.undetected is None else float(state.undetected.peaks[event.camera])
+        reduced, *updated = _update(
+            prediction.mixture, prediction.moved, *self.detections(event),
+            self.event_numbers(state.time_s, event, state.next_label), (prediction.births, prediction.burst), peak,
+            self.reduction, self.claims,
         )  # fmt: skip
-        history = self._history_after(state, event, updated)
-        if history is not None:
-            reduced, history = self.swap_test.put_right(reduced, history, event.camera, event.time_s, state.n_events)
-        label, undetected = state.next_label + len(event.points), prediction.undetected
-        after = FilterState(reduced, event.time_s, state.n_events + 1, label, state.next_track, undetected, history)
-        return after, self._info(state, event, after, updated, claims, prediction.burst)
+        counters = state.next_label + len(event.points), state.next_track
+        return self._after(state, event, reduced, None, updated, counters, prediction.undetected, prediction.burst)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event, in one compiled call."""
-        journey, label = self.journey(state, event), state.next_label + len(event.points)
-        search = self.swap_test.search(
-            state.history or NO_HISTORY, event.camera if self._exchanges else 0, event.time_s, state.n_events
+        camera = event.camera if self._exchanges else 0
+        (between, _, new, tolerance, past, deferred, *numbers), added = self.swap_test.search(
+            state.history or NO_HISTORY, camera, event.time_s, state.n_events
         )
-        selection, updated, claims, pairs, undetected, burst = _step(
-            state.mixture, self.carried(state, journey), journey,
-            self.births_before(state.undetected, journey.numbers.elapsed, event), *self.detections(event),
-            self.event_numbers(event, state.next_label), self.reduction, self.claims, search,
-            self.report(label, state.next_track), self.sets.turn(state.n_events + 1),
+        detected, prior = self.detections(event)
+        selection, pairs, undetected, burst, *updated = _step(
+            tuple(state.mixture), self.prediction(state, event), tuple(detected), tuple(prior), tuple(self.reduction),
+            self.claims,
+            (between, tuple(new), tolerance, tuple(past), tuple(added), tuple(deferred), *numbers),
+            (*self.report, state.next_label + len(event.points), state.next_track), self.sets.turn(state.n_events + 1),
         )  # fmt: skip
-        mixture, history = selection.mixture, self._history_after(state, event, updated)
-        if len(pairs):
-            assert history is not None
-            mixture, history = self.swap_test.swap(mixture, history, pairs, search)
-        after = FilterState(
-            mixture, event.time_s, state.n_events + 1, selection.next_label, selection.next_track, undetected, history
-        )
-        info = self._info(state, event, after, updated, claims, burst)
-        if mixture is not selection.mixture:
+        counters = selection.next_label, selection.next_track
+        after, info = self._after(state, event, selection.mixture, pairs, updated, counters, undetected, burst)
+        if after.mixture is not selection.mixture:
             # identities are those of the first look: a swap leaves the existence of every track as it is
             after, estimates = self.extract(after)
             return after, info, estimates
@@ -144,69 +137,69 @@ class PmbFilter(DisparityFilter):
     def _exchanges(self) -> bool:
         return math.isfinite(self.settings.exchange_above)
 
-    def _history_after(self, state: FilterState, event: Event, updated: "Updated") -> History | None:
-        """Return the history with what the labels claimed of an event; None where nothing is exchanged."""
-        if not self._exchanges:
-            return None
-        readings = event.readings(self.rig.space(event.camera, event.time_s))
-        claimed = ClaimedDetections(
-            event.camera, event.time_s, updated.labels, updated.detections, event.points, event.covariances, readings
-        )
-        return (state.history or NO_HISTORY).add(claimed)
+    def _after(
+        self, state: FilterState, event: Event, mixture: GaussianMixture, pairs: Integers | None,
+        updated: Sequence[Any], counters: tuple[int, int], undetected: Undetected, burst: int,
+    ) -> tuple[FilterState, Info]:  # fmt: skip
+        """Return the state after an event of which `_update` returns what it `updated`, and its diagnostics.
 
-    def _info(
-        self, before: FilterState, event: Event, after: FilterState, updated: "Updated", claims: Claims | None,
-        burst: int,
-    ) -> Info:  # fmt: skip
-        """Return the diagnostics of an event."""
+        The `pairs` of tracks are tested for a swap; None: they are still to be found.
+        """
+        log_likelihood, expected, labels, detections, claims, fewer = updated
+        history, place = None, (event.camera, event.time_s)
+        if self._exchanges:
+            readings = event.readings(self.rig.space(*place))
+            claimed = ClaimedDetections(*place, labels, detections, event.points, event.covariances, readings)
+            history = (state.history or NO_HISTORY).add(claimed)
+            if pairs is None:
+                mixture, history = self.swap_test.put_right(mixture, history, *place, state.n_events)
+            else:
+                mixture, history = self.swap_test.swap(mixture, history, pairs, *place, state.n_events)
         left_out, room = 0, self.reduction.max_components - len(event.points)
-        if before.mixture.size > room:
-            tracks = np.unique(before.mixture.labels)
+        if state.mixture.size > room:
+            tracks = np.unique(state.mixture.labels)
             left_out = max(int(np.count_nonzero(tracks != UNLABELLED)) - room, 0)
-        return Info(
-            updated.log_likelihood, updated.cardinality, after.mixture.size, updated.labels, claims, left_out, burst,
-            updated.hypotheses_left_out,
-        )  # fmt: skip
-
-
-class Updated(NamedTuple):
-    """What an update shows beside the mixture."""
-
-    log_likelihood: float  # Of the event's detections, per distorted pixel
-    cardinality: float  # Sum of the existences
-    # `labels`, `detections`: arrays (k,) of int: As of `detected_labels`.
-    labels: Integers
-    detections: Integers
-    hypotheses_left_out: int  # Hypotheses beyond the bound on their number
+        return (
+            FilterState(mixture, event.time_s, state.n_events + 1, *counters, undetected, history),
+            Info(log_likelihood, expected, mixture.size, labels, claims, left_out, burst, fewer),
+        )
 
 
 @compiled
 def _step(
-    mixture: GaussianMixture,
-    carried: Moved,
-    journey: Journey,
-    before: BirthsBefore,
-    detected: Detections,
-    prior: FirstSight,
-    numbers: EventNumbers,
-    reduction: PmbReduction,
+    mixture: Bare,
+    given: Bare,
+    detected: Bare,
+    prior: Bare,
+    reduction: Bare,
     with_claims: bool,
-    search: SwapSearch,
-    report: Report,
+    search: Bare,
+    report: Bare,
     samples: Array,
-) -> tuple[Selection, Updated, Claims | None, Integers, Undetected, int]:
-    """`predict_event`, `_update`, `search_pairs` and `select_objects`, with what is born and the burst of clutter."""
-    weights, moved, homes, births, undetected, burst = predict_event(mixture, carried, journey, before)
-    _, means, covariances, cameras, times, labels, tracks, reported = mixture
-    predicted = GaussianMixture(weights, means, covariances, cameras, times, labels, tracks, reported)
-    peak = before.undetected.peaks[numbers.camera]
-    reduced, updated, claims = _update(
-        predicted, moved, detected, prior, numbers, (births, burst), peak, reduction, with_claims
+) -> tuple[Selection, Integers, Undetected, int, float, float, Integers, Integers, Claims | None, int]:
+    """`predict_event`, `_update`, `swap_candidates` and `select_objects`.
+
+    Returns objects, pairs to be tested for a swap, what is undetected, the burst of clutter, and what `_update` returns
+    beside the mixture.
+    """
+    weights, moved, homes, births, undetected, burst = predict_event(mixture, given)
+    numbers, _, _, _, motion, _, views, _, _, before, _, _ = given
+    known, predicted, event = GaussianMixture(*mixture), GaussianMixture(weights, *mixture[1:]), EventNumbers(*numbers)
+    reduced, log_likelihood, expected, found, detections, claims, fewer = _update(
+        predicted, moved, Detections(*detected), FirstSight(*prior), event, (births, burst),
+        before[2][event.camera], PmbReduction(*reduction), with_claims
     )  # fmt: skip
-    rows = _rows_of(reduced, mixture, numbers)
-    pairs = search_pairs(reduced, rows, homes, search, len(updated.labels) > 0, MOST_TESTS)
-    selection = select_objects(reduced, report, rows, homes, journey.motion, samples)
-    return selection, updated, claims, pairs, undetected, burst
+    rows = _rows_of(reduced, known, event)
+    pairs = np.empty((0, 2), dtype=np.int64)
+    between, new, tolerance, past, added, deferred, number, most = search
+    if between[1] > 0:
+        past = added if len(found) > 0 else past
+        pairs = swap_candidates(
+            reduced, rows, homes, between, views, NewObjects(*new), tolerance, Past(*past), DeferredPairs(*deferred),
+            number, most
+        )  # fmt: skip
+    selection = select_objects(reduced, Report(*report), rows, homes, MotionArrays(*motion), samples)
+    return selection, pairs, undetected, burst, log_likelihood, expected, found, detections, claims, fewer
 
 
 @compiled
@@ -235,7 +228,7 @@ def _update(
     peak: float,
     stated: PmbReduction,
     with_claims: bool,
-) -> tuple[GaussianMixture, Updated, Claims | None]:
+) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None, int]:
     """`associate_tracks`, which labels were detected and by which detections, and `reduce_tracks`.
 
     The numbers are those without births, and `born` has the births and the burst of clutter; `peak` is that of the
@@ -248,10 +241,7 @@ def _update(
         weight = prune_weight_in_crowd(
             weight, stated.recycle_below, max(births, peak), bare.p_detect, bare.clutter, mixture.weights
         )  # fmt: skip
-    reduction = PmbReduction(
-        stated.recycle_below, weight, stated.merge_distance, stated.max_components, stated.hypothesis_distance,
-        stated.least_share, stated.max_hypotheses
-    )  # fmt: skip
+    reduction = PmbReduction(weight, *stated[1:])
     outcomes, log_likelihood = associate_tracks(mixture, moved, event, numbers, reduction.prune_weight)
     known, weights, made = outcomes.labels, outcomes.weights, outcomes.made
     labels, detections = detected_labels(known, weights, len(mixture.weights), made)
@@ -260,7 +250,7 @@ def _update(
     reduced, expected = reduce_tracks(
         make_hypotheses(mixture, moved, event, numbers, outcomes, choice), tracks, reduction
     )  # fmt: skip
-    return reduced, Updated(log_likelihood, expected, labels, detections, choice.left_out), claims
+    return reduced, log_likelihood, expected, labels, detections, claims, choice.left_out
 
 
 FILTER = PmbFilter

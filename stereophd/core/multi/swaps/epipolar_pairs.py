@@ -45,21 +45,6 @@ class Past(NamedTuple):
     acceleration_std: float
 
 
-class SwapSearch(NamedTuple):
-    """What an event looks for crosswise pairs with: parameters of `swap_candidates`."""
-
-    cameras: tuple[int, int]  # None are looked for where the second is 0: no camera is before it
-    views: Array
-    prior: NewObjects
-    tolerance: float
-    deferred: DeferredPairs
-    event: int
-    # `time_s`, `began_s`: Time of the event, and begin of the past without and with an event that is added to it, s.
-    time_s: float
-    began_s: tuple[float, float]
-    acceleration_std: float
-
-
 class TrackPlaces(NamedTuple):
     """Reported tracks: heaviest component (n,), place now and at the beginning of the past (n, 3), error of the latter.
 
@@ -70,21 +55,6 @@ class TrackPlaces(NamedTuple):
     now: Array
     past: Array
     errors: Array
-
-
-@compiled
-def search_pairs(
-    mixture: GaussianMixture, rows: Integers, homes: Array, search: SwapSearch, is_added: bool, most: int
-) -> Integers:
-    """Return `swap_candidates`; `is_added` says whether this event is one more of the past."""
-    if search.cameras[1] == 0:
-        return np.empty((0, 2), dtype=np.int64)
-    began_s = search.began_s[1] if is_added else search.began_s[0]
-    past = Past(search.time_s - began_s, search.acceleration_std)
-    return swap_candidates(
-        mixture, rows, homes, search.cameras, search.views, search.prior, search.tolerance, past, search.deferred,
-        search.event, most
-    )  # fmt: skip
 
 
 @compiled

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,8 +35,8 @@ from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.filter_settings.common import BirthPrior
-from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
-from stereophd.core.multi.swaps.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, SwapSearch, search_pairs
+from stereophd.core.multi.state.mixture import GaussianMixture
+from stereophd.core.multi.swaps.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, Past, swap_candidates
 from stereophd.core.multi.swaps.explanations import ExplainedRows, explain_rows, make_paths, room_for_explained
 from stereophd.core.multi.swaps.history import ClaimedRows, History
 
@@ -86,43 +86,45 @@ class SwapTest:
         return NewObjects(means.copy(), stds.copy(), float(self.birth.velocity_std), region)
 
     def compile(self) -> None:
-        """Compile the kernels of the test, with no tracks and with one detection."""
-        one, empty = np.zeros(1, dtype=np.int64), empty_mixture(self.motion.state_size)
-        self.put_right(empty, History(), 0, 0.0, 0)
+        """Compile the kernels of the test of a pair, with one detection."""
+        one = np.zeros(1, dtype=np.int64)
         prior = self.prior(self.rig.views(0.0))
         self.filter_again(ClaimedRows(one, np.zeros(1), one, np.zeros((1, 2)), np.eye(2)[None], None), prior)
 
-    def search(self, history: History, camera: int, time_s: float, event: int) -> SwapSearch:
-        """Return what the event of a camera looks for crosswise pairs with.
+    def search(self, history: History, camera: int, time_s: float, event: int) -> tuple[Any, Past]:
+        """Return parameters of `swap_candidates` after an event of a camera, and the past where it is to be added.
 
         The camera is the one whose detections are swapped, with each camera before it in turn.
         """
         views, sightings = self.rig.views(time_s), history.sightings
-        began_s = (time_s, time_s)
-        if sightings:
-            began_s = (sightings[-RECENT:][0].time_s, sightings[1 - RECENT :][0].time_s)
-        return SwapSearch(
-            (event // len(self.rig.cameras) % max(camera, 1), camera), views,
-            self.prior(views) if self.rig.moving else self._prior_at_rest, self.tolerances[camera], history.deferred,
-            event, time_s, began_s, self._acceleration_std,
-        )  # fmt: skip
+        prior = self.prior(views) if self.rig.moving else self._prior_at_rest
+        cameras, tolerance = (event // len(self.rig.cameras) % max(camera, 1), camera), self.tolerances[camera]
+        past, longer = (
+            Past(time_s - sightings[-count:][0].time_s if sightings else 0.0, self._acceleration_std)
+            for count in (RECENT, RECENT - 1)
+        )
+        return (cameras, views, prior, tolerance, past, history.deferred, event, MOST_TESTS), longer
 
     def put_right(
         self, mixture: GaussianMixture, history: History, camera: int, time_s: float, event: int
     ) -> tuple[GaussianMixture, History]:
         """Return a mixture after an event of a camera, and the history, with swaps of tracks paired crosswise."""
-        search, homes = self.search(history, camera, time_s, event), self.rig.spaces(mixture.cameras, mixture.times)
-        pairs = search_pairs(mixture, np.arange(mixture.size), homes, search, False, MOST_TESTS)
-        return self.swap(mixture, history, pairs, search) if len(pairs) else (mixture, history)
+        if camera == 0:
+            return mixture, history
+        rows, homes = np.arange(mixture.size), self.rig.spaces(mixture.cameras, mixture.times)
+        pairs = swap_candidates(mixture, rows, homes, *self.search(history, camera, time_s, event)[0])
+        return self.swap(mixture, history, pairs, camera, time_s, event)
 
     def swap(
-        self, mixture: GaussianMixture, history: History, pairs: Integers, search: SwapSearch
+        self, mixture: GaussianMixture, history: History, pairs: Integers, camera: int, time_s: float, event: int
     ) -> tuple[GaussianMixture, History]:
         """Return a mixture and the history with swaps of those of the pairs that are paired crosswise."""
-        camera, event, time_s = search.cameras[1], search.event, search.time_s
+        if not len(pairs):
+            return mixture, history
+        prior = self.prior(self.rig.views(time_s)) if self.rig.moving else self._prior_at_rest
         deferred = history.deferred.after(event)
         for first, second in pairs.tolist():
-            odds, swapped = self.explain(history, first, second, camera, search.prior)
+            odds, swapped = self.explain(history, first, second, camera, prior)
             if swapped is not None:
                 turned = self._is_nearer_turned(mixture, (first, second), swapped, time_s)
                 mixture = _replaced(mixture, first, second, swapped[::-1] if turned else swapped)

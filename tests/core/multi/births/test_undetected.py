@@ -14,7 +14,6 @@ from stereophd.core.multi.births.undetected import (
     CROWD_SHARE,
     LEAST_INITIAL,
     NEWBORN_SHARE,
-    FrameCounts,
     Undetected,
     all_undetected,
     birth_rates,
@@ -38,8 +37,10 @@ def births_of(
 ) -> tuple[float, Undetected]:  # fmt: skip
     """`expected_births` of an event without a burst of clutter."""
     detector = camera.detector
-    frame = FrameCounts(event.camera, elapsed, len(event.points), detector.p_detect, detector.clutter_per_frame)
-    births, after, burst = expected_births(before or all_undetected(len(left)), birth_rates(prior), left, frame, known)
+    births, after, burst = expected_births(
+        before or all_undetected(len(left)), birth_rates(prior), left, event.camera, elapsed, len(event.points),
+        detector.p_detect, detector.clutter_per_frame, known,
+    )  # fmt: skip
     assert burst == 0
     return births, after
 
