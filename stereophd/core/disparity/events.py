@@ -174,9 +174,8 @@ def make_event(
     std[:] = camera.detector.sigma if sigma is None else sigma
     points, covariances, areas, delays, moved = framed_detections(camera, np.full(len(pixels), time_s), pixels, std)
     order = np.lexsort((points[:, 1], points[:, 0]))
-    good = np.isfinite(points).all(axis=1) & (areas > 0.0)
-    if not good.all():
-        order = order[good[order]]
+    if not (np.isfinite(points).all() and (areas > 0.0).all()):
+        order = order[(np.isfinite(points).all(axis=1) & (areas > 0.0))[order]]
     # `take` is faster than an index
     return Event(
         time_s, index, points.take(order, axis=0), covariances.take(order, axis=0), areas.take(order),

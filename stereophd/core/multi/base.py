@@ -103,6 +103,8 @@ class DisparityFilter(ABC):
 
     #: Whether components of one label may be several objects (`select_objects`).
     labels_may_split: ClassVar[bool] = True
+    #: The compiled event of many camera hypotheses (`multi.camera_hypotheses.batch_kernels`).
+    update_hypotheses: ClassVar[Callable[..., tuple[Integers, GaussianMixture, Array]]]
 
     @abstractmethod
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
@@ -112,11 +114,6 @@ class DisparityFilter(ABC):
     @abstractmethod
     def reduction(self) -> NamedTuple:
         """Settings of the reduction, for compiled code."""
-
-    @property
-    @abstractmethod
-    def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
-        """The compiled update and reduction of many camera hypotheses (`multi.camera_hypotheses.batch_kernels`)."""
 
     @property
     @abstractmethod
@@ -154,7 +151,7 @@ class DisparityFilter(ABC):
         np.subtract(event.time_s, mixture.times, out=intervals[:-1])
         motion, destination = self.motion.arrays(intervals), rig.space(event.camera, event.time_s)
         region = NO_REGION if rig.region is None else rig.region
-        carried = self._none_carried
+        carried, undetected = self._at_start
         if self.threads > 1 or self.sets.method in RULES:
             homes = rig.spaces(mixture.cameras, mixture.times)
             carried = move(
@@ -164,7 +161,7 @@ class DisparityFilter(ABC):
         return (
             tuple(numbers), tuple(carried), *rig.numbered_spaces(mixture.cameras, mixture.times), tuple(motion),
             destination, rig.views(event.time_s), region, self._looks[state.n_events % len(self._looks)],
-            tuple(state.undetected or self._all_undetected), self._birth_rates, self._remaining_shares[event.camera],
+            tuple(state.undetected or undetected), self._birth_rates, self._remaining_shares[event.camera],
         )  # fmt: skip
 
     @cached_property
@@ -173,12 +170,9 @@ class DisparityFilter(ABC):
         return [(tuple(first), tuple(second)) for first, second in looks]
 
     @cached_property
-    def _none_carried(self) -> Moved:
-        return room_for_moved(0, self.state_size)
-
-    @cached_property
-    def _all_undetected(self) -> Undetected:
-        return all_undetected(len(self.rig.cameras))
+    def _at_start(self) -> tuple[Moved, Undetected]:
+        """No components, carried into a space, and what is undetected before the first event."""
+        return room_for_moved(0, self.state_size), all_undetected(len(self.rig.cameras))
 
     def predict(
         self, state: FilterState, event: Event, births: tuple[float, Undetected, int] | None = None
@@ -196,8 +190,8 @@ class DisparityFilter(ABC):
         return list(np.ascontiguousarray(undetected_shares(self.rig, self.settings.birth).T))
 
     @cached_property
-    def _birth_rates(self) -> Bare:
-        return tuple(birth_rates(self.settings.birth))
+    def _birth_rates(self) -> tuple[float, float, float]:
+        return birth_rates(self.settings.birth)
 
     def expected_births(
         self, undetected: Undetected | None, elapsed: float, event: Event
@@ -205,7 +199,7 @@ class DisparityFilter(ABC):
         """Return the births of an event, what it leaves, and its burst of clutter, where no object is known."""
         p_detect, clutter, _ = self._detectors[event.camera]
         return expected_births(
-            undetected or self._all_undetected, birth_rates(self.settings.birth), self._remaining_shares[event.camera],
+            undetected or self._at_start[1], self._birth_rates, self._remaining_shares[event.camera],
             int(event.camera), elapsed, len(event.points), p_detect, clutter, 0.0,
         )  # fmt: skip
 

@@ -74,6 +74,8 @@ def prepare(kind: str) -> None:
         event = Event(time_s, 0, np.full((1, 2), 100.0), np.eye(2)[None], np.ones(1))
         state, _, _ = multi_filter.step(state, event)
     multi_filter.compile_tests()
+    # for what is reported between events, or after a swap of two tracks
+    multi_filter.extract(state)
 
 
 def prepare_last_first(kind: str) -> None:

@@ -87,33 +87,22 @@ def select_objects(
         index, picked(rows, index), means, covariances, homes, motion, samples, world_means, world_covariances
     )  # fmt: skip
     order = np.empty(chosen, dtype=np.int64)
-    placed, confirmed, in_place = 0, 0, True
+    placed, confirmed = 0, 0
     for tentative in (False, True):
         for i in range(chosen):
             # the mean of an object at infinity is NaN throughout
             if unsure[i] == tentative and math.isfinite(world_means[i, 0]):
-                in_place = in_place and i == placed
                 order[placed] = i
                 placed += 1
         if not tentative:
             confirmed = placed
-    if placed < chosen or not in_place:
-        index, existence, world_means, world_covariances = _reordered(
-            order[:placed], index, existence, world_means, world_covariances
-        )  # fmt: skip
+    order = order[:placed]
+    index, existence = picked(index, order), picked(existence, order)
+    to_means, to_covariances = np.empty((placed, 6)), np.empty((placed, 6, 6))
+    for i in range(placed):
+        copy_gaussian(world_means, world_covariances, order[i], to_means, to_covariances, i)
     named = GaussianMixture(weights, means, covariances, cameras, times, changed[0], changed[1], changed[2])
-    return Selection(named, confirmed, index, existence, world_means, world_covariances, next_label, next_track)
-
-
-@compiled
-def _reordered(
-    order: Integers, index: Integers, existence: Array, means: Array, covariances: Array
-) -> tuple[Integers, Array, Array, Array]:
-    """Rows in an order (m,)."""
-    new_means, new_covariances = np.empty((len(order), 6)), np.empty((len(order), 6, 6))
-    for i in range(len(order)):
-        copy_gaussian(means, covariances, order[i], new_means, new_covariances, i)
-    return picked(index, order), picked(existence, order), new_means, new_covariances
+    return Selection(named, confirmed, index, existence, to_means, to_covariances, next_label, next_track)
 
 
 @compiled

@@ -10,7 +10,7 @@ from stereophd.core.disparity.sample_move import Look, Looks, carry_components
 from stereophd.core.disparity.space import PACKED_SIZE
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
-from stereophd.core.multi.births.undetected import BirthRates, Undetected, expected_births
+from stereophd.core.multi.births.undetected import Undetected, expected_births
 from stereophd.core.multi.state.inputs import EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.core.numerics.compilation.compiled import compiled
@@ -81,7 +81,7 @@ def predict_event(mixture: Bare, given: Bare) -> tuple[Array, Moved, Array, floa
         components, event, homes, MotionArrays(*motion), views, region, Looks(Look(*first), Look(*second)), which, moved
     )  # fmt: skip
     births, undetected, burst = expected_births(
-        Undetected(*before), BirthRates(*rates), remaining, event.camera, event.elapsed, event.n_detections,
+        Undetected(*before), rates, remaining, event.camera, event.elapsed, event.n_detections,
         event.p_detect, event.clutter, event.p_detect * total
     )  # fmt: skip
     return weights, moved, homes, births, undetected, burst

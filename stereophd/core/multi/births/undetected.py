@@ -65,24 +65,16 @@ def all_undetected(cameras: int) -> Undetected:
     return Undetected(np.zeros(cameras), np.ones(cameras), np.zeros(cameras))
 
 
-class BirthRates(NamedTuple):
-    """Settings of a `BirthPrior`, for compiled code."""
-
-    per_s: float
-    initial: float  # NaN: the detections of the first frame say
-    max_per_frame: float
-
-
-def birth_rates(prior: BirthPrior) -> BirthRates:
-    """Return the rates of a prior."""
+def birth_rates(prior: BirthPrior) -> tuple[float, float, float]:
+    """Return per_s, initial (NaN: the detections of the first frame say) and max_per_frame of a prior."""
     initial = math.nan if prior.initial is None else float(prior.initial)
-    return BirthRates(float(prior.per_s), initial, float(prior.max_per_frame))
+    return float(prior.per_s), initial, float(prior.max_per_frame)
 
 
 @compiled
 def expected_births(
     before: Undetected,
-    rates: BirthRates,
+    rates: tuple[float, float, float],
     remaining: Array,
     camera: int,
     elapsed: float,
@@ -93,24 +85,21 @@ def expected_births(
 ) -> tuple[float, Undetected, int]:
     """Expected number of undetected objects in view of an event, what the event leaves of them, and its burst.
 
-    `before` is what the last event left, `elapsed` the time since then, s. `remaining` (c,), a column of
-    `undetected_shares`, has for each camera the share of the objects in its view that the frame leaves. `p_detect` and
-    `clutter` are those of the detector, and `known` is the expected number of detections of known objects. What is
-    beyond them by more than `max_per_frame` is a burst of clutter, the number of these detections, else 0; nothing is
-    born from it, and the objects remain undetected.
+    `before` is what the last event left, the rates are `birth_rates`, and `elapsed` is the time since then, s.
+    `remaining` (c,), a column of `undetected_shares`, has for each camera the share of the objects in its view that the
+    frame leaves. `p_detect` and `clutter` are those of the detector, and `known` is the expected number of detections
+    of known objects. What is beyond them by more than `max_per_frame` is a burst of clutter, the number of these
+    detections, else 0; nothing is born from it, and the objects remain undetected.
     """
-    after = Undetected(before.counts + rates.per_s * elapsed, before.initial_share.copy(), before.peaks.copy())
+    per_s, initial, max_per_frame = rates
+    after = Undetected(before.counts + per_s * elapsed, before.initial_share.copy(), before.peaks.copy())
     counts, share, peaks = after
-    if n_detections - known > rates.max_per_frame:
+    if n_detections - known > max_per_frame:
         return 0.0, after, math.ceil(n_detections - known)
-    initial = 0.0
-    if share[camera] > 0.0:
-        # as stated, or from the detections of this frame
-        initial = rates.initial
-        if math.isnan(initial):
-            initial = max((n_detections - clutter) / max(p_detect, 1e-9), LEAST_INITIAL)
-        initial *= share[camera]
-        share[camera] = 0.0
+    if math.isnan(initial):
+        initial = max((n_detections - clutter) / max(p_detect, 1e-9), LEAST_INITIAL)
+    initial *= share[camera]
+    share[camera] = 0.0
     if counts[camera] > UNCHECKED_BIRTHS:
         surplus = n_detections - clutter - known + math.sqrt(n_detections)
         room = max(surplus / max(p_detect, 1e-9), UNCHECKED_BIRTHS)

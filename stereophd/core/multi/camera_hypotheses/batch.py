@@ -19,7 +19,6 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moments import NO_REGION, looks_at
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births
-from stereophd.core.multi.camera_hypotheses.batch_kernels import predict
 from stereophd.core.multi.state.inputs import with_births
 from stereophd.core.multi.state.mixture import GaussianMixture, concatenate, empty_mixture
 
@@ -108,9 +107,10 @@ class FilterBatch:
 
         def run(first: int) -> tuple[Integers, GaussianMixture, Array]:
             part = slice(first, first + CHUNK)
-            begins, ends = state.begins[part], state.ends[part]
-            weights, moved = predict(begins, ends, mixture, spaces[part], looks, motion, bare, region)
-            return template.update_hypotheses(begins, ends, mixture, weights, moved, arrays, numbers, reduction)
+            return template.update_hypotheses(
+                state.begins[part], state.ends[part], mixture, spaces[part], motion, looks, region, arrays, numbers,
+                reduction,
+            )  # fmt: skip
 
         starts = range(0, state.size, CHUNK)
         results = [run(first) for first in starts] if self.threads == 1 else list(self._pool.map(run, starts))

@@ -5,14 +5,13 @@ Prediction is the particle move of every component into the disparity space of t
 log-likelihood of an event is that of the conditional filter of VII-B.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.moved import Moved
@@ -34,6 +33,8 @@ class PhdFilter(DisparityFilter):
 
     settings: PhdSettings
 
+    update_hypotheses = staticmethod(update_intensities)
+
     @cached_property
     def reduction(self) -> PhdReduction:
         """Settings of the reduction, for compiled code."""
@@ -43,11 +44,6 @@ class PhdFilter(DisparityFilter):
             max_components=most_components(settings.max_components), mutual=settings.merge_rule == "mutual",
             by_label=settings.merge_moments == "label",
         )  # fmt: skip
-
-    @property
-    def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
-        """See `DisparityFilter`."""
-        return update_intensities
 
     @property
     def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:

@@ -12,7 +12,7 @@ association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -64,6 +64,7 @@ class PmbFilter(DisparityFilter):
     settings: PmbSettings
 
     labels_may_split: ClassVar[bool] = False
+    update_hypotheses = staticmethod(update_track_sets)
 
     @cached_property
     def reduction(self) -> PmbReduction:
@@ -83,11 +84,6 @@ class PmbFilter(DisparityFilter):
         return SwapTest(self.rig, self.motion, samples, settings.birth, settings.exchange_above)
 
     @property
-    def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
-        """See `DisparityFilter`."""
-        return update_track_sets
-
-    @property
     def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
         """See `DisparityFilter`."""
         integers = np.empty(0, dtype=np.int64)
@@ -97,9 +93,8 @@ class PmbFilter(DisparityFilter):
         )
 
     def compile_tests(self) -> None:
-        """Compile the test for pairs of tracks that are paired crosswise, and what follows a swap."""
+        """Compile the test for pairs of tracks that are paired crosswise."""
         self.swap_test.compile()
-        self.extract(self.init())
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
