@@ -79,10 +79,10 @@ def prepare(kind: str) -> None:
 
 
 def prepare_last_first(kind: str) -> None:
-    """Compile the same kernels, those that an event needs last first."""
+    """Compile the same kernels but for the one that calls them all, those that an event needs last first."""
     multi_filter = small_filter(kind)
     for kernel, arguments in multi_filter.last_kernels:
         # the form for other kernels that call it with such arguments
         kernel.compile(tuple(map(numba.typeof, arguments)))
     multi_filter.compile_tests()
-    prepare(kind)
+    multi_filter.extract(multi_filter.init())
