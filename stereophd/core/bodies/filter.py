@@ -39,7 +39,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.association.attribution import Claims
 from stereophd.core.multi.association.exact_association import association_marginals
-from stereophd.core.multi.births.undetected import Undetected, burst_of, expected_births
+from stereophd.core.multi.births.undetected import Undetected, all_undetected, birth_rates, expected_births
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.state.estimates import Estimates, Info
 
@@ -174,10 +174,10 @@ class BodyFilter:
 
         detector, birth = camera.detector, self.settings.birth
         known = float((weights * detection).sum())
-        burst = burst_of(event, known, birth)
-        births, undetected = expected_births(
-            state.undetected, birth, self._left[event.camera], elapsed, event, detector, burst, known
-        )
+        births, undetected, burst = expected_births(
+            state.undetected or all_undetected(len(self.rig.cameras)), birth_rates(birth), self._left[event.camera],
+            event.camera, elapsed, len(event.points), detector.p_detect, detector.clutter_per_frame, known
+        )  # fmt: skip
         clutter = max(detector.clutter_per_frame, float(burst), 1e-12)
         pairs = self._pairs(hypotheses, projected, slopes, hidden, boxes, camera)
         with np.errstate(over="ignore"):

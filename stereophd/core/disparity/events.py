@@ -128,6 +128,12 @@ class Rig:
             out[(cameras == camera) & (times == time_s)] = self.space(camera, time_s)
         return out
 
+    def numbered_spaces(self, cameras: NDArray[np.int64], times: Array) -> tuple[Array, Integers]:
+        """Packed spaces (s, 30) of components, and which of them (n,) each is at home in."""
+        if not self.moving:
+            return self.packed, cameras
+        return self.spaces(cameras, times), np.arange(len(cameras))
+
     def views(self, time_s: float) -> Array:
         """Packed spaces (c, 30) of all cameras at a time."""
         if not self.moving:
@@ -168,9 +174,8 @@ def make_event(
     std[:] = camera.detector.sigma if sigma is None else sigma
     points, covariances, areas, delays, moved = framed_detections(camera, np.full(len(pixels), time_s), pixels, std)
     order = np.lexsort((points[:, 1], points[:, 0]))
-    good = np.isfinite(points).all(axis=1) & (areas > 0.0)
-    if not good.all():
-        order = order[good[order]]
+    if not (np.isfinite(points).all() and (areas > 0.0).all()):
+        order = order[(np.isfinite(points).all(axis=1) & (areas > 0.0))[order]]
     # `take` is faster than an index
     return Event(
         time_s, index, points.take(order, axis=0), covariances.take(order, axis=0), areas.take(order),

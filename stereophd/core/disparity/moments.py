@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.disparity.moved import Moved, room_for_moved
 from stereophd.core.disparity.rule_move import linear_components, rule_components
-from stereophd.core.disparity.sample_move import Look, carry_components, noise_axes
+from stereophd.core.disparity.sample_move import Look, Looks, carry_components, noise_axes
 from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Motion
@@ -29,6 +29,8 @@ FEWEST_SAMPLES = 24
 # Components whose disparity is known no better than to this fraction are not worth a try with a low-order rule.
 WIDEST_RULE = 0.5
 NO_REGION = np.empty(0)
+# Methods that do without samples, or may.
+RULES = ("adaptive", "unscented", "linear")
 # Below this many sample trips a step is over before a second thread has started.
 TRIPS_PER_THREAD = 20_000
 
@@ -67,14 +69,12 @@ def move(
     Components are shared out over the threads; the result does not depend on their number.
     """
     means, covariances, homes, intervals = sources
-    samples = sets.turn(turn)
-    first = Look(samples, _equal_weights(samples.shape[1]), minimum_in_view(samples.shape[1]))
-    second = Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES)
+    first, second = looks_at(sets, turn)
     moved = room_for_moved(*means.shape)
     region = NO_REGION if region is None else region
     important = np.zeros(len(means), dtype=bool) if important is None else important
     which = np.arange(len(means))
-    if sets.method in ("adaptive", "unscented", "linear"):
+    if sets.method in RULES:
         which = _low_order(sources, destination, sets, region, moved)
 
     def run(part: slice) -> None:
@@ -83,7 +83,7 @@ def move(
             region, moved
         )  # fmt: skip
 
-    slices = _slices(len(which), samples.shape[1], threads)
+    slices = _slices(len(which), sets.size, threads)
     if len(slices) == 1:
         run(slices[0])
     else:
@@ -104,8 +104,16 @@ def world_moments(
     out_means = np.empty((len(means), 6))
     out_covariances = np.empty((len(means), 6, 6))
     which, intervals = np.arange(len(means)), motion.arrays(dts)
-    world_components(which, means, covariances, homes, intervals, sets.turn(turn), out_means, out_covariances)
+    world_components(which, which, means, covariances, homes, intervals, sets.turn(turn), out_means, out_covariances)
     return out_means, out_covariances
+
+
+def looks_at(sets: SampleSets, turn: int) -> Looks:
+    """Return the samples of an event number `turn`."""
+    return Looks(
+        Look(sets.turn(turn), _equal_weights(sets.size), minimum_in_view(sets.size)),
+        Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES),
+    )
 
 
 @cache

@@ -38,12 +38,3 @@ def room_for_moved(count: int, size: int) -> Moved:
 
 # In Python it is faster as it is: a compiled function wraps every array that it returns.
 allocate_moved = compiled(room_for_moved)
-
-
-@compiled
-def slice_moved(moved: Moved, first: int, last: int) -> Moved:
-    """Return views of consecutive components."""
-    return Moved(
-        moved.means[first:last], moved.covariances[first:last], moved.fraction[first:last], moved.status[first:last],
-        moved.missed_means[first:last], moved.missed_covariances[first:last], moved.inside[first:last]
-    )  # fmt: skip

@@ -38,6 +38,13 @@ class Look(NamedTuple):
     minimum: int  # Fewest (effective) samples in view from which a Gaussian is fitted
 
 
+class Looks(NamedTuple):
+    """Samples of an event, shared by all components: a first look, and a second one at corners of what is important."""
+
+    first: Look
+    second: Look
+
+
 @compiled
 def carry_components(
     which: Integers,

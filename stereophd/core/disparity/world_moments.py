@@ -104,6 +104,7 @@ def _static_to_world(mean: Array, factor: Array, samples: Array, home: Array, po
 @compiled
 def world_components(
     which: Integers,
+    rows: Integers,
     means: Array,
     covariances: Array,
     homes: Array,
@@ -114,8 +115,9 @@ def world_components(
 ) -> None:
     """Mean and covariance in the world (x, y, z, vx, vy, vz) of the components `which` (m,), moved by their intervals.
 
-    They fill the first m rows of `out_means` and `out_covariances`. Components whose mean disparity is not positive (an
-    object at infinity has no position) are left as NaN.
+    Their packed home spaces and intervals are the `rows` (m,) of `homes` and of the motion. They fill the first m rows
+    of `out_means` and `out_covariances`. Components whose mean disparity is not positive (an object at infinity has no
+    position) are left as NaN.
     """
     size = means.shape[1]
     count = samples.shape[1]
@@ -131,17 +133,17 @@ def world_components(
     covariance = np.empty((size, size))
     scratch = np.empty((size, size))
     for i in range(len(which)):
-        k = which[i]
+        k, row = which[i], rows[i]
         _fill_gaussian(np.nan, out_means, out_covariances, i)
         if not means[k, 2] > 0.0 or not cholesky(covariances[k], factor):
             continue
         if size == 6:
-            if motion.with_velocity[k] != with_velocity or motion.alone[k] != alone:
-                with_velocity, alone = motion.with_velocity[k], motion.alone[k]
+            if motion.with_velocity[row] != with_velocity or motion.alone[row] != alone:
+                with_velocity, alone = motion.with_velocity[row], motion.alone[row]
                 motion_noise(samples, axes, with_velocity, alone, noise)
-            total = _moving_to_world(means[k], factor, samples, noise, motion, k, homes[k], points, weights)
+            total = _moving_to_world(means[k], factor, samples, noise, motion, row, homes[row], points, weights)
         else:
-            total = _static_to_world(means[k], factor, samples, homes[k], points, weights)
+            total = _static_to_world(means[k], factor, samples, homes[row], points, weights)
         weighted_moments(points, weights, total, mean, covariance)
         if not condition(covariance, scratch):
             continue

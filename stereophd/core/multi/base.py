@@ -16,19 +16,21 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.initial import FirstSight
-from stereophd.core.disparity.moments import Sources, move
-from stereophd.core.disparity.moved import Moved
+from stereophd.core.disparity.moments import NO_REGION, RULES, Sources, looks_at, move
+from stereophd.core.disparity.moved import Moved, room_for_moved
 from stereophd.core.motion.base import Motion
-from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
+from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT
 from stereophd.core.multi.births.undetected import (
     Undetected,
-    burst_of,
+    all_undetected,
+    birth_rates,
     expected_births,
     newborn_prior,
     undetected_shares,
 )
-from stereophd.core.multi.extract import select_objects
+from stereophd.core.multi.extract import Report, select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
+from stereophd.core.multi.prediction import Bare, predict_event
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers, with_newborns
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
@@ -101,6 +103,8 @@ class DisparityFilter(ABC):
 
     #: Whether components of one label may be several objects (`select_objects`).
     labels_may_split: ClassVar[bool] = True
+    #: The compiled event of many camera hypotheses (`multi.camera_hypotheses.batch_kernels`).
+    update_hypotheses: ClassVar[Callable[..., tuple[Integers, GaussianMixture, Array]]]
 
     @abstractmethod
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
@@ -110,11 +114,6 @@ class DisparityFilter(ABC):
     @abstractmethod
     def reduction(self) -> NamedTuple:
         """Settings of the reduction, for compiled code."""
-
-    @property
-    @abstractmethod
-    def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
-        """The compiled update and reduction of many camera hypotheses (`multi.camera_hypotheses.batch_kernels`)."""
 
     @property
     @abstractmethod
@@ -145,6 +144,36 @@ class DisparityFilter(ABC):
         """Return the state before the first event: no objects."""
         return FilterState(empty_mixture(self.state_size), None, 0, 0, 0)
 
+    def prediction(self, state: FilterState, event: Event) -> Bare:
+        """Return how the components of a state come to an event, as `predict_event` takes it."""
+        mixture, rig, numbers = state.mixture, self.rig, self.event_numbers(state.time_s, event, state.next_label)
+        intervals = np.zeros(mixture.size + 1)
+        np.subtract(event.time_s, mixture.times, out=intervals[:-1])
+        motion, destination = self.motion.arrays(intervals), rig.space(event.camera, event.time_s)
+        region = NO_REGION if rig.region is None else rig.region
+        carried, undetected = self._at_start
+        if self.threads > 1 or self.sets.method in RULES:
+            homes = rig.spaces(mixture.cameras, mixture.times)
+            carried = move(
+                Sources(mixture.means, mixture.covariances, homes, motion), destination, self.sets, state.n_events,
+                numbers.shape_p_detect, mixture.weights * numbers.survival >= IMPORTANT_WEIGHT, self.threads, region,
+            )  # fmt: skip
+        return (
+            tuple(numbers), tuple(carried), *rig.numbered_spaces(mixture.cameras, mixture.times), tuple(motion),
+            destination, rig.views(event.time_s), region, self._looks[state.n_events % len(self._looks)],
+            tuple(state.undetected or undetected), self._birth_rates, self._remaining_shares[event.camera],
+        )  # fmt: skip
+
+    @cached_property
+    def _looks(self) -> list[Bare]:
+        looks = [looks_at(self.sets, turn) for turn in range(len(self.sets.sets))]
+        return [(tuple(first), tuple(second)) for first, second in looks]
+
+    @cached_property
+    def _at_start(self) -> tuple[Moved, Undetected]:
+        """No components, carried into a space, and what is undetected before the first event."""
+        return room_for_moved(0, self.state_size), all_undetected(len(self.rig.cameras))
+
     def predict(
         self, state: FilterState, event: Event, births: tuple[float, Undetected, int] | None = None
     ) -> Prediction:
@@ -152,69 +181,51 @@ class DisparityFilter(ABC):
 
         `births` replaces what `expected_births` returns, for filters of several camera hypotheses that share it.
         """
-        elapsed = 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)
-        mixture = state.mixture
-        weights = mixture.weights * self.settings.survival_per_s**elapsed
-        homes = self.rig.spaces(mixture.cameras, mixture.times)
-        motion = self.motion.arrays(event.time_s - mixture.times)
-        p_detect = self.rig.cameras[event.camera].detector.p_detect if self.split_missed else 0.0
-        moved = move(
-            Sources(mixture.means, mixture.covariances, homes, motion),
-            self.rig.space(event.camera, event.time_s),
-            self.sets,
-            state.n_events,
-            p_detect,
-            weights >= IMPORTANT_WEIGHT,
-            self.threads,
-            self.rig.region,
-        )
-        total = keep_surviving_weights(
-            weights, moved.status, moved.inside, mixture.means, mixture.tracks, mixture.cameras, homes, motion.reach,
-            motion.drift, self.rig.views(event.time_s), event.camera, elapsed, self.settings.out_of_view_s
-        )  # fmt: skip
-        if births is None:
-            known = self.rig.cameras[event.camera].detector.p_detect * total
-            births = self.expected_births(state.undetected, elapsed, event, known)
-        return Prediction(mixture.with_weights(weights), moved, *births)
+        weights, moved, _, *expected = predict_event(tuple(state.mixture), self.prediction(state, event))
+        return Prediction(state.mixture.with_weights(weights), moved, *(births or expected))
 
     @cached_property
     def _remaining_shares(self) -> list[Array]:
         """Return the share (c, c) of the objects in view of each camera that a frame of each camera leaves."""
         return list(np.ascontiguousarray(undetected_shares(self.rig, self.settings.birth).T))
 
-    def expected_births(
-        self, undetected: Undetected | None, elapsed: float, event: Event, known: float = 0.0
-    ) -> tuple[float, Undetected, int]:
-        """Expected number of undetected objects in view of an event, what it leaves of them, and its burst of clutter.
+    @cached_property
+    def _birth_rates(self) -> tuple[float, float, float]:
+        return birth_rates(self.settings.birth)
 
-        `known` is the expected number of detections of known objects.
-        """
-        detector, prior = self.rig.cameras[event.camera].detector, self.settings.birth
-        burst = burst_of(event, known, prior)
-        remaining = self._remaining_shares[event.camera]
-        return *expected_births(undetected, prior, remaining, elapsed, event, detector, burst, known), burst
+    def expected_births(
+        self, undetected: Undetected | None, elapsed: float, event: Event
+    ) -> tuple[float, Undetected, int]:
+        """Return the births of an event, what it leaves, and its burst of clutter, where no object is known."""
+        p_detect, clutter, _ = self._detectors[event.camera]
+        return expected_births(
+            undetected or self._at_start[1], self._birth_rates, self._remaining_shares[event.camera],
+            int(event.camera), elapsed, len(event.points), p_detect, clutter, 0.0,
+        )  # fmt: skip
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
         mixture = state.mixture
         chosen = select_objects(
             mixture,
-            self.settings.extraction,
-            (state.next_label, state.next_track),
+            Report(*self.report, state.next_label, state.next_track),
+            np.arange(mixture.size),
             self.rig.spaces(mixture.cameras, mixture.times),
             self.motion.arrays((0.0 if state.time_s is None else state.time_s) - mixture.times),
             self.sets.turn(state.n_events),
-            self.labels_may_split,
         )
         # `replace` takes longer
-        mixture, index = chosen.mixture, chosen.index
         state = FilterState(
-            mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track, state.undetected, state.history
-        )
-        estimates = Estimates(
-            mixture.tracks[index], chosen.means, chosen.covariances, chosen.existence, mixture.labels[index]
-        )
-        return state, estimates.divided(chosen.confirmed)
+            chosen.mixture, state.time_s, state.n_events, chosen.next_label, chosen.next_track, state.undetected,
+            state.history
+        )  # fmt: skip
+        return state, chosen.estimates()
+
+    @cached_property
+    def report(self) -> tuple[float, float, float, bool]:
+        """How objects are reported: `Report` without counters."""
+        levels = self.settings.extraction
+        return float(levels.confirm), float(levels.release), float(levels.tentative), self.labels_may_split
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event."""
@@ -249,15 +260,15 @@ class DisparityFilter(ABC):
     def _newborns(self) -> list[FirstSight]:
         return [newborn_prior(space, self.settings.birth, self.rig.region) for space in self.rig.packed]
 
-    def event_numbers(self, event: Event, next_label: int, births: float, burst: int = 0) -> EventNumbers:
-        """Return the place of an event, its rates, and the first unused label, for compiled code.
-
-        A `burst` of detections is clutter, regardless of the rate of the detector.
-        """
+    def event_numbers(self, before_s: float | None, event: Event, next_label: int) -> EventNumbers:
+        """Return the numbers of an event, nothing born yet; the last one was at a time `before_s`, None if none was."""
         p_detect, clutter, area = self._detectors[event.camera]
+        elapsed = 0.0 if before_s is None else max(event.time_s - before_s, 0.0)
         return EventNumbers(
-            int(event.camera), float(event.time_s), next_label, p_detect, max(clutter, float(burst)), births, area
-        )
+            int(event.camera), float(event.time_s), elapsed, next_label, len(event.points), p_detect,
+            p_detect if self.split_missed else 0.0, area, self.settings.survival_per_s**elapsed,
+            float(self.settings.out_of_view_s), clutter, 0.0,
+        )  # fmt: skip
 
     @cached_property
     def _detectors(self) -> list[tuple[float, float, float]]:

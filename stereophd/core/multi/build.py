@@ -74,14 +74,15 @@ def prepare(kind: str) -> None:
         event = Event(time_s, 0, np.full((1, 2), 100.0), np.eye(2)[None], np.ones(1))
         state, _, _ = multi_filter.step(state, event)
     multi_filter.compile_tests()
+    # for what is reported between events, or after a swap of two tracks
+    multi_filter.extract(state)
 
 
 def prepare_last_first(kind: str) -> None:
-    """Compile the same kernels, those that an event needs last first."""
+    """Compile the same kernels but for the one that calls them all, those that an event needs last first."""
     multi_filter = small_filter(kind)
     for kernel, arguments in multi_filter.last_kernels:
         # the form for other kernels that call it with such arguments
         kernel.compile(tuple(map(numba.typeof, arguments)))
-    multi_filter.extract(multi_filter.init())
     multi_filter.compile_tests()
-    prepare(kind)
+    multi_filter.extract(multi_filter.init())

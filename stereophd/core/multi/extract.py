@@ -5,7 +5,7 @@ therefore reports a tentative object only after a second camera has detected it,
 """
 
 import math
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,20 +13,33 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.multi.filter_settings.common import Hysteresis
+from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
 
-@dataclass(frozen=True)
-class Selection:
+class Report(NamedTuple):
+    """How objects are reported."""
+
+    # `confirm`, `release`, `tentative`: The thresholds of `Hysteresis`.
+    confirm: float
+    release: float
+    tentative: float
+    # Whether a label may represent several objects, as in a PHD; hypotheses of one track exclude each other.
+    split: bool
+    # `next_label`, `next_track`: First unused label and identity.
+    next_label: int
+    next_track: int
+
+
+class Selection(NamedTuple):
     """Outcome of `select_objects`: the mixture, and one row for each object that has a position."""
 
     mixture: GaussianMixture  # With new labels and identities
     # Number of rows of confirmed objects, which come first; the others are tentative. Both in order of identity.
     confirmed: int
-    index: Integers  # (k,) of int: Components that are reported
+    components: Integers  # (k,) of int: Those that are reported
     existence: Array  # (k,): Weight or probability of existence of each object
     # `means`, `covariances`: arrays (k, 6), (k, 6, 6): In the world.
     means: Array
@@ -35,19 +48,22 @@ class Selection:
     next_label: int
     next_track: int
 
+    def estimates(self) -> Estimates:
+        """Return the objects, the tentative ones apart."""
+        mixture, index = self.mixture, self.components
+        found = Estimates(
+            mixture.tracks.take(index), self.means, self.covariances, self.existence, mixture.labels.take(index)
+        )
+        return found.divided(self.confirmed)
+
 
 # Labels, identities and flags of components (n,), as in a mixture.
 Identities = tuple[Integers, Integers, NDArray[np.bool_]]
 
 
+@compiled
 def select_objects(
-    mixture: GaussianMixture,
-    hysteresis: Hysteresis,
-    counters: tuple[int, int],
-    homes: Array,
-    motion: MotionArrays,
-    samples: Array,
-    split: bool = True,
+    mixture: GaussianMixture, report: Report, rows: Integers, homes: Array, motion: MotionArrays, samples: Array
 ) -> Selection:
     """Choose the components that are reported, give identities in order of the first report, and place them.
 
@@ -56,81 +72,44 @@ def select_objects(
     another object (two objects were merged while they were close), and gets a label of its own. An object at infinity
     has no position, and is left out.
 
-    The mixture is that after an event, and the counters are the first unused label and identity; `homes` (n, 30) has
-    the packed home space of each component. The motion is from the time of each component to that of the report, and
-    `samples` (rows, s) are as in `stereophd.core.disparity.moments.world_moments`. With `split`, a label may represent
-    several objects, as in a PHD; hypotheses of one track exclude each other.
+    The mixture is that after an event. Component k has the packed home space ``homes[rows[k]]`` and, from its time to
+    that of the report, the interval ``rows[k]`` of the motion; `samples` (rows, s) are as in
+    `stereophd.core.disparity.moments.world_moments`.
     """
-    # filled in place: a compiled function that returns arrays wraps each of them
-    changed = (mixture.labels.copy(), mixture.tracks.copy(), mixture.reported.copy())
-    levels = (hysteresis.confirm, hysteresis.release, hysteresis.tentative)
-    placed, confirmed, next_label, next_track = _place(
-        mixture.weights, mixture.labels, levels, counters, split, mixture.means, mixture.covariances, homes, motion,
-        samples, changed
-    )  # fmt: skip
-    return Selection(GaussianMixture(*mixture[:5], *changed), confirmed, *placed, next_label, next_track)
-
-
-@compiled
-def _place(
-    weights: Array,
-    known: Integers,
-    levels: tuple[float, float, float],
-    counters: tuple[int, int],
-    split: bool,
-    means: Array,
-    covariances: Array,
-    homes: Array,
-    motion: MotionArrays,
-    samples: Array,
-    changed: Identities,
-) -> tuple[tuple[Integers, Array, Array, Array], int, int, int]:
-    """Select objects and place them, confirmed ones first.
-
-    Returns the rows of a `Selection` (index, existence, means, covariances), how many of them are confirmed, and both
-    counters.
-    """
+    weights, means, covariances, cameras, times, known, known_tracks, known_reported = mixture
+    changed = (known.copy(), known_tracks.copy(), known_reported.copy())
     count = len(weights)
     index, existence, unsure = np.empty(count, dtype=np.int64), np.empty(count), np.empty(count, dtype=np.bool_)
-    chosen, next_label, next_track = _select(weights, known, levels, counters, split, changed, index, existence, unsure)
+    chosen, next_label, next_track = _select(weights, known, report, changed, index, existence, unsure)
     world_means, world_covariances = np.empty((chosen, 6)), np.empty((chosen, 6, 6))
     index, existence = index[:chosen].copy(), existence[:chosen].copy()
-    world_components(index, means, covariances, homes, motion, samples, world_means, world_covariances)
+    world_components(
+        index, picked(rows, index), means, covariances, homes, motion, samples, world_means, world_covariances
+    )  # fmt: skip
     order = np.empty(chosen, dtype=np.int64)
-    placed, confirmed, in_place = 0, 0, True
+    placed, confirmed = 0, 0
     for tentative in (False, True):
         for i in range(chosen):
             # the mean of an object at infinity is NaN throughout
             if unsure[i] == tentative and math.isfinite(world_means[i, 0]):
-                in_place = in_place and i == placed
                 order[placed] = i
                 placed += 1
         if not tentative:
             confirmed = placed
-    rows = (index, existence, world_means, world_covariances)
-    if placed < chosen or not in_place:
-        rows = _reordered(order[:placed], index, existence, world_means, world_covariances)
-    return rows, confirmed, next_label, next_track
-
-
-@compiled
-def _reordered(
-    order: Integers, index: Integers, existence: Array, means: Array, covariances: Array
-) -> tuple[Integers, Array, Array, Array]:
-    """Rows in an order (m,)."""
-    new_means, new_covariances = np.empty((len(order), 6)), np.empty((len(order), 6, 6))
-    for i in range(len(order)):
-        copy_gaussian(means, covariances, order[i], new_means, new_covariances, i)
-    return picked(index, order), picked(existence, order), new_means, new_covariances
+    order = order[:placed]
+    index, existence = picked(index, order), picked(existence, order)
+    to_means, to_covariances = np.empty((placed, 6)), np.empty((placed, 6, 6))
+    for i in range(placed):
+        copy_gaussian(world_means, world_covariances, order[i], to_means, to_covariances, i)
+    named = GaussianMixture(weights, means, covariances, cameras, times, changed[0], changed[1], changed[2])
+    return Selection(named, confirmed, index, existence, to_means, to_covariances, next_label, next_track)
 
 
 @compiled
 def _select(
     weights: Array,
     known: Integers,
-    levels: tuple[float, float, float],
-    counters: tuple[int, int],
-    split: bool,
+    report: Report,
     changed: Identities,
     index: Integers,
     existence: Array,
@@ -139,11 +118,9 @@ def _select(
     """Change labels, identities and flags of the components (n,); return how many are chosen, and both counters.
 
     The chosen ones, their existence, and whether they are tentative fill the beginnings of the last three arrays (n,),
-    in order of identity; `known` holds the labels before, and `levels` the thresholds to confirm, to release, and of
-    tentative objects.
+    in order of identity; `known` holds the labels before.
     """
-    confirm, release, tentative = levels
-    next_label, next_track = counters
+    confirm, release, tentative, split, next_label, next_track = report
     labels, tracks, reported = changed
     order = _by_label(weights, known)
     for k in range(len(labels)):

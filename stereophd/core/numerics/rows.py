@@ -14,8 +14,12 @@ class ArrayRows:
 
     def take(self, rows: Any) -> Self:
         """Return some of the rows: a mask, indices in the order wanted, or a slice."""
-        some: dict[str, Any] = {name: values[rows] for name, values in self._arrays().items()}
-        return replace(self, **some)  # type: ignore[type-var]
+        taken = object.__new__(type(self))
+        # `replace` takes three times as long
+        vars(taken).update(
+            {name: value[rows] if isinstance(value, np.ndarray) else value for name, value in vars(self).items()}
+        )
+        return taken
 
     def join(self, *others: Self) -> Self:
         """Return these rows and after them those of others, which have the same arrays."""

@@ -12,11 +12,12 @@ from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
-from stereophd.core.multi.base import DisparityFilter
-from stereophd.core.multi.births.undetected import Undetected
+from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction
+from stereophd.core.multi.births.undetected import Undetected, all_undetected
 from stereophd.core.multi.filter_settings.common import BirthPrior, Hysteresis
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.phd.filter import PhdFilter
+from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.mixture import GaussianMixture
 from tests.core.disparity.cases import make_camera, random_covariance
 from tests.core.disparity.moves import sample_sets
@@ -32,11 +33,18 @@ Filter = TypeVar("Filter", bound=DisparityFilter)
 def with_births(multi_filter: Filter, count: float) -> Filter:
     """The filter, which expects as many new objects in every frame, whatever the frames before have shown."""
 
-    def expected(undetected: Undetected | None, elapsed: float, event: Event, known: float = 0.0) -> tuple[Any, ...]:
-        cameras = len(multi_filter.rig.cameras)
-        return count, undetected or Undetected(np.zeros(cameras), np.ones(cameras), np.zeros(cameras)), 0
+    def expected(undetected: Undetected | None, elapsed: float, event: Event) -> tuple[float, Undetected, int]:
+        return count, undetected or all_undetected(len(multi_filter.rig.cameras)), 0
+
+    def predicted(state: FilterState, event: Event, births: Any = None) -> Prediction:
+        return DisparityFilter.predict(multi_filter, state, event, births or expected(state.undetected, 0.0, event))
+
+    def stepped(state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
+        return DisparityFilter.step(multi_filter, state, event)
 
     object.__setattr__(multi_filter, "expected_births", expected)
+    object.__setattr__(multi_filter, "predict", predicted)
+    object.__setattr__(multi_filter, "step", stepped)
     return multi_filter
 
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.disparity.moments import world_moments
-from stereophd.core.multi.extract import Selection, select_objects
+from stereophd.core.multi.extract import Report, Selection, select_objects
 from stereophd.core.multi.filter_settings.common import Hysteresis
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from tests.core.multi.scenes import make_filter, make_mixture, random_mixture
@@ -24,16 +24,17 @@ def select(mixture: GaussianMixture, levels: Hysteresis, next_label: int, next_t
         mixture = mixture._replace(means=mixture.means + np.array([400.0, 300.0, 7.0, 0.0, 0.0, 0.0]))
     homes = multi_filter.rig.spaces(mixture.cameras, mixture.times)
     motion, samples = multi_filter.motion.arrays(np.full(mixture.size, 0.5)), multi_filter.sets.turn(0)
-    return select_objects(mixture, levels, (next_label, next_track), homes, motion, samples)
+    report = Report(levels.confirm, levels.release, levels.tentative, True, next_label, next_track)
+    return select_objects(mixture, report, np.arange(mixture.size), homes, motion, samples)
 
 
 def identities(selection: Selection) -> list[int]:
-    return selection.mixture.tracks[selection.index].tolist()
+    return selection.mixture.tracks[selection.components].tolist()
 
 
 def test_reported_from_the_threshold_on() -> None:
     chosen = select(make_mixture([0.4999, 0.5, 0.9]), HALF, 3, 0)
-    assert chosen.index.tolist() == [1, 2]
+    assert chosen.components.tolist() == [1, 2]
     assert chosen.existence.tolist() == [0.5, 0.9]
     assert chosen.mixture.reported.tolist() == [False, True, True]
 
@@ -41,7 +42,7 @@ def test_reported_from_the_threshold_on() -> None:
 def test_the_components_of_a_label_are_one_object() -> None:
     mixture = make_mixture([0.3, 0.4, 0.2, 0.05], labels=[7, 7, 7, 8])
     chosen = select(mixture, HALF, 9, 4)
-    assert chosen.index.tolist() == [1]  # the heaviest gives the estimate
+    assert chosen.components.tolist() == [1]  # the heaviest gives the estimate
     assert chosen.existence.tolist() == pytest.approx([0.9])
     assert chosen.mixture.tracks.tolist() == [4, 4, 4, -1]
     assert chosen.mixture.reported.tolist() == [True, True, True, False]
@@ -61,7 +62,7 @@ def test_hysteresis(weights: list[float], shown: list[bool]) -> None:
     for weight, expected in zip(weights, shown, strict=True):
         chosen = select(mixture.with_weights(np.array([weight])), SLOW, 1, next_track)
         mixture, next_track = chosen.mixture, chosen.next_track
-        assert (len(chosen.index) == 1) == expected
+        assert (len(chosen.components) == 1) == expected
         assert mixture.reported.tolist() == [expected]
         if expected:
             assert identities(chosen) == [0]
@@ -97,7 +98,7 @@ def test_a_second_heavy_component_of_a_label_is_another_object() -> None:
 def test_an_identity_survives_a_heavier_newborn_of_its_label() -> None:
     mixture = make_mixture([0.6, 0.3], labels=[3, 3], tracks=[-1, 8], reported=[False, True])
     chosen = select(mixture, HALF, 4, 9)
-    assert chosen.index.tolist() == [0]
+    assert chosen.components.tolist() == [0]
     assert identities(chosen) == [8]
     assert chosen.next_track == 9
 
@@ -122,7 +123,7 @@ def test_tentative_objects_keep_their_identity_when_they_are_confirmed() -> None
 
 def test_empty_mixture() -> None:
     chosen = select(empty_mixture(6), HALF, 5, 2)
-    assert len(chosen.index) == len(chosen.existence) == chosen.confirmed == 0
+    assert len(chosen.components) == len(chosen.existence) == chosen.confirmed == 0
     assert (chosen.next_label, chosen.next_track) == (5, 2)
 
 
@@ -135,11 +136,11 @@ def test_objects_are_placed_and_confirmed_ones_come_first() -> None:
     means[2, 2] = -1.0
     mixture = make_mixture(weights, means, drawn.covariances, drawn.cameras)
     chosen = select(mixture, levels, 6, 0)
-    assert chosen.index.tolist() == [1, 5, 0, 4]
+    assert chosen.components.tolist() == [1, 5, 0, 4]
     assert chosen.confirmed == 2
     assert chosen.mixture.tracks.tolist() == [0, 1, 2, -1, 3, 4]
-    assert chosen.existence.tolist() == weights[chosen.index].tolist()
-    multi_filter, index = make_filter(), chosen.index
+    assert chosen.existence.tolist() == weights[chosen.components].tolist()
+    multi_filter, index = make_filter(), chosen.components
     means, covariances = world_moments(
         mixture.means[index], mixture.covariances[index], multi_filter.rig.spaces(mixture.cameras[index], np.zeros(4)),
         np.full(4, 0.5), multi_filter.motion, multi_filter.sets, 0,
@@ -161,8 +162,8 @@ def test_order_of_components_does_not_matter(seed: int, count: int) -> None:
     other = select(mixture.take(order), SLOW, 4, 10)
     np.testing.assert_array_equal(one.mixture.tracks[order], other.mixture.tracks)
     np.testing.assert_array_equal(one.mixture.labels[order], other.mixture.labels)
-    np.testing.assert_array_equal(one.index, order[other.index])
+    np.testing.assert_array_equal(one.components, order[other.components])
     # mass is only counted once, and every reported identity once
     assert one.existence.sum() <= mixture.weights.sum() + 1e-12
-    assert len(set(identities(one))) == len(one.index)
-    assert (one.mixture.tracks[one.index] >= 0).all()
+    assert len(set(identities(one))) == len(one.components)
+    assert (one.mixture.tracks[one.components] >= 0).all()

@@ -11,28 +11,26 @@ near 1 expects b times the time since its last frame, and cameras that look at o
 
 After a pause, and where a camera starts late, b times the elapsed time may be many more objects than the frame shows.
 An expectation above one is therefore limited to the detections beyond clutter and known objects, and one standard
-deviation more (`room_for`): with thousands of expected births every false detection would be an object.
+deviation more: with thousands of expected births every false detection would be an object.
 
-A frame with far more detections than objects can make (`burst_of`) is no evidence of new objects: its surplus is
+A frame with far more detections than objects can make is no evidence of new objects: its surplus is
 clutter.
 """
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from statistics import NormalDist
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import NamedTuple
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.events import Event, Rig
+from stereophd.core.disparity.events import Rig
 from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.space import DisparitySpace
-from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.filter_settings.common import BirthPrior
-
-Reduction = TypeVar("Reduction", bound=NamedTuple)
+from stereophd.core.numerics.compilation.compiled import compiled
 
 # Places in the image (across, down) and quantiles of the disparity that measure how far views overlap.
 OVERLAP_GRID = (12, 9)
@@ -50,8 +48,7 @@ CROWDED = 1.25
 CROWD_SHARE = 0.5
 
 
-@dataclass(frozen=True)
-class Undetected:
+class Undetected(NamedTuple):
     """Objects never detected so far."""
 
     counts: Array  # (c,): Expected number in the view of each camera, of those that appeared since the start
@@ -63,107 +60,89 @@ class Undetected:
     peaks: Array
 
 
-def burst_of(event: Event, known: float, prior: BirthPrior) -> int:
-    """Return the detections of a frame beyond those of known objects where they are a burst of clutter, else 0.
-
-    `known` is the expected number of detections of known objects; up to the prior's `max_per_frame` is no burst.
-    """
-    surplus = len(event.points) - known
-    return math.ceil(surplus) if surplus > prior.max_per_frame else 0
+def all_undetected(cameras: int) -> Undetected:
+    """Return what so many cameras have not detected before the first event."""
+    return Undetected(np.zeros(cameras), np.ones(cameras), np.zeros(cameras))
 
 
-def room_for(event: Event, known: float, detector: Detector) -> float:
-    """Return how many undetected objects the detections of a frame allow, at least `UNCHECKED_BIRTHS`.
-
-    `known` is the expected number of detections of known objects; the detector is that of the event's camera.
-    """
-    count = len(event.points)
-    surplus = count - detector.clutter_per_frame - known + math.sqrt(count)
-    return max(surplus / max(detector.p_detect, 1e-9), UNCHECKED_BIRTHS)
+def birth_rates(prior: BirthPrior) -> tuple[float, float, float]:
+    """Return per_s, initial (NaN: the detections of the first frame say) and max_per_frame of a prior."""
+    initial = math.nan if prior.initial is None else float(prior.initial)
+    return float(prior.per_s), initial, float(prior.max_per_frame)
 
 
+@compiled
 def expected_births(
-    before: Undetected | None,
-    prior: BirthPrior,
+    before: Undetected,
+    rates: tuple[float, float, float],
     remaining: Array,
+    camera: int,
     elapsed: float,
-    event: Event,
-    detector: Detector,
-    burst: int = 0,
-    known: float = 0.0,
-) -> tuple[float, Undetected]:
-    """Expected number of undetected objects in view of an event, and what the event leaves of them.
+    n_detections: int,
+    p_detect: float,
+    clutter: float,
+    known: float,
+) -> tuple[float, Undetected, int]:
+    """Expected number of undetected objects in view of an event, what the event leaves of them, and its burst.
 
-    `before` is what the last event left (None before the first), `elapsed` the time since then, s. `remaining` (c,), a
-    column of `undetected_shares`, has for each camera the share of the objects in its view that the frame leaves. The
-    detector is that of the event's camera; `known` is the expected number of detections of known objects. Nothing is
-    born from a burst of clutter (`burst_of` the event), and the objects remain undetected.
+    `before` is what the last event left, the rates are `birth_rates`, and `elapsed` is the time since then, s.
+    `remaining` (c,), a column of `undetected_shares`, has for each camera the share of the objects in its view that the
+    frame leaves. `p_detect` and `clutter` are those of the detector, and `known` is the expected number of detections
+    of known objects. What is beyond them by more than `max_per_frame` is a burst of clutter, the number of these
+    detections, else 0; nothing is born from it, and the objects remain undetected.
     """
-    before = before or Undetected(np.zeros(len(remaining)), np.ones(len(remaining)), np.zeros(len(remaining)))
-    counts, share = before.counts + prior.per_s * elapsed, before.initial_share
-    if burst:
-        return 0.0, Undetected(counts, share, before.peaks)
-    initial = 0.0
-    if share[event.camera] > 0.0:
-        initial = _initial(event, prior, detector) * float(share[event.camera])
-        share = share.copy()
-        share[event.camera] = 0.0
-    if counts[event.camera] > UNCHECKED_BIRTHS:
-        room = max(room_for(event, known, detector) - initial, UNCHECKED_BIRTHS)
-        counts[event.camera] = min(float(counts[event.camera]), room)
-    counts[event.camera] += initial
-    peaks = np.maximum(before.peaks, counts)
-    peaks[event.camera] = 0.0
-    return float(counts[event.camera]), Undetected(counts * remaining, share * remaining, peaks)
+    per_s, initial, max_per_frame = rates
+    after = Undetected(before.counts + per_s * elapsed, before.initial_share.copy(), before.peaks.copy())
+    counts, share, peaks = after
+    if n_detections - known > max_per_frame:
+        return 0.0, after, math.ceil(n_detections - known)
+    if math.isnan(initial):
+        initial = max((n_detections - clutter) / max(p_detect, 1e-9), LEAST_INITIAL)
+    initial *= share[camera]
+    share[camera] = 0.0
+    if counts[camera] > UNCHECKED_BIRTHS:
+        surplus = n_detections - clutter - known + math.sqrt(n_detections)
+        room = max(surplus / max(p_detect, 1e-9), UNCHECKED_BIRTHS)
+        counts[camera] = min(counts[camera], max(room - initial, UNCHECKED_BIRTHS))
+    counts[camera] += initial
+    births = counts[camera]
+    for c in range(len(counts)):
+        peaks[c] = max(peaks[c], counts[c])
+        counts[c] *= remaining[c]
+        share[c] *= remaining[c]
+    peaks[camera] = 0.0
+    return births, after, 0
 
 
-def _initial(event: Event, prior: BirthPrior, detector: Detector) -> float:
-    """Return the number of objects in view at the first frame: as stated, or from the detections of that frame."""
-    if prior.initial is not None:
-        return float(prior.initial)
-    surplus = len(event.points) - detector.clutter_per_frame
-    return max(surplus / max(detector.p_detect, 1e-9), LEAST_INITIAL)
-
-
-def reduction_for_births(reduction: Reduction, births: float, detector: Detector) -> Reduction:
-    """Return settings of a reduction whose `prune_weight` is the stated one, or less where newborns are light."""
-    values: Any = reduction
-    born = detector.p_detect * births
+@compiled
+def prune_weight_for_births(stated: float, births: float, p_detect: float, clutter: float) -> float:
+    """Return the pruning weight of a reduction: the stated one, or less where newborns are light."""
+    born = p_detect * births
     if born <= 0.0:
-        return reduction
-    newborn = born / (born + detector.clutter_per_frame)
-    weight = max(NEWBORN_SHARE * newborn, LEAST_PRUNING * values.prune_weight)
-    if weight >= values.prune_weight:
-        return reduction
-    return cast("Reduction", values._replace(prune_weight=weight))
+        return stated
+    return min(max(NEWBORN_SHARE * (born / (born + clutter)), LEAST_PRUNING * stated), stated)
 
 
-def peak_births(before: Undetected | None, births: float, camera: int) -> float:
-    """Return the largest number of undetected objects expected in view of a camera since its last frame.
-
-    Of cameras that take their frames at one time the first expects all new objects, and the last next to none. `before`
-    is what the last event left; `births` is the expected number at the event, a frame of this camera.
-    """
-    return births if before is None else max(births, float(before.peaks[camera]))
-
-
-def reduction_in_crowd(reduction: Reduction, births: float, detector: Detector, weights: Array) -> Reduction:
-    """Return settings of a reduction of thousands of components, with a `prune_weight` that ends what will not grow.
+@compiled
+def prune_weight_in_crowd(
+    before: float, recycle_below: float, peak: float, p_detect: float, clutter: float, weights: Array
+) -> float:
+    """Return the pruning weight of a reduction of thousands of components, which ends what will not grow.
 
     It is at least `NEWBORN_SHARE` of the weight of a newborn, and `CROWD_SHARE` where components are more than
     `CROWDED` for each expected object, but no more than `recycle_below`. What is lighter tells less than the next
     detection of a new object will. Among thousands of detections it would never end: each event shares it out among
     those that are near by chance, and every share is another component.
 
-    `births` is `peak_births` of the camera; weights (n,) are those of the components before the event.
+    `peak` is the largest number of undetected objects expected in view of the camera since its last frame. Of cameras
+    that take their frames at one time the first expects all new objects, and the last next to none. Weights (n,) are
+    those of the components before the event.
     """
-    values: Any = reduction
-    born = detector.p_detect * births
+    born = p_detect * peak
     if born <= 0.0:
-        return reduction
-    share = CROWD_SHARE if len(weights) > CROWDED * float(weights.sum()) else NEWBORN_SHARE
-    weight = min(share * born / (born + detector.clutter_per_frame), values.recycle_below)
-    return cast("Reduction", values._replace(prune_weight=max(values.prune_weight, weight)))
+        return before
+    share = CROWD_SHARE if len(weights) > CROWDED * weights.sum() else NEWBORN_SHARE
+    return max(before, min(share * born / (born + clutter), recycle_below))
 
 
 def undetected_shares(rig: Rig, prior: BirthPrior) -> Array:

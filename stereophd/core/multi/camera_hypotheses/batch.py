@@ -10,16 +10,16 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
-from stereophd.core.disparity.moments import FEWEST_SAMPLES, NO_REGION, minimum_in_view
-from stereophd.core.disparity.sample_move import Look
+from stereophd.core.disparity.moments import NO_REGION, looks_at
 from stereophd.core.multi.base import DisparityFilter
-from stereophd.core.multi.births.undetected import Undetected, reduction_for_births
-from stereophd.core.multi.camera_hypotheses.batch_kernels import Looks, PredictionNumbers, predict
+from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births
+from stereophd.core.multi.state.inputs import with_births
 from stereophd.core.multi.state.mixture import GaussianMixture, concatenate, empty_mixture
 
 # Hypotheses that a thread takes at a time: enough to hide the call, few enough to share them out evenly.
@@ -95,18 +95,22 @@ class FilterBatch:
         log-likelihoods (k,) of the event's detections.
         """
         template, mixture = self.template, state.mixture
-        births, undetected, burst = template.expected_births(state.undetected, _elapsed(state, event), event)
-        arrays, numbers = template.event_arrays(event), template.event_numbers(event, state.next_label, births, burst)
-        reduction = reduction_for_births(template.reduction, births, template.rig.cameras[event.camera].detector)
-        looks, prediction = self._looks(state), self._prediction_numbers(state, event)
+        bare = template.event_numbers(state.time_s, event, state.next_label)
+        births, undetected, burst = template.expected_births(state.undetected, bare.elapsed, event)
+        arrays = template.event_arrays(event)
+        settings: Any = template.reduction
+        weight = prune_weight_for_births(settings.prune_weight, births, bare.p_detect, bare.clutter)
+        numbers, reduction = with_births(bare, births, burst), settings._replace(prune_weight=weight)
+        looks = looks_at(template.sets, state.n_events)
         motion = template.motion.arrays(event.time_s - mixture.times)
         region = NO_REGION if template.rig.region is None else template.rig.region
 
         def run(first: int) -> tuple[Integers, GaussianMixture, Array]:
             part = slice(first, first + CHUNK)
-            begins, ends = state.begins[part], state.ends[part]
-            weights, moved = predict(begins, ends, mixture, spaces[part], looks, motion, prediction, region)
-            return template.update_hypotheses(begins, ends, mixture, weights, moved, arrays, numbers, reduction)
+            return template.update_hypotheses(
+                state.begins[part], state.ends[part], mixture, spaces[part], motion, looks, region, arrays, numbers,
+                reduction,
+            )  # fmt: skip
 
         starts = range(0, state.size, CHUNK)
         results = [run(first) for first in starts] if self.threads == 1 else list(self._pool.map(run, starts))
@@ -116,26 +120,3 @@ class FilterBatch:
         components = concatenate([components for _, components, _ in results])
         after = BatchState(begins, ends, components, event.time_s, state.n_events + 1, label, undetected)
         return after, np.concatenate([values for _, _, values in results])
-
-    def _looks(self, state: BatchState) -> Looks:
-        sets = self.template.sets
-        samples = sets.turn(state.n_events)
-        first = Look(samples, np.ones(samples.shape[1]), minimum_in_view(samples.shape[1]))
-        return Looks(first, Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES))
-
-    def _prediction_numbers(self, state: BatchState, event: Event) -> PredictionNumbers:
-        template = self.template
-        elapsed = _elapsed(state, event)
-        p_detect = template.rig.cameras[event.camera].detector.p_detect
-        return PredictionNumbers(
-            camera=int(event.camera),
-            survival=float(template.settings.survival_per_s**elapsed),
-            elapsed=float(elapsed),
-            out_of_view_s=float(template.settings.out_of_view_s),
-            shape_p_detect=float(p_detect) if template.split_missed else 0.0,
-        )
-
-
-def _elapsed(state: BatchState, event: Event) -> float:
-    """Time since the last event, s."""
-    return 0.0 if state.time_s is None else max(event.time_s - state.time_s, 0.0)

@@ -4,44 +4,23 @@ Hypothesis by hypothesis, with no state shared between them: results do not depe
 out over threads. The update and the reduction of a hypothesis are those of the filter itself.
 """
 
-from typing import NamedTuple
-
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.disparity.moved import Moved, allocate_moved, slice_moved
-from stereophd.core.disparity.sample_move import Look, carry_components
-from stereophd.core.disparity.space import PACKED_SIZE
+from stereophd.core.disparity.moved import Moved, allocate_moved
+from stereophd.core.disparity.sample_move import Looks
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.pmb.hypotheses import PmbReduction, choose_hypotheses, make_hypotheses
 from stereophd.core.multi.pmb.reduction import reduce_tracks
 from stereophd.core.multi.pmb.update import associate_tracks
+from stereophd.core.multi.prediction import homes_of, predict_components
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, allocate_mixture, copy_components, slice_components
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Components that a hypothesis gets room for at first.
 ROOM = 256
-
-
-class Looks(NamedTuple):
-    """Samples of an event, shared by all hypotheses: a first look, and a second one at corners of what is important."""
-
-    first: Look
-    second: Look
-
-
-class PredictionNumbers(NamedTuple):
-    """Numbers of a prediction."""
-
-    camera: int  # Index of the camera of the event
-    survival: float  # Probability that an object survives since the last event
-    # `elapsed`, `out_of_view_s`: Time since the last event, s, and the time constant of `keep_surviving_weights`.
-    elapsed: float
-    out_of_view_s: float
-    shape_p_detect: float  # Probability of detection for the shape of the missed part; 0 where it keeps its own
 
 
 @compiled
@@ -55,72 +34,33 @@ def slice_motion(motion: MotionArrays, first: int, last: int) -> MotionArrays:
 
 
 @compiled
-def predict(
-    begins: Integers,
-    ends: Integers,
-    mixture: GaussianMixture,
-    spaces: Array,
-    looks: Looks,
-    motion: MotionArrays,
-    numbers: PredictionNumbers,
-    region: Array,
-) -> tuple[Array, Moved]:
-    """Carry the components of some hypotheses into the event's spaces: `DisparityFilter.predict`.
-
-    The components of hypothesis h are those from ``begins[h]`` to ``ends[h]`` of the mixture, and `spaces` (k, c, 30)
-    has the packed disparity spaces of its cameras; the motion has an interval for each component of the mixture, and
-    the region is that of `stereophd.core.geometry.region`, or empty. Returns the weights (n,) of the
-    components of these hypotheses, one hypothesis after the other, if they survive and are not forgotten; and the same
-    in the event's space.
-    """
-    total = (ends - begins).sum()
-    all_weights, all_moved = np.empty(total), allocate_moved(total, mixture.means.shape[1])
-    first = 0
-    for h in range(len(begins)):
-        last = first + ends[h] - begins[h]
-        components = slice_components(mixture, begins[h], ends[h])
-        means, covariances, cameras = components.means, components.covariances, components.cameras
-        weights = components.weights * numbers.survival
-        moved = slice_moved(all_moved, first, last)
-        homes = np.empty((len(weights), PACKED_SIZE))
-        for k in range(len(weights)):
-            homes[k] = spaces[h, cameras[k]]
-        travel = slice_motion(motion, begins[h], ends[h])
-        carry_components(
-            np.arange(len(weights)), means, covariances, homes, travel,
-            weights >= IMPORTANT_WEIGHT, looks.first, looks.second, spaces[h, numbers.camera],
-            numbers.shape_p_detect, region, moved
-        )  # fmt: skip
-        keep_surviving_weights(
-            weights, moved.status, moved.inside, means, components.tracks, cameras, homes, travel.reach, travel.drift,
-            spaces[h], numbers.camera, numbers.elapsed, numbers.out_of_view_s
-        )  # fmt: skip
-        all_weights[first:last] = weights
-        first = last
-    return all_weights, all_moved
-
-
-@compiled
 def update_intensities(
     begins: Integers,
     ends: Integers,
     mixture: GaussianMixture,
-    weights: Array,
-    moved: Moved,
+    spaces: Array,
+    motion: MotionArrays,
+    looks: Looks,
+    region: Array,
     event: EventArrays,
     numbers: EventNumbers,
     reduction: PhdReduction,
 ) -> tuple[Integers, GaussianMixture, Array]:
-    """Update and reduce the intensities of some hypotheses, with the result of `predict`, as the filter itself does.
+    """Predict, update and reduce the intensities of some hypotheses, as the filter itself does.
+
+    The components of hypothesis h are those from ``begins[h]`` to ``ends[h]`` of the mixture, and `spaces` (k, c, 30)
+    has the packed disparity spaces of its cameras; the motion has an interval for each component of the mixture, and
+    the region is that of `stereophd.core.geometry.region`, or empty.
 
     Returns the number of components (k,) of each hypothesis after the event, all components, one hypothesis after the
     other, and the log-likelihoods (k,) of the event.
     """
     counts, log_likelihoods = np.empty(len(begins), dtype=np.int64), np.empty(len(begins))
     out = allocate_mixture(len(begins) * ROOM, mixture.means.shape[1])
-    found, first = 0, 0
+    found = 0
     for h in range(len(begins)):
-        before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
+        components, travel = slice_components(mixture, begins[h], ends[h]), slice_motion(motion, begins[h], ends[h])
+        before, seen = _predicted(components, travel, spaces[h], looks, region, numbers)
         updated, log_likelihoods[h], _, shares = update_intensity(before, seen, event, numbers, reduction)
         after, _ = reduce_intensity(updated, shares, reduction)
         counts[h] = len(after.weights)
@@ -134,18 +74,21 @@ def update_track_sets(
     begins: Integers,
     ends: Integers,
     mixture: GaussianMixture,
-    weights: Array,
-    moved: Moved,
+    spaces: Array,
+    motion: MotionArrays,
+    looks: Looks,
+    region: Array,
     event: EventArrays,
     numbers: EventNumbers,
     reduction: PmbReduction,
 ) -> tuple[Integers, GaussianMixture, Array]:
-    """Update and reduce the tracks of some hypotheses; as `update_intensities`."""
+    """Predict, update and reduce the tracks of some hypotheses; as `update_intensities`."""
     counts, log_likelihoods = np.empty(len(begins), dtype=np.int64), np.empty(len(begins))
     out = allocate_mixture(len(begins) * ROOM, mixture.means.shape[1])
-    found, first = 0, 0
+    found = 0
     for h in range(len(begins)):
-        before, seen, first = _predicted(begins[h], ends[h], mixture, weights, moved, first)
+        components, travel = slice_components(mixture, begins[h], ends[h]), slice_motion(motion, begins[h], ends[h])
+        before, seen = _predicted(components, travel, spaces[h], looks, region, numbers)
         outcomes, log_likelihoods[h] = associate_tracks(before, seen, event, numbers, reduction.prune_weight)
         choice, tracks = choose_hypotheses(outcomes, reduction)
         after, _ = reduce_tracks(make_hypotheses(before, seen, event, numbers, outcomes, choice), tracks, reduction)
@@ -157,13 +100,15 @@ def update_track_sets(
 
 @compiled
 def _predicted(
-    begin: int, end: int, mixture: GaussianMixture, weights: Array, moved: Moved, first: int
-) -> tuple[GaussianMixture, Moved, int]:
-    """One hypothesis' components as predicted, the same in the event's space, and where the next one's begin."""
-    last = first + end - begin
-    _, means, covariances, cameras, times, labels, tracks, reported = slice_components(mixture, begin, end)
-    before = GaussianMixture(weights[first:last], means, covariances, cameras, times, labels, tracks, reported)
-    return before, slice_moved(moved, first, last), last
+    components: GaussianMixture, motion: MotionArrays, spaces: Array, looks: Looks, region: Array, numbers: EventNumbers
+) -> tuple[GaussianMixture, Moved]:
+    """One hypothesis' components as predicted, and the same in the event's space."""
+    count, size = components.means.shape
+    moved, homes = allocate_moved(count, size), homes_of(spaces, components.cameras, spaces[numbers.camera])
+    weights, _ = predict_components(
+        components, numbers, homes, motion, spaces, region, looks, np.arange(count), moved
+    )  # fmt: skip
+    return GaussianMixture(weights, *components[1:]), moved
 
 
 @compiled

@@ -5,25 +5,24 @@ Prediction is the particle move of every component into the disparity space of t
 log-likelihood of an event is that of the conditional filter of VII-B.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.association.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
-from stereophd.core.multi.births.undetected import reduction_for_births
+from stereophd.core.multi.births.undetected import prune_weight_for_births
 from stereophd.core.multi.camera_hypotheses.batch_kernels import update_intensities
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.state.estimates import Info
-from stereophd.core.multi.state.inputs import Detections, EventNumbers, with_newborns
+from stereophd.core.multi.state.inputs import Detections, EventNumbers, with_births, with_newborns
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.numerics.compilation.compiled import compiled
 
@@ -33,6 +32,8 @@ class PhdFilter(DisparityFilter):
     """The PHD filter; see `DisparityFilter` for its other fields."""
 
     settings: PhdSettings
+
+    update_hypotheses = staticmethod(update_intensities)
 
     @cached_property
     def reduction(self) -> PhdReduction:
@@ -45,22 +46,16 @@ class PhdFilter(DisparityFilter):
         )  # fmt: skip
 
     @property
-    def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
-        """See `DisparityFilter`."""
-        return update_intensities
-
-    @property
     def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
         """See `DisparityFilter`."""
         return ((reduce_intensity, (empty_mixture(self.state_size), np.empty(0), self.reduction)),)
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event: eq. (5), then reduction."""
-        detector = self.rig.cameras[event.camera].detector
-        reduction = reduction_for_births(self.reduction, prediction.births, detector)
         reduced, log_likelihood, labels, claims, left_out = _update(
             prediction.mixture, prediction.moved, *self.detections(event),
-            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims
+            self.event_numbers(state.time_s, event, state.next_label), (prediction.births, prediction.burst),
+            self.reduction, self.claims,
         )  # fmt: skip
         label = state.next_label + len(event.points)
         return (
@@ -77,12 +72,20 @@ def _update(
     moved: Moved,
     detected: Detections,
     prior: FirstSight,
-    numbers: EventNumbers,
-    reduction: PhdReduction,
+    bare: EventNumbers,
+    born: tuple[float, int],
+    stated: PhdReduction,
     with_claims: bool,
 ) -> tuple[GaussianMixture, float, Integers, Claims | None, int]:
-    """`update_intensity`, which labels were detected and by which detections, and `reduce_intensity`, in one call."""
-    event = with_newborns(detected, prior, mixture.means.shape[1])
+    """`update_intensity`, which labels were detected and by which detections, and `reduce_intensity`, in one call.
+
+    The numbers are those without births, and `born` has the births and the burst of clutter. The pruning weight is the
+    one stated, or that of the births.
+    """
+    births, burst = born
+    event, numbers = with_newborns(detected, prior, mixture.means.shape[1]), with_births(bare, births, burst)
+    weight = prune_weight_for_births(stated.prune_weight, births, bare.p_detect, bare.clutter)
+    reduction = PhdReduction(weight, *stated[1:])
     updated, log_likelihood, by, shares = update_intensity(mixture, moved, event, numbers, reduction)
     labels, _ = detected_labels(updated.labels, updated.weights, len(mixture.weights), by)
     claims = claims_of(updated.labels, updated.weights, len(mixture.weights), by) if with_claims else None

@@ -12,7 +12,7 @@ association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -23,12 +23,14 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.moved import Moved
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.association.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.association.exact_association import association_marginals
 from stereophd.core.multi.association.likelihoods import FEW_COMPONENTS
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
-from stereophd.core.multi.births.undetected import peak_births, reduction_for_births, reduction_in_crowd
+from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births, prune_weight_in_crowd
 from stereophd.core.multi.camera_hypotheses.batch_kernels import update_track_sets
+from stereophd.core.multi.extract import Report, Selection, select_objects
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.pmb.hypotheses import (
     BY_DETECTIONS,
@@ -39,12 +41,16 @@ from stereophd.core.multi.pmb.hypotheses import (
 )
 from stereophd.core.multi.pmb.reduction import reduce_tracks
 from stereophd.core.multi.pmb.update import associate_tracks
-from stereophd.core.multi.state.estimates import Info
-from stereophd.core.multi.state.inputs import Detections, EventNumbers, with_newborns
+from stereophd.core.multi.prediction import Bare, predict_event
+from stereophd.core.multi.state.estimates import Estimates, Info
+from stereophd.core.multi.state.inputs import Detections, EventNumbers, with_births, with_newborns
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, empty_mixture
-from stereophd.core.multi.swaps.history import ClaimedDetections, History
+from stereophd.core.multi.swaps.epipolar_pairs import NewObjects, Past, swap_candidates
+from stereophd.core.multi.swaps.history import ClaimedDetections, DeferredPairs, History
 from stereophd.core.multi.swaps.swap_test import SwapTest
 from stereophd.core.numerics.compilation.compiled import compiled
+
+NO_HISTORY = History()
 
 
 @dataclass(frozen=True)
@@ -58,13 +64,14 @@ class PmbFilter(DisparityFilter):
     settings: PmbSettings
 
     labels_may_split: ClassVar[bool] = False
+    update_hypotheses = staticmethod(update_track_sets)
 
     @cached_property
     def reduction(self) -> PmbReduction:
         """Settings of the reduction, for compiled code."""
         settings = self.settings
         return PmbReduction(
-            recycle_below=float(settings.recycle_below), prune_weight=float(settings.prune_weight),
+            prune_weight=float(settings.prune_weight), recycle_below=float(settings.recycle_below),
             merge_distance=float(settings.merge_distance), max_components=most_components(settings.max_components),
             hypothesis_distance=float(settings.hypothesis_distance), least_share=float(settings.least_share),
             max_hypotheses=int(settings.max_hypotheses or BY_DETECTIONS),
@@ -75,11 +82,6 @@ class PmbFilter(DisparityFilter):
         """The test for pairs of tracks that are paired crosswise."""
         samples, settings = self.sets.turn(0), self.settings
         return SwapTest(self.rig, self.motion, samples, settings.birth, settings.exchange_above)
-
-    @property
-    def update_hypotheses(self) -> Callable[..., tuple[Integers, GaussianMixture, Array]]:
-        """See `DisparityFilter`."""
-        return update_track_sets
 
     @property
     def last_kernels(self) -> tuple[tuple[Any, tuple[Any, ...]], ...]:
@@ -96,34 +98,118 @@ class PmbFilter(DisparityFilter):
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
         """Update with the detections of an event (Williams 2015, section IV), then reduction."""
-        detector = self.rig.cameras[event.camera].detector
-        reduction = reduction_for_births(self.reduction, prediction.births, detector)
-        if prediction.mixture.size > FEW_COMPONENTS:
-            peak = peak_births(state.undetected, prediction.births, event.camera)
-            reduction = reduction_in_crowd(reduction, peak, detector, prediction.mixture.weights)
-        detected, prior = self.detections(event)
-        reduced, log_likelihood, expected, labels, detections, claims, fewer = _update(
-            prediction.mixture, prediction.moved, detected, prior,
-            self.event_numbers(event, state.next_label, prediction.births, prediction.burst), reduction, self.claims
+        peak = 0.0 if state.undetected is None else float(state.undetected.peaks[event.camera])
+        reduced, *updated = _update(
+            prediction.mixture, prediction.moved, *self.detections(event),
+            self.event_numbers(state.time_s, event, state.next_label), (prediction.births, prediction.burst), peak,
+            self.reduction, self.claims,
         )  # fmt: skip
-        history = state.history
-        if math.isfinite(self.settings.exchange_above):
-            claimed = ClaimedDetections(
-                event.camera, event.time_s, labels, detections, event.points, event.covariances, detected.readings
-            )
-            history = (history or History()).add(claimed)
-            reduced, history = self.swap_test.put_right(reduced, history, event.camera, event.time_s, state.n_events)
-        label = state.next_label + len(event.points)
+        counters = state.next_label + len(event.points), state.next_track
+        return self._after(state, event, reduced, None, updated, counters, prediction.undetected, prediction.burst)
+
+    def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
+        """Predict, update and extract for one event, in one compiled call."""
+        camera = event.camera if self._exchanges else 0
+        (between, _, new, tolerance, past, deferred, *numbers), added = self.swap_test.search(
+            state.history or NO_HISTORY, camera, event.time_s, state.n_events
+        )
+        detected, prior = self.detections(event)
+        selection, pairs, undetected, burst, *updated = _step(
+            tuple(state.mixture), self.prediction(state, event), tuple(detected), tuple(prior), tuple(self.reduction),
+            self.claims,
+            (between, tuple(new), tolerance, tuple(past), tuple(added), tuple(deferred), *numbers),
+            (*self.report, state.next_label + len(event.points), state.next_track), self.sets.turn(state.n_events + 1),
+        )  # fmt: skip
+        counters = selection.next_label, selection.next_track
+        after, info = self._after(state, event, selection.mixture, pairs, updated, counters, undetected, burst)
+        if after.mixture is not selection.mixture:
+            # identities are those of the first look: a swap leaves the existence of every track as it is
+            after, estimates = self.extract(after)
+            return after, info, estimates
+        return after, info, selection.estimates()
+
+    @cached_property
+    def _exchanges(self) -> bool:
+        return math.isfinite(self.settings.exchange_above)
+
+    def _after(
+        self, state: FilterState, event: Event, mixture: GaussianMixture, pairs: Integers | None,
+        updated: Sequence[Any], counters: tuple[int, int], undetected: Undetected, burst: int,
+    ) -> tuple[FilterState, Info]:  # fmt: skip
+        """Return the state after an event of which `_update` returns what it `updated`, and its diagnostics.
+
+        The `pairs` of tracks are tested for a swap; None: they are still to be found.
+        """
+        log_likelihood, expected, labels, detections, claims, fewer = updated
+        history, place = None, (event.camera, event.time_s)
+        if self._exchanges:
+            readings = event.readings(self.rig.space(*place))
+            claimed = ClaimedDetections(*place, labels, detections, event.points, event.covariances, readings)
+            history = (state.history or NO_HISTORY).add(claimed)
+            if pairs is None:
+                mixture, history = self.swap_test.put_right(mixture, history, *place, state.n_events)
+            else:
+                mixture, history = self.swap_test.swap(mixture, history, pairs, *place, state.n_events)
         left_out, room = 0, self.reduction.max_components - len(event.points)
-        if prediction.mixture.size > room:
-            tracks = np.unique(prediction.mixture.labels)
+        if state.mixture.size > room:
+            tracks = np.unique(state.mixture.labels)
             left_out = max(int(np.count_nonzero(tracks != UNLABELLED)) - room, 0)
         return (
-            FilterState(
-                reduced, event.time_s, state.n_events + 1, label, state.next_track, prediction.undetected, history
-            ),
-            Info(log_likelihood, expected, reduced.size, labels, claims, left_out, prediction.burst, fewer),
+            FilterState(mixture, event.time_s, state.n_events + 1, *counters, undetected, history),
+            Info(log_likelihood, expected, mixture.size, labels, claims, left_out, burst, fewer),
         )
+
+
+@compiled
+def _step(
+    mixture: Bare,
+    given: Bare,
+    detected: Bare,
+    prior: Bare,
+    reduction: Bare,
+    with_claims: bool,
+    search: Bare,
+    report: Bare,
+    samples: Array,
+) -> tuple[Selection, Integers, Undetected, int, float, float, Integers, Integers, Claims | None, int]:
+    """`predict_event`, `_update`, `swap_candidates` and `select_objects`.
+
+    Returns objects, pairs to be tested for a swap, what is undetected, the burst of clutter, and what `_update` returns
+    beside the mixture.
+    """
+    weights, moved, homes, births, undetected, burst = predict_event(mixture, given)
+    numbers, _, _, _, motion, _, views, _, _, before, _, _ = given
+    known, predicted, event = GaussianMixture(*mixture), GaussianMixture(weights, *mixture[1:]), EventNumbers(*numbers)
+    reduced, log_likelihood, expected, found, detections, claims, fewer = _update(
+        predicted, moved, Detections(*detected), FirstSight(*prior), event, (births, burst),
+        before[2][event.camera], PmbReduction(*reduction), with_claims
+    )  # fmt: skip
+    rows = _rows_of(reduced, known, event)
+    pairs = np.empty((0, 2), dtype=np.int64)
+    between, new, tolerance, past, added, deferred, number, most = search
+    if between[1] > 0:
+        past = added if len(found) > 0 else past
+        pairs = swap_candidates(
+            reduced, rows, homes, between, views, NewObjects(*new), tolerance, Past(*past), DeferredPairs(*deferred),
+            number, most
+        )  # fmt: skip
+    selection = select_objects(reduced, Report(*report), rows, homes, MotionArrays(*motion), samples)
+    return selection, pairs, undetected, burst, log_likelihood, expected, found, detections, claims, fewer
+
+
+@compiled
+def _rows_of(after: GaussianMixture, before: GaussianMixture, numbers: EventNumbers) -> Integers:
+    """Return which component of n before an event each one after it was at home with, n for those in its space."""
+    cameras, times, known_cameras, known_times = after.cameras, after.times, before.cameras, before.times
+    count, k = len(known_times), 0
+    rows = np.full(len(times), count)
+    for i in range(len(times)):
+        if cameras[i] != numbers.camera or times[i] != numbers.time_s:
+            # both are in order of their labels: the next one is near
+            while cameras[i] != known_cameras[k] or times[i] != known_times[k]:
+                k = (k + 1) % count
+            rows[i] = k
+    return rows
 
 
 @compiled
@@ -132,12 +218,25 @@ def _update(
     moved: Moved,
     detected: Detections,
     prior: FirstSight,
-    numbers: EventNumbers,
-    reduction: PmbReduction,
+    bare: EventNumbers,
+    born: tuple[float, int],
+    peak: float,
+    stated: PmbReduction,
     with_claims: bool,
 ) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None, int]:
-    """`associate_tracks`, which labels were detected and by which detections, and `reduce_tracks`, in one call."""
-    event = with_newborns(detected, prior, mixture.means.shape[1])
+    """`associate_tracks`, which labels were detected and by which detections, and `reduce_tracks`.
+
+    The numbers are those without births, and `born` has the births and the burst of clutter; `peak` is that of the
+    camera before the event (`Undetected`). The pruning weight is the one stated, or that of the births.
+    """
+    births, burst = born
+    event, numbers = with_newborns(detected, prior, mixture.means.shape[1]), with_births(bare, births, burst)
+    weight = prune_weight_for_births(stated.prune_weight, births, bare.p_detect, bare.clutter)
+    if len(mixture.weights) > FEW_COMPONENTS:
+        weight = prune_weight_in_crowd(
+            weight, stated.recycle_below, max(births, peak), bare.p_detect, bare.clutter, mixture.weights
+        )  # fmt: skip
+    reduction = PmbReduction(weight, *stated[1:])
     outcomes, log_likelihood = associate_tracks(mixture, moved, event, numbers, reduction.prune_weight)
     known, weights, made = outcomes.labels, outcomes.weights, outcomes.made
     labels, detections = detected_labels(known, weights, len(mixture.weights), made)

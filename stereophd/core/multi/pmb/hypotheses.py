@@ -29,8 +29,8 @@ RECYCLE_BELOW = 0.02
 class PmbReduction(NamedTuple):
     """Settings of the reduction: the fields of `PmbSettings` with the same names."""
 
-    recycle_below: float
     prune_weight: float
+    recycle_below: float
     merge_distance: float
     max_components: int
     hypothesis_distance: float

@@ -60,7 +60,7 @@ class Info:
     claims: Claims | None = field(default=None, compare=False)
     # Tracks (PMB) or components (PHD) beyond the bound on their number, which left out the least probable ones.
     left_out: int = field(default=0, compare=False)
-    # Detections that were taken as a burst of clutter (`stereophd.core.multi.births.undetected.burst_of`).
+    # Detections that were taken as a burst of clutter (`stereophd.core.multi.births.undetected.expected_births`).
     burst: int = field(default=0, compare=False)
     # Hypotheses of tracks beyond the bound on their number (PMB).
     hypotheses_left_out: int = field(default=0, compare=False)

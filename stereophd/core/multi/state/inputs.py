@@ -32,16 +32,27 @@ class EventArrays(NamedTuple):
 
 
 class EventNumbers(NamedTuple):
-    """Place of an event, and rates of its detector."""
+    """Place of an event, and rates of its detector and of the filter."""
 
     camera: int  # Index of the camera in the rig
     time_s: float  # Time, s
+    elapsed: float  # Time since the last event, s
     next_label: int  # First unused label
+    n_detections: int
     p_detect: float  # Probability of detection inside the image
+    shape_p_detect: float  # The same for the shape of the missed part; 0 where it keeps its own
+    area: float  # Area of the image, px^2
+    survival: float  # Probability that an object survives since the last event
+    out_of_view_s: float  # Time constant of `keep_surviving_weights`
     # `clutter`, `births`: Expected number of false detections and of new objects a frame.
     clutter: float
     births: float
-    area: float  # Area of the image, px^2
+
+
+@compiled
+def with_births(numbers: EventNumbers, births: float, burst: int) -> EventNumbers:
+    """Return numbers with births; a `burst` of detections is clutter, regardless of the rate of the detector."""
+    return EventNumbers(*numbers[:-2], max(numbers.clutter, float(burst)), births)
 
 
 @compiled

@@ -60,6 +60,7 @@ class TrackPlaces(NamedTuple):
 @compiled
 def swap_candidates(
     mixture: GaussianMixture,
+    rows: Integers,
     homes: Array,
     cameras: tuple[int, int],
     views: Array,
@@ -72,13 +73,13 @@ def swap_candidates(
 ) -> Integers:
     """Labels (n, 2) of the first pairs of reported tracks that two cameras may have paired crosswise, at most so many.
 
-    Tracks are ordered by label and then by falling weight; `homes` (n, 30) and `views` (c, 30) are the packed spaces of
-    the components, and of all cameras. Two epipolar lines up to `tolerance` px apart may be one. Two tracks that have
-    come into one plane since the `past` were not paired crosswise before. Deferred are pairs of tracks and the second
-    camera that are left out, until an event; `event` is the number of this one.
+    Tracks are ordered by label and then by falling weight; component k has the packed home space ``homes[rows[k]]``,
+    and `views` (c, 30) are those of all cameras. Two epipolar lines up to `tolerance` px apart may be one. Two tracks
+    that have come into one plane since the `past` were not paired crosswise before. Deferred are pairs of tracks and
+    the second camera that are left out, until an event; `event` is the number of this one.
     """
     labels, first, second = mixture.labels, views[cameras[0]], views[cameras[1]]
-    heads, places, before, errors = _reported_places(mixture, homes, past)
+    heads, places, before, errors = _reported_places(mixture, rows, homes, past)
     count = len(heads)
     # angle of the epipolar plane of each, and how far (rad) two planes may be apart
     axes = _epipolar_axes(first, second)
@@ -176,7 +177,7 @@ def _waits(one: int, other: int, camera: int, deferred: DeferredPairs, event: in
 
 
 @compiled
-def _reported_places(mixture: GaussianMixture, homes: Array, past: Past) -> TrackPlaces:
+def _reported_places(mixture: GaussianMixture, rows: Integers, homes: Array, past: Past) -> TrackPlaces:
     """Places of the means of the reported tracks, now and, with their velocities, in the past."""
     labels = mixture.labels
     heads = np.empty(len(labels), dtype=np.int64)
@@ -189,7 +190,7 @@ def _reported_places(mixture: GaussianMixture, homes: Array, past: Past) -> Trac
     moving = mixture.means.shape[1] == 6
     places, before, errors = np.empty((count, 3)), np.empty((count, 3)), np.zeros(count)
     for i in range(count):
-        mean, covariance, home = mixture.means[heads[i]], mixture.covariances[heads[i]], homes[heads[i]]
+        mean, covariance, home = mixture.means[heads[i]], mixture.covariances[heads[i]], homes[rows[heads[i]]]
         depth = disparity_scale(home) / mean[2]
         x, y = (mean[0] - home[CX]) / home[FX] * depth, (mean[1] - home[CY]) / home[FY] * depth
         vx, vy, vz = 0.0, 0.0, 0.0

@@ -23,7 +23,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,10 +35,10 @@ from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.filter_settings.common import BirthPrior
-from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
+from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.core.multi.swaps.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, Past, swap_candidates
 from stereophd.core.multi.swaps.explanations import ExplainedRows, explain_rows, make_paths, room_for_explained
-from stereophd.core.multi.swaps.history import ClaimedRows, History, no_deferred_pairs
+from stereophd.core.multi.swaps.history import ClaimedRows, History
 
 # Fewest kept detections of each track in the camera whose detections are swapped, and in all others together.
 LEAST_DETECTIONS = 3
@@ -86,37 +86,47 @@ class SwapTest:
         return NewObjects(means.copy(), stds.copy(), float(self.birth.velocity_std), region)
 
     def compile(self) -> None:
-        """Compile the kernels of the test, with no tracks and with one detection."""
-        views, none, one = self.rig.views(0.0), np.empty(0, dtype=np.int64), np.zeros(1, dtype=np.int64)
-        prior, homes = self.prior(views), self.rig.spaces(none, np.empty(0))
-        empty, nothing = empty_mixture(self.motion.state_size), no_deferred_pairs()
-        swap_candidates(empty, homes, (0, 0), views, prior, 1.0, Past(0.0, 0.0), nothing, 0, MOST_TESTS)
+        """Compile the kernels of the test of a pair, with one detection."""
+        one = np.zeros(1, dtype=np.int64)
+        prior = self.prior(self.rig.views(0.0))
         self.filter_again(ClaimedRows(one, np.zeros(1), one, np.zeros((1, 2)), np.eye(2)[None], None), prior)
+
+    def search(self, history: History, camera: int, time_s: float, event: int) -> tuple[Any, Past]:
+        """Return parameters of `swap_candidates` after an event of a camera, and the past where it is to be added.
+
+        The camera is the one whose detections are swapped, with each camera before it in turn.
+        """
+        views, sightings = self.rig.views(time_s), history.sightings
+        prior = self.prior(views) if self.rig.moving else self._prior_at_rest
+        cameras, tolerance = (event // len(self.rig.cameras) % max(camera, 1), camera), self.tolerances[camera]
+        past, longer = (
+            Past(time_s - sightings[-count:][0].time_s if sightings else 0.0, self._acceleration_std)
+            for count in (RECENT, RECENT - 1)
+        )
+        return (cameras, views, prior, tolerance, past, history.deferred, event, MOST_TESTS), longer
 
     def put_right(
         self, mixture: GaussianMixture, history: History, camera: int, time_s: float, event: int
     ) -> tuple[GaussianMixture, History]:
-        """Return a mixture after an event of a camera, and the history, with swaps of tracks paired crosswise.
-
-        The camera is the one whose detections are swapped, with each camera before it in turn.
-        """
+        """Return a mixture after an event of a camera, and the history, with swaps of tracks paired crosswise."""
         if camera == 0:
             return mixture, history
-        cameras = (event // len(self.rig.cameras) % camera, camera)
-        views, homes = self.rig.views(time_s), self.rig.spaces(mixture.cameras, mixture.times)
-        prior = self.prior(views) if self.rig.moving else self._prior_at_rest
-        began = history.sightings[max(-RECENT, -len(history.sightings))].time_s if history.sightings else time_s
-        past = Past(time_s - began, self._acceleration_std)
-        pairs = swap_candidates(
-            mixture, homes, cameras, views, prior, self.tolerances[camera], past, history.deferred, event, MOST_TESTS
-        )
+        rows, homes = np.arange(mixture.size), self.rig.spaces(mixture.cameras, mixture.times)
+        pairs = swap_candidates(mixture, rows, homes, *self.search(history, camera, time_s, event)[0])
+        return self.swap(mixture, history, pairs, camera, time_s, event)
+
+    def swap(
+        self, mixture: GaussianMixture, history: History, pairs: Integers, camera: int, time_s: float, event: int
+    ) -> tuple[GaussianMixture, History]:
+        """Return a mixture and the history with swaps of those of the pairs that are paired crosswise."""
         if not len(pairs):
             return mixture, history
+        prior = self.prior(self.rig.views(time_s)) if self.rig.moving else self._prior_at_rest
         deferred = history.deferred.after(event)
         for first, second in pairs.tolist():
             odds, swapped = self.explain(history, first, second, camera, prior)
             if swapped is not None:
-                turned = self._is_nearer_turned(mixture, homes, (first, second), swapped, time_s)
+                turned = self._is_nearer_turned(mixture, (first, second), swapped, time_s)
                 mixture = _replaced(mixture, first, second, swapped[::-1] if turned else swapped)
                 history = history.swapped(first, second, camera, others=turned)
             behind = abs(odds) if swapped is not None else max(-odds, 0.0)
@@ -124,19 +134,17 @@ class SwapTest:
         return mixture, replace(history, deferred=deferred)
 
     def _is_nearer_turned(
-        self,
-        mixture: GaussianMixture,
-        homes: Array,
-        labels: tuple[int, int],
-        tracks: tuple[Track, Track],
-        time_s: float,
+        self, mixture: GaussianMixture, labels: tuple[int, int], tracks: tuple[Track, Track], time_s: float
     ) -> bool:
         """Whether two labels stay nearer to where they are if each takes the other's track.
 
         A ghost shares a ray with both objects, and either may continue its identity.
         """
         heads = [int(np.flatnonzero(mixture.labels == label)[0]) for label in labels]
-        places_now = [_place(mixture.means[k], homes[k], time_s - mixture.times[k]) for k in heads]
+        homes = self.rig.spaces(mixture.cameras[heads], mixture.times[heads])
+        places_now = [
+            _place(mixture.means[k], home, time_s - mixture.times[k]) for k, home in zip(heads, homes, strict=True)
+        ]
         places_swapped = [
             _place(one.mean, self.rig.space(one.camera, one.time_s), time_s - one.time_s) for one in tracks
         ]

@@ -10,6 +10,9 @@ numba is Python for the greater part. While it compiles, two costs are avoided, 
 compiles: the search for garbage (little of what a compiler makes becomes garbage before it ends), and the repeated
 choice of the form of a built-in function (the operators, `math.sqrt`, `len`, ...) for the same types of arguments, for
 which numba tries all forms that it knows at every place.
+
+What a kernel returns to Python is made by its class, which numba reads from bytes again at each call; here the class is
+one of the constants that are kept with the kernel.
 """
 
 import contextlib
@@ -22,7 +25,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import llvmlite.binding as llvm
+from numba.core.base import BaseContext
 from numba.core.compiler import Compiler
+from numba.core.pythonapi import PythonAPI
 from numba.core.types import functions
 
 # The folder that holds the package.
@@ -142,9 +147,38 @@ def load_units(units: Iterable[Unit], target_context: Any) -> bool:
 # Types of calls of built-in functions, by function, context and types of arguments.
 _CALL_TYPES: dict[tuple[Any, ...], Any] = {}
 
-# numba's class of built-in functions, untyped: one of its methods is exchanged for a while
+# numba's classes of built-in functions and of targets, untyped: a method of each is exchanged for a while
 _FUNCTION: Any = functions.Function
-_get_call_type = _FUNCTION.get_call_type
+_CONTEXT: Any = BaseContext
+_get_call_type, _get_python_api = _FUNCTION.get_call_type, _CONTEXT.get_python_api
+
+
+class _KernelInterface(PythonAPI):  # type: ignore[misc]
+    """What the code of a kernel calls of Python, with classes as constants of the kernel."""
+
+    _constants: Any = None
+
+    def from_native_value(self, typ: Any, val: Any, env_manager: Any = None) -> Any:
+        """Return the object of a native value."""
+        self._constants = env_manager
+        return super().from_native_value(typ, val, env_manager)
+
+    def serialize_object(self, obj: Any) -> Any:
+        """Return the place of an object, here a class itself."""
+        is_held = isinstance(obj, type) and self._constants is not None
+        return obj if is_held else super().serialize_object(obj)
+
+    def unserialize(self, structptr: Any) -> Any:
+        """Return a new reference to the object at a place."""
+        if not isinstance(structptr, type):
+            return super().unserialize(structptr)
+        held = self._constants.read_const(self._constants.add_const(structptr))
+        self.incref(held)
+        return held
+
+
+def _kernel_interface(self: Any, builder: Any) -> Any:
+    return _KernelInterface(self, builder)
 
 
 @contextlib.contextmanager
@@ -155,11 +189,11 @@ def quick_compilation() -> Iterator[None]:
         return
     collects = gc.isenabled()
     gc.disable()
-    _FUNCTION.get_call_type = _remembered_call_type
+    _FUNCTION.get_call_type, _CONTEXT.get_python_api = _remembered_call_type, _kernel_interface
     try:
         yield
     finally:
-        _FUNCTION.get_call_type = _get_call_type
+        _FUNCTION.get_call_type, _CONTEXT.get_python_api = _get_call_type, _get_python_api
         if collects:
             gc.enable()
 

@@ -15,14 +15,13 @@ from stereophd.core.multi.births.undetected import (
     LEAST_INITIAL,
     NEWBORN_SHARE,
     Undetected,
+    all_undetected,
+    birth_rates,
     expected_births,
-    peak_births,
-    reduction_in_crowd,
+    prune_weight_in_crowd,
     undetected_shares,
 )
 from stereophd.core.multi.filter_settings.common import BirthPrior
-from stereophd.core.multi.filter_settings.pmb import PmbSettings
-from stereophd.core.multi.pmb.hypotheses import PmbReduction
 from tests.core.disparity.cases import make_camera
 
 PRIOR = BirthPrior(per_s=0.5, initial=3.0, disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
@@ -30,6 +29,20 @@ PRIOR = BirthPrior(per_s=0.5, initial=3.0, disparity=DisparityPrior(mean_px=7.0,
 
 def event(camera: Camera, index: int, time_s: float, n_detections: int = 0) -> Event:
     return make_event(camera, index, time_s, np.full((n_detections, 2), 100.0))
+
+
+def births_of(
+    before: Undetected | None, prior: BirthPrior, left: np.ndarray, elapsed: float, event: Event, camera: Camera,
+    known: float = 0.0,
+) -> tuple[float, Undetected]:  # fmt: skip
+    """`expected_births` of an event without a burst of clutter."""
+    detector = camera.detector
+    births, after, burst = expected_births(
+        before or all_undetected(len(left)), birth_rates(prior), left, event.camera, elapsed, len(event.points),
+        detector.p_detect, detector.clutter_per_frame, known,
+    )  # fmt: skip
+    assert burst == 0
+    return births, after
 
 
 def first_detections(prior: BirthPrior, overlap: np.ndarray, rate_hz: float, seconds: float, p_detect: float) -> float:
@@ -41,9 +54,7 @@ def first_detections(prior: BirthPrior, overlap: np.ndarray, rate_hz: float, sec
         for index in range(len(overlap)):
             now = frame / rate_hz
             left = 1.0 - p_detect * overlap[:, index]
-            births, state = expected_births(
-                state, prior, left, now - time_s, event(camera, index, now), camera.detector
-            )
+            births, state = births_of(state, prior, left, now - time_s, event(camera, index, now), camera)
             total, time_s = total + p_detect * births, now
     return total
 
@@ -67,7 +78,7 @@ def test_the_first_frame_says_how_many_objects_there_were(n_detections: int, exp
     prior = replace(PRIOR, initial=None)
     first = event(camera, 0, 0.0, n_detections)
     left = 1.0 - 0.9 * np.array([1.0, 0.6])
-    births, state = expected_births(None, prior, left, 0.0, first, camera.detector)
+    births, state = births_of(None, prior, left, 0.0, first, camera)
     assert births == pytest.approx(expected)
     np.testing.assert_allclose(state.initial_share, [0.0, 1.0 - 0.9 * 0.6])
     assert state.counts[0] == pytest.approx(0.1 * expected)
@@ -78,22 +89,20 @@ def test_a_pause_leaves_as_many_objects_as_the_frame_shows() -> None:
     before = Undetected(np.array([0.05, 0.0]), np.zeros(2), np.zeros(2))
     left = 1.0 - 0.9 * np.ones(2)
     after = event(camera, 0, 3600.0, 9)
-    births, state = expected_births(before, PRIOR, left, 3600.0, after, camera.detector, known=2.0)
+    births, state = births_of(before, PRIOR, left, 3600.0, after, camera, known=2.0)
     assert births == pytest.approx((9 - 4 - 2 + 3) / 0.9)
     assert state.counts[0] == pytest.approx(0.1 * births)
     # the next frame, and a frame that known objects and clutter explain, expect the usual number
-    births, _ = expected_births(state, PRIOR, left, 0.1, event(camera, 0, 3600.1, 9), camera.detector, known=5.0)
+    births, _ = births_of(state, PRIOR, left, 0.1, event(camera, 0, 3600.1, 9), camera, known=5.0)
     assert births == pytest.approx(state.counts[0] + 0.05)
-    births, _ = expected_births(before, PRIOR, left, 3600.0, event(camera, 0, 3600.0, 4), camera.detector, known=3.0)
+    births, _ = births_of(before, PRIOR, left, 3600.0, event(camera, 0, 3600.0, 4), camera, known=3.0)
     assert births == pytest.approx(1.0)
 
 
 def test_a_camera_that_starts_late_expects_what_its_first_frame_shows() -> None:
     camera = make_camera(p_detect=0.9, clutter=4.0)
     before, prior = Undetected(np.zeros(2), np.array([0.0, 1.0]), np.zeros(2)), replace(PRIOR, initial=None)
-    births, _ = expected_births(
-        before, prior, 1.0 - 0.9 * np.eye(2)[1], 3600.0, event(camera, 1, 3600.0, 9), camera.detector
-    )
+    births, _ = births_of(before, prior, 1.0 - 0.9 * np.eye(2)[1], 3600.0, event(camera, 1, 3600.0, 9), camera)
     # the objects of the first frame, and one standard deviation of the number of its detections
     assert births == pytest.approx((9 - 4 + 3) / 0.9)
 
@@ -107,10 +116,8 @@ def test_cameras_at_one_time_share_the_peak_of_the_first() -> None:
         for index in range(3):
             before, elapsed = state, 0.1 if frame > 0 and index == 0 else 0.0
             left = 1.0 - 0.9 * np.ones(3)
-            births[index], state = expected_births(
-                before, PRIOR, left, elapsed, event(camera, index, 0.1 * frame), camera.detector
-            )
-            peaks[index] = peak_births(before, births[index], index)
+            births[index], state = births_of(before, PRIOR, left, elapsed, event(camera, index, 0.1 * frame), camera)
+            peaks[index] = max(births[index], 0.0 if before is None else before.peaks[index])
     assert births[2] < 0.02 * births[0]
     np.testing.assert_allclose(peaks, births[0])
     assert births[0] == pytest.approx(0.5 * 0.1 / (1.0 - 0.1**3))
@@ -127,11 +134,8 @@ def test_cameras_at_one_time_share_the_peak_of_the_first() -> None:
 )
 def test_a_crowd_ends_what_is_lighter_than_newborns(count: int, births: float, expected: float) -> None:
     """Ten objects and no more than 2 light components, or 3; light births, heavy ones, and none."""
-    detector = make_camera(p_detect=0.9, clutter=4.0).detector
-    settings = PmbSettings(birth=PRIOR)
-    reduction = PmbReduction(1e-2, 1e-5, settings.merge_distance, 10**6, 4.0, 1e-3, 0)
     weights = np.concatenate([np.ones(10), np.full(count - 10, 1e-6)])
-    assert reduction_in_crowd(reduction, births, detector, weights).prune_weight == pytest.approx(expected)
+    assert prune_weight_in_crowd(1e-5, 1e-2, births, 0.9, 4.0, weights) == pytest.approx(expected)
 
 
 def test_overlap_of_views() -> None:
