@@ -78,10 +78,10 @@ def quadratic_posterior(
     values = np.append(adjustment.values, np.zeros(parameters.size - len(adjustment.values)))
     posterior = MarginalPosterior(linearisation)
     point = posterior.of_answer(values, adjustment.states, noise_factor)
-    gradient, _ = posterior.gradient(point)
+    gradient = posterior.gradient(point)
     precision = np.asarray(np.linalg.inv(posterior.covariance(point)), dtype=np.float64)
     std = posterior.prior_std
-    tracks = TrackMoves.of(problem, adjustment.values, adjustment.states, point.equations)
+    tracks = TrackMoves.of(problem, adjustment.values, adjustment.states, point.eliminated[0])
     tracks = replace(tracks, slopes=tracks.slopes * std, scale=tracks.scale * std)
     return QuadraticPosterior(gradient * std, (precision + precision.T) / 2.0 * np.outer(std, std), tracks)
 
