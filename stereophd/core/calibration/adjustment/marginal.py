@@ -282,12 +282,16 @@ class MarginalPosterior:
         across = self._knots_against(at, linearisation.of_states(slopes.path, slopes.by_point))
         step = _short(equations.bands, across)
         moved = step * across.reshape(at.states.shape)
-        ahead, behind = (self.equations(at.unknowns, at.states + sign * moved).value_vector for sign in (1.0, -1.0))
+        placement = linearisation.placed(values)
+        ahead, behind = (
+            linearisation.pull_of_values(values, at.states + sign * moved, placement) for sign in (1.0, -1.0)
+        )
+        by_energy = np.append(by_scale, np.ones(self.size - len(values)))
+        bent = 2.0 * float(equations.pull @ across) * by_energy
+        bent[: len(values)] += (ahead - behind) / (2.0 * step)
         # the knots are at the minimum but for a trace, whose effect is removed to first order
         left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
-        gradient: Array = (
-            direct + (ahead - behind) / (2.0 * step) + equations.coupling.T @ left - equations.value_vector
-        )
+        gradient: Array = direct + bent + equations.coupling.T @ left - equations.value_vector
         if (held := problem.held) is not None:
             gradient[: len(held)][held] = 0.0
         return gradient
@@ -302,24 +306,13 @@ class MarginalPosterior:
 
         Conjugate gradients with the matrix A of the normal equations as preconditioner, which lacks those.
         """
-        values, log_noise = self._parted(at.unknowns)
-        placement = self.linearisation.placed(values, by_values=False)
-
-        def product(direction: Array) -> Array:
-            step = _short(at.equations.bands, direction)
-            moved = step * direction.reshape(at.states.shape)
-            ahead, behind = (
-                self.linearisation.of_knots(values, at.states + sign * moved, log_noise, placement)[2]
-                for sign in (1.0, -1.0)
-            )
-            return np.asarray((behind - ahead) / (2.0 * step))
-
+        bands = at.equations.bands - self.linearisation.bends(self._parted(at.unknowns)[0], at.states)
         out, residual = np.zeros_like(right), right
         scaled = cho_solve_banded((at.factor, True), residual, check_finite=False)
         direction, energy = scaled, float(residual @ scaled)
         enough = KNOTS_SOLVED**2 * energy
         for _ in range(MOST_PRODUCTS):
-            image = product(direction)
+            image = banded_product(bands, direction)
             if energy <= enough or float(direction @ image) <= 0.0:
                 break
             share = energy / float(direction @ image)
