@@ -20,9 +20,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky_banded
 
 from stereophd.core.arrays import Array
+from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 
@@ -59,8 +60,8 @@ def factor_knots(bands: Array, damping: float = 0.0) -> Array:
 
 def eliminate(equations: NormalEquations, factor: Array) -> tuple[Array, Array]:
     """Eliminate the knots by the factor of their matrix: A^-1 [C, a] (6 k, m + 1), and B - C^T A^-1 C (m, m)."""
-    both = np.column_stack([equations.coupling, equations.state_vector])
-    eliminated = cho_solve_banded((factor, True), both, check_finite=False)
+    eliminated = np.column_stack([equations.coupling, equations.state_vector])
+    normal_equations.substitute(factor.T, eliminated)
     return eliminated, equations.matrix - equations.coupling.T @ eliminated[:, :-1]
 
 
