@@ -204,12 +204,11 @@ class Linearisation:
             )  # fmt: skip
             errors[here], visible[here] = observations.points[here] - view.pixels, view.visible
             by_point[here] = view.by_world
-            if not by_values:
-                continue
-            column = 0
-            for quantity, index in parameters.unknown(camera.name):
-                by_value[here, :, column : column + len(index)] = quantity.derivative(view, taken(values, index))
-                column += len(index)
+            unknown = parameters.unknown(camera.name) if by_values else ()
+            parts = [quantity.derivative(view, taken(values, index)) for quantity, index in unknown]
+            if parts:
+                by_camera = np.concatenate(parts, axis=2)
+                by_value[here, :, : by_camera.shape[2]] = by_camera
         return errors, visible, by_point, by_value
 
     def bends(self, values: Array, states: Array) -> Array:
