@@ -60,6 +60,10 @@ def factor_knots(bands: Array, damping: float = 0.0) -> Array:
 
 def eliminate(equations: NormalEquations, factor: Array) -> tuple[Array, Array]:
     """Eliminate the knots by the factor of their matrix: A^-1 [C, a] (6 k, m + 1), and B - C^T A^-1 C (m, m)."""
+    if not equations.coupling.any():  # all values are held
+        alone = equations.state_vector[:, None].copy()
+        normal_equations.substitute(factor.T, alone)
+        return np.hstack([equations.coupling, alone]), equations.matrix
     eliminated = np.column_stack([equations.coupling, equations.state_vector])
     normal_equations.substitute(factor.T, eliminated)
     return eliminated, equations.matrix - equations.coupling.T @ eliminated[:, :-1]
