@@ -206,9 +206,7 @@ class Linearisation:
             errors[here], visible[here] = observations.points[here] - view.pixels, view.visible
             by_point[here] = view.by_world
             unknown = parameters.unknown(camera.name) if by_values else ()
-            parts = [
-                quantity.derivative(view, taken(values, index))[:, :, index >= 0] for quantity, index in unknown
-            ]
+            parts = [quantity.derivative(view, taken(values, index))[:, :, index >= 0] for quantity, index in unknown]
             if parts:
                 by_camera = np.concatenate(parts, axis=2)
                 by_value[here, :, : by_camera.shape[2]] = by_camera

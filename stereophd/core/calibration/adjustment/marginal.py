@@ -280,7 +280,8 @@ class MarginalPosterior:
         direct = linearisation.of_values(slopes.by_value) + (self._flat + by_noise) * by_scale
         direct = np.append(direct, np.full(self.size - len(values), by_noise + 6.0 * self.links))
         across = self._knots_against(at, linearisation.of_states(slopes.path, slopes.by_point))
-        step = _short(equations.bands, across)
+        # knots far away have next to no information, so that rounding may make the square negative
+        step = KNOT_DIFFERENCE / max(float(np.sqrt(abs(across @ banded_product(equations.bands, across)))), 1e-300)
         moved = step * across.reshape(at.states.shape)
         placement = linearisation.placed(values)
         ahead, behind = (
@@ -347,12 +348,6 @@ def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.r
             mean = sum(posterior.gradient(point) for _, point in ends) / 2.0 - gradient
             bends.append(-root[:, ~loose] @ (root[:, ~loose].T @ mean) / (BEND_STEP * ends[0][0]) ** 2)
     return np.array(bends)
-
-
-def _short(bands: Array, direction: Array) -> float:
-    """Share of a direction of the knots (6 k,) that moves them by `KNOT_DIFFERENCE`."""
-    # knots far away have next to no information, so that rounding may make the square negative
-    return KNOT_DIFFERENCE / max(float(np.sqrt(abs(direction @ banded_product(bands, direction)))), 1e-300)
 
 
 def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:

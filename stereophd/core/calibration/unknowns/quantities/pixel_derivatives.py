@@ -36,14 +36,11 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
         if pose.rotation_rate.any():
             turns = rotations(-elapsed[:, None] * pose.rotation_rate)
             points = product(turns, points)
-    count = len(points)
-    visible, undistorted, distorted = np.empty(count, dtype=np.bool_), np.empty((count, 2)), np.empty((count, 2))
-    by_point, by_world = np.empty((count, 2, 3)), np.empty((count, 2, 3))
+    axes = pose.rotation[None] if turns is None else turns @ pose.rotation
     focal, lens = np.array([camera.fx, camera.fy]), camera.lens
-    project(
-        points, pose.rotation[None] if turns is None else turns @ pose.rotation, focal, lens.code, lens.coefficients,
-        lens.max_radius, visible, undistorted, distorted, by_point, by_world,
-    )  # fmt: skip
+    visible, undistorted, distorted, by_point, by_world = project(
+        points, axes, focal, lens.code, lens.coefficients, lens.max_radius
+    )
     pixels = distorted * focal + [camera.cx, camera.cy]
     motion = np.einsum("nij,nj->ni", by_world, velocities - camera_velocity)
     if turns is not None:
@@ -62,24 +59,16 @@ def product(matrices: Array, vectors: Array) -> Array:
 
 @compiled
 def project(
-    points: Array,
-    axes: Array,
-    focal: Array,
-    code: int,
-    coefficients: Array,
-    max_radius: float,
-    visible: Booleans,
-    undistorted: Array,
-    distorted: Array,
-    by_point: Array,
-    by_world: Array,
-) -> None:
-    """Project points (n, 3) in a camera's axes, and differentiate their pixels by them and by the points in the world.
+    points: Array, axes: Array, focal: Array, code: int, coefficients: Array, max_radius: float
+) -> tuple[Booleans, Array, Array, Array, Array]:
+    """Return `visible`, `undistorted`, `distorted`, `by_point` and `by_world` of a `CameraView` of points (n, 3).
 
-    `axes` (1, 3, 3) or (n, 3, 3) turn the world; `focal` (2,) are in px. The last five arrays are those of a
-    `CameraView`, and set.
+    `axes` (1, 3, 3) or (n, 3, 3) turn the world into the camera's axes; `focal` (2,) are in px.
     """
-    for n in range(points.shape[0]):
+    count = len(points)
+    visible, undistorted, distorted = np.empty(count, dtype=np.bool_), np.empty((count, 2)), np.empty((count, 2))
+    by_point, by_world = np.empty((count, 2, 3)), np.empty((count, 2, 3))
+    for n in range(count):
         turn = axes[n if axes.shape[0] > 1 else 0]
         seen = points[n, 2] > 0.0
         inverse = 1.0 / points[n, 2] if seen else 1.0
@@ -100,6 +89,7 @@ def project(
             by_point[n, i, 0], by_point[n, i, 1], by_point[n, i, 2] = by_x, by_y, by_z
             for a in range(3):
                 by_world[n, i, a] = by_x * turn[0, a] + by_y * turn[1, a] + by_z * turn[2, a]
+    return visible, undistorted, distorted, by_point, by_world
 
 
 def turned(view: CameraView, axes: Array) -> Array:
