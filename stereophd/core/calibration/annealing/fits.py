@@ -48,8 +48,6 @@ TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
 FITTED_PASSES = 3
 # Frames by which a trajectory may go on before its first detection and after its last one, in a pass.
 PADDED_FRAMES = 2.0
-# A refit with other noise or other unknowns keeps at least this part of the detections, or the association stays.
-LEAST_KEPT = 0.8
 # Times at most that trajectories of marginal optima choose their detections, and the change of a weight that counts.
 MOST_CHOICES, SAME_WEIGHT = 2, 0.1
 
@@ -316,19 +314,6 @@ def stated_fit(task: Task, joint: Fit) -> tuple[Fit, float]:
             break
         stated, factor = better, new_factor
     return stated, factor
-
-
-def restated_fit(task: Task, stated: Fit, factor: float) -> tuple[Fit, float]:
-    """`stated_fit` from a marginal optimum under other noise: its trajectories follow, and choose their detections."""
-    cameras, trajectories = task.parameters.build(stated.adjustment.values), stated.observations.trajectories
-    observations = task.observations(cameras, trajectories, stated.detections)
-    still = replace(with_stated_motion(task, stated), held=np.ones(task.parameters.size, dtype=np.bool_))
-    followed = adjusted_to(task, still, observations, trajectories, stated.detections, tolerance=ANNEALED_TOLERANCE)
-    followed = _with_held_unknown(task, replace(followed, held=stated.held))
-    chosen = refitted(task, followed, still=True)
-    if chosen is None or len(chosen.detections) < LEAST_KEPT * len(followed.detections):
-        chosen = followed
-    return marginal_fit(task, with_stated_motion(task, replace(chosen, held=stated.held)), factor)
 
 
 def _same_members(one: Fit, other: Fit) -> bool:

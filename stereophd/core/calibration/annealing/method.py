@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.marginal import exact_covariance
 from stereophd.core.calibration.adjustment.noise import noise_factors
 from stereophd.core.calibration.adjustment.problem import Problem
@@ -23,12 +23,10 @@ from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
     ANNEALED_TOLERANCE,
-    LEAST_KEPT,
     adjusted_to,
     fit_until,
     problem_of,
     refitted,
-    restated_fit,
     restricted_fit,
     stated_fit,
     with_covariance,
@@ -55,6 +53,8 @@ HISTORY_TIMES = 25
 MOST_ROUNDS = 12
 # Factor on a noise that hides itself, and how often.
 LOOSENED, MOST_LOOSENED = 4.0, 2
+# A refit with other noise or other unknowns keeps at least this part of the detections, or the association stays.
+LEAST_KEPT = 0.8
 # Which configured values may be freed: none, lenses that are configured as none, all.
 AS_STATED, LENSES, FREE = "as_stated", "lenses", "free"
 # An answer whose expected move by what is held exceeds this many of its own standard deviations is not determined.
@@ -227,38 +227,29 @@ def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Ta
     return replace(task, scale=measured), rescaled(task, fit, measured), ()
 
 
-def state(task: Task, fit: Fit, comparison: Comparison | None) -> Answer:
+def state(task: Task, fit: Fit, choices: Choices) -> Answer:
     """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
-    free = free_in(task, comparison)
-    stated, noise_factor = stated_fit(task, fit if free.all() else restricted_fit(task, fit, free))
+    joint, comparison = selected(task, fit, choices)
+    stated, noise_factor = stated_fit(task, joint)
     return Answer(stated, noise_factor, comparison)
 
 
-def compared(task: Task, fit: Fit, choices: Choices) -> Comparison | None:
-    """Compare sets of unknowns by how well they predict the log of a fit; None if all are to be free."""
+def selected(task: Task, fit: Fit, choices: Choices) -> tuple[Fit, Comparison | None]:
+    """Adjust with the set of unknowns that predicts the log best, and return the comparison too."""
     if choices.select == "all" or choices.is_sampled:
-        return None
+        return fit, None
     sets = candidates(task.parameters)
-    return compare(problem_of(task, fit), fit.adjustment.values, fit.adjustment.states, sets)
-
-
-def free_in(task: Task, comparison: Comparison | None) -> Booleans:
-    """Which values (m,) the chosen set of a comparison has free."""
-    every = np.ones(task.parameters.size, dtype=np.bool_)
-    return every if comparison is None else comparison.sets[comparison.chosen].free
-
-
-def is_held_alike(fit: Fit, free: Booleans) -> bool:
-    """Whether a fit holds what is not free."""
-    return bool(free.all()) if fit.held is None else np.array_equal(fit.held, ~free)
+    comparison = compare(problem_of(task, fit), fit.adjustment.values, fit.adjustment.states, sets)
+    if comparison is None:
+        return fit, None
+    free = comparison.sets[comparison.chosen].free
+    return (fit if free.all() else restricted_fit(task, fit, free)), comparison
 
 
 def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict."""
     count = len(task.parameters.cameras)
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
-    answer: Answer | None = None
-    comparison: Comparison | None = None  # That the next answer is to be stated by, if any.
     loosened, suspicions, held = np.zeros(count, dtype=np.int64), list[Suspicion](), tuple[Remark, ...]()
     for number in range(MOST_ROUNDS):
         if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
@@ -266,10 +257,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             answer, suspicions, held = Answer(fit, 1.0, None), [], (Remark("time", text, is_reservation=True),)
             break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
-        if answer is None:
-            answer = state(task, fit, comparison or compared(task, fit, choices))
-        else:
-            answer = Answer(*restated_fit(task, answer.fit, answer.noise_factor), None)
+        answer = state(task, fit, choices)
         basis = with_stated_motion(task, answer.fit)
         rng = np.random.default_rng(NOISE_SEED)
         estimate = noise_factors(problem_of(task, answer.fit), answer.fit.adjustment, rng)
@@ -277,16 +265,8 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         if (estimate.differs | hides).any() and not last:
             factors = np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
             task, noise, loosened = task.with_noise(factors), noise * factors, loosened + hides
-            fit, comparison = basis, None
-            if hides.any() or not answer.fit.adjustment.converged:
-                fit, answer = adjusted_anew(task, basis), None
+            fit = adjusted_anew(task, basis)
             continue
-        if answer.comparison is None:  # the noise has changed since unknowns were compared
-            comparison = compared(task, basis, choices)
-            if not is_held_alike(answer.fit, free_in(task, comparison)) and not last:
-                fit, answer = adjusted_anew(task, basis), None
-                continue
-            answer = replace(answer, comparison=comparison)
         enlarged, suspicions = suspected(task, answer)
         held = held_remarks(enlarged, suspicions)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
@@ -295,7 +275,6 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         given_up.append((enlarged, wrong))
         freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
         task, fit = with_freed(task, basis, enlarged, wrong)
-        answer, comparison = None, None
     size = task.parameters.size
     doubtful = np.hstack([np.zeros((size, 0)), *(suspicion.spread[:size] for suspicion in suspicions)])
     tested = (*given_up, *((enlarged, suspicion) for suspicion in suspicions))
