@@ -25,11 +25,6 @@ from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import loo
 from stereophd.core.calibration.unknowns.scale import log_scale, predicted
 from stereophd.core.geometry.camera import Camera
 
-# Step of the differences of pixels' derivatives, in pixels.
-STEP_PX = 0.1
-# Stands for a norm of 0, of what is not seen; its inverse squared is a number.
-LEAST_NORM = 1e-150
-
 
 @dataclass(frozen=True)
 class NormalEquations:
@@ -211,36 +206,6 @@ class Linearisation:
                 by_camera = np.concatenate(parts, axis=2)
                 by_value[here, :, : by_camera.shape[2]] = by_camera
         return errors, visible, by_point, by_value
-
-    def bends(self, values: Array, states: Array) -> Array:
-        """What second derivatives of the pixels take from the matrix (12, size) of the knots, without a loss."""
-        placement = self.placed(values, by_values=False)
-        world = positions(states, *placement.path)
-        still = np.zeros_like(world)
-        errors, visible, by_point, _ = self.seen(placement, values, world, still, by_values=False)
-        pulls = self.pulls(errors, visible)
-        steps = STEP_PX / np.maximum(np.linalg.norm(by_point, axis=(1, 2)), LEAST_NORM)
-        bent, bands = np.zeros((len(world), 3, 3)), np.zeros((12, self.problem.knots.size))
-        for axis, along in enumerate(np.eye(3)):
-            moved = steps[:, None] * along
-            (_, seen_after, after, _), (_, seen_before, before, _) = (
-                self.seen(placement, values, world + sign * moved, still, by_values=False) for sign in (1.0, -1.0)
-            )
-            told = visible & seen_after & seen_before
-            bent[told, axis] = np.einsum("nr,nra->na", pulls, after - before)[told] / (2.0 * steps[told, None])
-        normal_equations.add_points(bands, placement.path.knot, placement.path.weights, bent)
-        return bands
-
-    def pulls(self, errors: Array, visible: Booleans) -> Array:
-        """Weights of detections times their precisions times their residuals (n, 2), without a loss."""
-        observations = self.problem.observations
-        weights = visible if observations.weights is None else visible * observations.weights
-        return np.einsum("n,nij,nj->ni", weights, observations.precisions, errors)
-
-    def pull_of_values(self, values: Array, states: Array, placement: Placement) -> Array:
-        """What the detections add to the vector (m,) of the values, without a loss."""
-        _, errors, visible, _, by_value = self.residuals(values, states, placement)
-        return self.of_values(np.einsum("nrq,nr->nq", by_value, self.pulls(errors, visible)))
 
     def of_values(self, by_value: Array) -> Array:
         """Sums (m,) over detections of their contributions (n, q) to the values of their cameras."""

@@ -280,19 +280,14 @@ class MarginalPosterior:
         direct = linearisation.of_values(slopes.by_value) + (self._flat + by_noise) * by_scale
         direct = np.append(direct, np.full(self.size - len(values), by_noise + 6.0 * self.links))
         across = self._knots_against(at, linearisation.of_states(slopes.path, slopes.by_point))
-        # knots far away have next to no information, so that rounding may make the square negative
-        step = KNOT_DIFFERENCE / max(float(np.sqrt(abs(across @ banded_product(equations.bands, across)))), 1e-300)
+        step = _short(equations.bands, across)
         moved = step * across.reshape(at.states.shape)
-        placement = linearisation.placed(values)
-        ahead, behind = (
-            linearisation.pull_of_values(values, at.states + sign * moved, placement) for sign in (1.0, -1.0)
-        )
-        by_energy = np.append(by_scale, np.ones(self.size - len(values)))
-        bent = 2.0 * float(equations.pull @ across) * by_energy
-        bent[: len(values)] += (ahead - behind) / (2.0 * step)
+        ahead, behind = (self.equations(at.unknowns, at.states + sign * moved).value_vector for sign in (1.0, -1.0))
         # the knots are at the minimum but for a trace, whose effect is removed to first order
         left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
-        gradient: Array = direct + bent + equations.coupling.T @ left - equations.value_vector
+        gradient: Array = (
+            direct + (ahead - behind) / (2.0 * step) + equations.coupling.T @ left - equations.value_vector
+        )
         if (held := problem.held) is not None:
             gradient[: len(held)][held] = 0.0
         return gradient
@@ -307,13 +302,24 @@ class MarginalPosterior:
 
         Conjugate gradients with the matrix A of the normal equations as preconditioner, which lacks those.
         """
-        bands = at.equations.bands - self.linearisation.bends(self._parted(at.unknowns)[0], at.states)
+        values, log_noise = self._parted(at.unknowns)
+        placement = self.linearisation.placed(values, by_values=False)
+
+        def product(direction: Array) -> Array:
+            step = _short(at.equations.bands, direction)
+            moved = step * direction.reshape(at.states.shape)
+            ahead, behind = (
+                self.linearisation.of_knots(values, at.states + sign * moved, log_noise, placement)[2]
+                for sign in (1.0, -1.0)
+            )
+            return np.asarray((behind - ahead) / (2.0 * step))
+
         out, residual = np.zeros_like(right), right
         scaled = cho_solve_banded((at.factor, True), residual, check_finite=False)
         direction, energy = scaled, float(residual @ scaled)
         enough = KNOTS_SOLVED**2 * energy
         for _ in range(MOST_PRODUCTS):
-            image = banded_product(bands, direction)
+            image = product(direction)
             if energy <= enough or float(direction @ image) <= 0.0:
                 break
             share = energy / float(direction @ image)
@@ -348,6 +354,12 @@ def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.r
             mean = sum(posterior.gradient(point) for _, point in ends) / 2.0 - gradient
             bends.append(-root[:, ~loose] @ (root[:, ~loose].T @ mean) / (BEND_STEP * ends[0][0]) ** 2)
     return np.array(bends)
+
+
+def _short(bands: Array, direction: Array) -> float:
+    """Share of a direction of the knots (6 k,) that moves them by `KNOT_DIFFERENCE`."""
+    # knots far away have next to no information, so that rounding may make the square negative
+    return KNOT_DIFFERENCE / max(float(np.sqrt(abs(direction @ banded_product(bands, direction)))), 1e-300)
 
 
 def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:

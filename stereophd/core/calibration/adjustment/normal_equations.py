@@ -40,23 +40,6 @@ def substitute(factor: Array, right: Array) -> None:
 
 
 @compiled
-def add_points(bands: Array, knots: Integers, weights: Array, matrices: Array) -> None:
-    """Add to a matrix of the knots, lower banded (12, 6 k), matrices (n, 3, 3) of points that they interpolate.
-
-    `knots` (n,) and `weights` (n, 4) are those of `trajectories.interpolation`.
-    """
-    for n in range(knots.shape[0]):
-        start = 6 * knots[n]
-        for b in range(4):
-            for c in range(b + 1):
-                weight = weights[n, b] * weights[n, c]
-                for i in range(3 if weight != 0.0 else 0):
-                    for j in range(3 if c < b else i + 1):
-                        column = start + 3 * c + j
-                        bands[3 * (b - c) + i - j, column] += weight * matrices[n, i, j]
-
-
-@compiled
 def accumulate(
     cameras: Integers,
     errors: Array,

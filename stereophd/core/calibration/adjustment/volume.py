@@ -15,9 +15,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.linearisation import LEAST_NORM, STEP_PX, Linearisation
+from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.trajectories import Interpolation, motion_links, positions
 from stereophd.core.numerics.compilation.compiled import compiled
+
+# Step of the differences, in pixels.
+STEP_PX = 0.1
+# Stands for a norm of 0, of what is not seen; its inverse squared is a number.
+LEAST_NORM = 1e-150
 
 
 @compiled

@@ -23,7 +23,6 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet, taken
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.geometry.rotations import cross_matrices
-from stereophd.core.numerics.compilation.compiled import compiled
 
 # Sweeps in which the weights are found, and the part of the information of a track that is taken as not of its rays.
 SWEEPS, OTHER = 15, 1e-2
@@ -80,20 +79,13 @@ def _weights(information: Array) -> Array:
     """Non-negative weights (n, c) with which matrices (n, c, 3, 3) add up to nearly the unit matrix, by descent."""
     products = np.einsum("niab,njab->nij", information, information)
     traces = np.trace(information, axis1=2, axis2=3)
+    diagonal = np.maximum(np.einsum("nii->ni", products), 1e-300)
     weights = np.broadcast_to(3.0 / np.maximum(traces.sum(axis=1, keepdims=True), 1e-300), traces.shape).copy()
-    _descend(products, traces, weights)
+    for _ in range(SWEEPS):
+        for camera in range(weights.shape[1]):
+            slope = traces[:, camera] - (products[:, camera] * weights).sum(axis=1)
+            weights[:, camera] = np.maximum(weights[:, camera] + slope / diagonal[:, camera], 0.0)
     return weights
-
-
-@compiled
-def _descend(products: Array, traces: Array, weights: Array) -> None:
-    """Move weights (n, c), one camera after the other, to where products (n, c, c) with them are nearest to traces."""
-    for n in range(weights.shape[0]):
-        for _ in range(SWEEPS):
-            for camera in range(weights.shape[1]):
-                slope = traces[n, camera] - (products[n, camera] * weights[n]).sum()
-                weights[n, camera] += slope / max(products[n, camera, camera], 1e-300)
-                weights[n, camera] = max(weights[n, camera], 0.0)
 
 
 @dataclass(frozen=True)
