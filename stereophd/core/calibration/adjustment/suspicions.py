@@ -81,7 +81,7 @@ def quadratic_posterior(
     gradient = posterior.gradient(point)
     precision = np.asarray(np.linalg.inv(posterior.covariance(point)), dtype=np.float64)
     std = posterior.prior_std
-    tracks = TrackMoves.of(problem, adjustment.values, adjustment.states, point.eliminated[0])
+    tracks = TrackMoves.of(problem, adjustment.values, adjustment.states, point.equations)
     tracks = replace(tracks, slopes=tracks.slopes * std, scale=tracks.scale * std)
     return QuadraticPosterior(gradient * std, (precision + precision.T) / 2.0 * np.outer(std, std), tracks)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment, eliminate, factor_knots
 from stereophd.core.calibration.unknowns.scale import log_scale
@@ -25,11 +25,9 @@ class TrackMoves:
     scale: Array  # (m,): Derivative of the logarithm of the cameras' scale; zero where it is known
 
     @staticmethod
-    def of(problem: Problem, values: Array, states: Array, eliminated: Array) -> TrackMoves:
-        """Return the moves of the knots (k, 2, 3) of a fit, which follow the values (m,) to first order.
-
-        The knots are those that `eliminate` returns of the normal equations there.
-        """
+    def of(problem: Problem, values: Array, states: Array, equations: NormalEquations) -> TrackMoves:
+        """Return the moves of the knots (k, 2, 3) of a fit, which follow the values (m,) to first order."""
+        eliminated, _ = eliminate(equations, factor_knots(equations.bands))
         origin = problem.parameters.cameras[problem.reference].pose.center
         slopes = -eliminated[:, :-1].reshape(len(states), 2, 3, -1)[:, 0]
         chosen = np.arange(0, len(slopes), -(-len(slopes) // MOST_POINTS))
@@ -54,5 +52,4 @@ class TrackMoves:
 def track_moves(problem: Problem, adjustment: Adjustment) -> TrackMoves:
     """Return the moves of the tracks of a fit."""
     equations = Linearisation.of(problem).at(adjustment.values, adjustment.states)
-    eliminated, _ = eliminate(equations, factor_knots(equations.bands))
-    return TrackMoves.of(problem, adjustment.values, adjustment.states, eliminated)
+    return TrackMoves.of(problem, adjustment.values, adjustment.states, equations)

@@ -121,8 +121,8 @@ def tracked_fit(
 def refitted(task: Task, fit: Fit, tracked: bool = False, last: bool = True, still: bool = False) -> Fit | None:
     """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
 
-    `last`: no other adjustment follows. `still`: the fit is a marginal optimum, its cameras stay until they are looked
-    for again, and detections whose errors are shared count less (`adjustment.shared_errors`), as its residuals show.
+    `last`: no other adjustment follows. `still`: the fit is a marginal optimum, its cameras stay, and detections whose
+    errors are shared count less (`adjustment.shared_errors`), as its residuals show.
     """
     cameras = task.parameters.build(fit.adjustment.values)
     scans = task.tracked_scans(cameras) if tracked else task.all_scans(cameras)
@@ -148,7 +148,7 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, last: bool = True, sti
     if still and task.settings.shared_error_px > 0.0:
         weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), of_log)
         observations = replace(observations, weights=weights)
-    tolerance = TOLERANCE if last and not still else ANNEALED_TOLERANCE
+    tolerance = TOLERANCE if last else ANNEALED_TOLERANCE
     return adjusted_to(task, fit, observations, trajectories[rows], of_log, tolerance=tolerance)
 
 

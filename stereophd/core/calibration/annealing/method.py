@@ -22,7 +22,6 @@ from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadrati
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
-    ANNEALED_TOLERANCE,
     adjusted_to,
     fit_until,
     problem_of,
@@ -338,10 +337,8 @@ def adjusted_anew(task: Task, fit: Fit) -> Fit:
     cameras = task.parameters.build(fit.adjustment.values)
     trajectories = fit.observations.trajectories
     observations = task.observations(cameras, trajectories, fit.detections)
-    adjusted = adjusted_to(
-        task, replace(fit, held=None), observations, trajectories, fit.detections, tolerance=ANNEALED_TOLERANCE
-    )
-    chosen = refitted(task, adjusted, last=False)
+    adjusted = adjusted_to(task, replace(fit, held=None), observations, trajectories, fit.detections)
+    chosen = refitted(task, adjusted)
     return adjusted if chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections) else chosen
 
 
