@@ -83,9 +83,11 @@ def project(
         visible[n] = seen
         distorted[n, 0], distorted[n, 1] = x_d, y_d
         for i in range(2):
-            scale = focal[i] * inverse
-            by_x, by_y = (scale * j00, scale * j01) if i == 0 else (scale * j10, scale * j11)
+            by_x, by_y = (j00, j01) if i == 0 else (j10, j11)
+            by_x, by_y = by_x * focal[i] * inverse, by_y * focal[i] * inverse
             by_z = -(by_x * x + by_y * y)
+            if code == LENS_NONE:
+                by_z = -focal[i] * (x if i == 0 else y) * inverse
             by_point[n, i, 0], by_point[n, i, 1], by_point[n, i, 2] = by_x, by_y, by_z
             for a in range(3):
                 by_world[n, i, a] = by_x * turn[0, a] + by_y * turn[1, a] + by_z * turn[2, a]
