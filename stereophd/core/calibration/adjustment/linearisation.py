@@ -73,7 +73,7 @@ class Linearisation:
         rates = slopes(problem.knots, observations.trajectories, observations.times)
         members = tuple(np.flatnonzero(observations.cameras == k) for k in range(len(parameters.cameras)))
         places = [
-            np.concatenate([np.empty(0, dtype=np.int64), *(index for _, index in parameters.unknown(c.name))])
+            np.concatenate([np.empty(0, np.int64), *(index[index >= 0] for _, index in parameters.unknown(c.name))])
             for c in parameters.cameras
         ]
         columns = np.full((len(places), max(len(index) for index in places)), -1, dtype=np.int64)
@@ -84,7 +84,8 @@ class Linearisation:
     def at(self, values: Array, states: Array, log_noise: float = 0.0) -> NormalEquations:
         """Return the normal equations at values (m,) and knots (k, 2, 3), the motion's noise times e^log_noise."""
         problem, parameters = self.problem, self.problem.parameters
-        sums = self.summed(*self.residuals(values, states))
+        is_free = problem.held is None or not problem.held.all()
+        sums = self.summed(*self.residuals(values, states, by_values=is_free))
         coupling, matrix, value_vector = sums.coupling, sums.matrix, sums.value_vector
         # motion model, its noise in units of the scene's scale
         logarithm, gradient = log_scale(parameters, problem.reference, values)
@@ -121,10 +122,10 @@ class Linearisation:
     ) -> NormalEquations:
         """Contributions of all detections, from what `residuals` returns; by default with the loss of the problem.
 
-        Those by values are empty where the derivatives by values are.
+        Those by values are zero where the derivatives by values are empty.
         """
         observations, size = self.problem.observations, self.problem.knots.size
-        count, loss = self.problem.parameters.size * (by_value.shape[2] > 0), loss or self.problem.loss
+        count, loss = self.problem.parameters.size, loss or self.problem.loss
         counted = np.ones(len(observations)) if observations.weights is None else observations.weights
         bands, coupling, matrix = np.zeros((12, size)), np.zeros((size, count)), np.zeros((count, count))
         state_vector, value_vector, distances = np.zeros(size), np.zeros(count), np.zeros(len(observations))
@@ -199,12 +200,11 @@ class Linearisation:
             )  # fmt: skip
             errors[here], visible[here] = observations.points[here] - view.pixels, view.visible
             by_point[here] = view.by_world
-            if not by_values:
-                continue
-            column = 0
-            for quantity, index in parameters.unknown(camera.name):
-                by_value[here, :, column : column + len(index)] = quantity.derivative(view, taken(values, index))
-                column += len(index)
+            unknown = parameters.unknown(camera.name) if by_values else ()
+            parts = [quantity.derivative(view, taken(values, index))[:, :, index >= 0] for quantity, index in unknown]
+            if parts:
+                by_camera = np.concatenate(parts, axis=2)
+                by_value[here, :, : by_camera.shape[2]] = by_camera
         return errors, visible, by_point, by_value
 
     def of_values(self, by_value: Array) -> Array:
@@ -229,13 +229,12 @@ class Linearisation:
         parameters, observations = self.problem.parameters, self.problem.observations
         out = np.zeros((len(observations), self.columns.shape[1]))
         now = true_times(parameters.build(values), observations)
-        for camera, here in zip(parameters.cameras, self.members, strict=True):
-            column = 0
-            for quantity, index in parameters.unknown(camera.name):
-                for place in index if quantity.affects == TIMES else ():
-                    later = values.copy()
-                    later[place] += parameters.prior_std[place]
-                    moved = true_times(parameters.build(later), observations)[here] - now[here]
-                    out[here, column + int(np.flatnonzero(index == place)[0])] = moved / parameters.prior_std[place]
-                column += len(index)
+        for columns, here in zip(self.columns, self.members, strict=True):
+            for column, place in enumerate(columns[columns >= 0]):
+                if parameters.parameters[place].quantity.affects != TIMES:
+                    continue
+                later = values.copy()
+                later[place] += parameters.prior_std[place]
+                moved = true_times(parameters.build(later), observations)[here] - now[here]
+                out[here, column] = moved / parameters.prior_std[place]
         return out

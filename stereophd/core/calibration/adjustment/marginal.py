@@ -49,19 +49,19 @@ and state clocks up to four times too sure. `exact_covariance` differentiates th
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded, solve_triangular
+from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
     Adjustment,
-    damped_bands,
     eliminate,
-    posterior_covariance,
+    factor_knots,
     within_prior,
 )
 from stereophd.core.calibration.adjustment.trajectories import banded_product
@@ -143,14 +143,14 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: flo
     """
     posterior = MarginalPosterior(Linearisation.of(problem.weighted(problem.weights(adjustment.distances))))
     at = posterior.of_answer(adjustment.values, adjustment.states, noise_factor)
-    root = np.asarray(np.linalg.cholesky(posterior.covariance(at)), dtype=np.float64)
+    root = posterior.root(at)
     curvature, size = np.empty_like(root), len(adjustment.values)
     for k, step in enumerate(CURVATURE_STEP * root.T):
         ends = [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
         if len(ends) < 2:
             raise LinAlgError("no normal equations beside the optimum")
         (ahead, beyond), (behind, before) = ends
-        change = posterior.gradient(beyond)[0] - posterior.gradient(before)[0]
+        change = posterior.gradient(beyond) - posterior.gradient(before)
         curvature[:, k] = root.T @ change / (CURVATURE_STEP * (ahead + behind))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
     covariance = within_prior(inverse.T @ curvature @ inverse, posterior.prior_std)
@@ -169,7 +169,13 @@ class Point:
     unknowns: Array
     states: Array
     equations: NormalEquations
+    factor: Array  # Of the matrix of the knots.
     objective: float
+
+    @cached_property
+    def eliminated(self) -> tuple[Array, Array]:
+        """The knots eliminated from the normal equations (`solver.eliminate`)."""
+        return eliminate(self.equations, self.factor)
 
 
 @dataclass(frozen=True)
@@ -242,7 +248,7 @@ class MarginalPosterior:
         for _ in range(KNOT_STEPS):
             if not np.isfinite(cost):
                 raise LinAlgError("the cost is not finite")
-            step = cho_solve_banded((_factor(bands), True), vector, check_finite=False)
+            step = cho_solve_banded((factor_knots(bands), True), vector, check_finite=False)
             if float(vector @ step) <= KNOTS_SETTLED:
                 break
             share = 1.0
@@ -256,43 +262,42 @@ class MarginalPosterior:
                 break
             states, (cost, bands, vector) = moved, tried
         equations = self.equations(unknowns, states)
-        return Point(
-            unknowns, states, equations, 0.5 * equations.cost + self._volume(unknowns, _factor(equations.bands))
-        )
+        factor = factor_knots(equations.bands)
+        return Point(unknowns, states, equations, factor, 0.5 * equations.cost + self._volume(unknowns, factor))
 
     def _parted(self, unknowns: Array) -> tuple[Array, float]:
         """Values (m,), and the logarithm of the noise of the motion over what is stated."""
         count = self.linearisation.problem.parameters.size
         return unknowns[:count], float(unknowns[count:].sum())
 
-    def gradient(self, at: Point) -> tuple[Array, Array]:
-        """Gradient (size,) of the objective, and a root D (size, size) of the covariance D D^T of the unknowns."""
+    def gradient(self, at: Point) -> Array:
+        """Gradient (size,) of the objective."""
         linearisation, equations = self.linearisation, at.equations
         problem, (values, _) = linearisation.problem, self._parted(at.unknowns)
-        factor, slopes = _factor(equations.bands), self.slopes(at)
+        slopes = self.slopes(at)
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
         by_noise = float(slopes.by_noise.sum())
         direct = linearisation.of_values(slopes.by_value) + (self._flat + by_noise) * by_scale
         direct = np.append(direct, np.full(self.size - len(values), by_noise + 6.0 * self.links))
-        across = self._knots_against(at, factor, linearisation.of_states(slopes.path, slopes.by_point))
+        across = self._knots_against(at, linearisation.of_states(slopes.path, slopes.by_point))
         step = _short(equations.bands, across)
         moved = step * across.reshape(at.states.shape)
         ahead, behind = (self.equations(at.unknowns, at.states + sign * moved).value_vector for sign in (1.0, -1.0))
         # the knots are at the minimum but for a trace, whose effect is removed to first order
-        left = cho_solve_banded((factor, True), equations.state_vector, check_finite=False)
+        left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
         gradient: Array = (
             direct + (ahead - behind) / (2.0 * step) + equations.coupling.T @ left - equations.value_vector
         )
         if (held := problem.held) is not None:
             gradient[: len(held)][held] = 0.0
-        return gradient, np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
+        return gradient
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
         values, log_noise = self._parted(at.unknowns)
-        return VolumeSlopes.of(self.linearisation, values, at.states, log_noise, _factor(at.equations.bands))
+        return VolumeSlopes.of(self.linearisation, values, at.states, log_noise, at.factor)
 
-    def _knots_against(self, at: Point, factor: Array, right: Array) -> Array:
+    def _knots_against(self, at: Point, right: Array) -> Array:
         """Solve H x = right (6 k,) with the second derivatives H of the cost by the knots, second ones of pixels too.
 
         Conjugate gradients with the matrix A of the normal equations as preconditioner, which lacks those.
@@ -310,7 +315,7 @@ class MarginalPosterior:
             return np.asarray((behind - ahead) / (2.0 * step))
 
         out, residual = np.zeros_like(right), right
-        scaled = cho_solve_banded((factor, True), residual, check_finite=False)
+        scaled = cho_solve_banded((at.factor, True), residual, check_finite=False)
         direction, energy = scaled, float(residual @ scaled)
         enough = KNOTS_SOLVED**2 * energy
         for _ in range(MOST_PRODUCTS):
@@ -319,14 +324,18 @@ class MarginalPosterior:
                 break
             share = energy / float(direction @ image)
             out, residual = out + share * direction, residual - share * image
-            scaled = cho_solve_banded((factor, True), residual, check_finite=False)
+            scaled = cho_solve_banded((at.factor, True), residual, check_finite=False)
             before, energy = energy, float(residual @ scaled)
             direction = scaled + energy / before * direction
         return out
 
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point."""
-        return posterior_covariance(at.equations, self.prior_std)
+        return within_prior(at.eliminated[1], self.prior_std)
+
+    def root(self, at: Point) -> Array:
+        """Root D (size, size) of the covariance D D^T of the unknowns."""
+        return np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
 
 
 def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.random.Generator) -> Array:
@@ -338,11 +347,11 @@ def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.r
     std = posterior.prior_std
     variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
     root, loose = std[:, None] * vectors * np.sqrt(np.maximum(variances, 0.0)), variances > LOOSE**2
-    bends, gradient = [np.zeros(len(std))], posterior.gradient(at)[0]
+    bends, gradient = [np.zeros(len(std))], posterior.gradient(at)
     for step in BEND_STEP * rng.standard_normal((BENDS, int(loose.sum()))) @ root[:, loose].T:
         ends = [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
         if len(ends) == 2 and ends[0][0] == ends[1][0]:
-            mean = sum(posterior.gradient(point)[0] for _, point in ends) / 2.0 - gradient
+            mean = sum(posterior.gradient(point) for _, point in ends) / 2.0 - gradient
             bends.append(-root[:, ~loose] @ (root[:, ~loose].T @ mean) / (BEND_STEP * ends[0][0]) ** 2)
     return np.array(bends)
 
@@ -353,17 +362,12 @@ def _short(bands: Array, direction: Array) -> float:
     return KNOT_DIFFERENCE / max(float(np.sqrt(abs(direction @ banded_product(bands, direction)))), 1e-300)
 
 
-def _factor(bands: Array) -> Array:
-    """Cholesky factor of the matrix of the knots, in lower banded form."""
-    factor: Array = cholesky_banded(damped_bands(bands, 0.0), lower=True, check_finite=False)
-    return factor
-
-
 def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
     """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
     length, pairs, objectives = 0.0, list[tuple[Array, Array]](), [at.objective]
-    gradient, root = posterior.gradient(at)
+    gradient = posterior.gradient(at)
     for _ in range(MOST_STEPS):
+        root = posterior.root(at)
         step = -_times_inverse(gradient, root, pairs)
         length = float(np.linalg.norm(solve_triangular(root, step, lower=True)))
         if length <= SETTLED:
@@ -381,7 +385,7 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
         if len(objectives) > REMEMBERED and objectives[-1 - REMEMBERED] - found.objective < STALLED:
             return found, length
         before, before_gradient = at, gradient
-        at, (gradient, root) = found, posterior.gradient(found)
+        at, gradient = found, posterior.gradient(found)
         pair = (at.unknowns - before.unknowns, gradient - before_gradient)
         if float(pair[0] @ pair[1]) > 0.0:
             pairs = [*pairs, pair][-REMEMBERED:]
@@ -393,8 +397,7 @@ def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tup
 
     The knots begin where they follow the step to first order, near their minimum.
     """
-    eliminated, _ = eliminate(at.equations, 0.0)
-    following = (eliminated[:, :-1] @ step).reshape(at.states.shape)
+    following = (at.eliminated[0][:, :-1] @ step).reshape(at.states.shape)
     share = 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):

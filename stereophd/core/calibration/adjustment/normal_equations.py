@@ -15,6 +15,31 @@ BEHIND = 1e4
 
 
 @compiled
+def substitute(factor: Array, right: Array) -> None:
+    """Solve A x = b for many right sides (6 k, m) in place, with the Cholesky factor (6 k, 12) of A, a row a column.
+
+    LAPACK reads the factor anew for each right side.
+    """
+    size, width = factor.shape
+    for j in range(size):
+        row = right[j]
+        for c in range(row.shape[0]):
+            row[c] /= factor[j, 0]
+        for k in range(1, min(width, size - j)):
+            below, part = right[j + k], factor[j, k]
+            for c in range(row.shape[0]):
+                below[c] -= part * row[c]
+    for j in range(size - 1, -1, -1):
+        row = right[j]
+        for k in range(1, min(width, size - j)):
+            below, part = right[j + k], factor[j, k]
+            for c in range(row.shape[0]):
+                row[c] -= part * below[c]
+        for c in range(row.shape[0]):
+            row[c] /= factor[j, 0]
+
+
+@compiled
 def accumulate(
     cameras: Integers,
     errors: Array,

@@ -23,7 +23,7 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import SQUARED, Observations
-from stereophd.core.calibration.adjustment.solver import eliminate, within_prior
+from stereophd.core.calibration.adjustment.solver import eliminate, factor_knots, within_prior
 from stereophd.core.calibration.adjustment.trajectories import positions
 from stereophd.core.numerics.compilation.compiled import compiled
 
@@ -132,7 +132,8 @@ def remaining_errors(linearisation: Linearisation, values: Array, states: Array,
     equations = linearisation.at(values, states)
     path, _, visible, by_point, by_value = linearisation.residuals(values, states)
     sums = linearisation.summed(path, errors, visible, by_point, by_value, SQUARED)
-    eliminated, schur = eliminate(replace(equations, state_vector=sums.state_vector), DAMPING)
+    factor = factor_knots(equations.bands, DAMPING)
+    eliminated, schur = eliminate(replace(equations, state_vector=sums.state_vector), factor)
     right = sums.value_vector - equations.coupling.T @ eliminated[:, -1]
     value_step = within_prior(schur, linearisation.problem.parameters.prior_std) @ right
     state_step = eliminated[:, -1] - eliminated[:, :-1] @ value_step

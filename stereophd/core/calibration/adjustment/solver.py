@@ -20,9 +20,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky_banded
 
 from stereophd.core.arrays import Array
+from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 
@@ -47,27 +48,30 @@ class Adjustment:
     converged: bool
 
 
-def damped_bands(bands: Array, damping: float) -> Array:
-    """Matrix of the knots in lower banded form (12, 6 k), its diagonal damped; unknowns without any weight are held."""
+def factor_knots(bands: Array, damping: float = 0.0) -> Array:
+    """Cholesky factor of the matrix of the knots, both lower banded (12, 6 k), its diagonal damped.
+
+    Unknowns without any weight are held. Raises LinAlgError when the damped matrix is not positive definite.
+    """
     bands = bands.copy()
     bands[0] = np.where(bands[0] > LEAST_INFORMATION, bands[0] * (1.0 + damping + ROUNDING), 1.0)
-    return bands
+    return np.asarray(cholesky_banded(bands, overwrite_ab=True, lower=True, check_finite=False))
 
 
-def eliminate(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
-    """Eliminate the knots: A^-1 [C, a] (6 k, m + 1) and the Schur complement B - C^T A^-1 C (m, m).
-
-    Raises LinAlgError when the damped matrix of the knots is not positive definite.
-    """
-    factor = (cholesky_banded(damped_bands(equations.bands, damping), lower=True, check_finite=False), True)
-    both = np.column_stack([equations.coupling, equations.state_vector])
-    eliminated = cho_solve_banded(factor, both, check_finite=False)
+def eliminate(equations: NormalEquations, factor: Array) -> tuple[Array, Array]:
+    """Eliminate the knots by the factor of their matrix: A^-1 [C, a] (6 k, m + 1), and B - C^T A^-1 C (m, m)."""
+    if not equations.coupling.any():  # all values are held
+        alone = equations.state_vector[:, None].copy()
+        normal_equations.substitute(factor.T, alone)
+        return np.hstack([equations.coupling, alone]), equations.matrix
+    eliminated = np.column_stack([equations.coupling, equations.state_vector])
+    normal_equations.substitute(factor.T, eliminated)
     return eliminated, equations.matrix - equations.coupling.T @ eliminated[:, :-1]
 
 
 def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
     """Steps of values (m,) and knots (6 k,) by damped normal equations; LinAlgError if not positive definite."""
-    eliminated, schur = eliminate(equations, damping)
+    eliminated, schur = eliminate(equations, factor_knots(equations.bands, damping))
     damped = schur + damping * np.diag(np.diag(equations.matrix))
     right = equations.value_vector - equations.coupling.T @ eliminated[:, -1]
     values = cho_solve(cho_factor(damped), right)
@@ -107,7 +111,7 @@ def adjust(
 
 def posterior_covariance(equations: NormalEquations, prior_std: Array) -> Array:
     """Covariance (m, m) of the values, the trajectories integrated out: the inverse Schur complement."""
-    return within_prior(eliminate(equations, 0.0)[1], prior_std)
+    return within_prior(eliminate(equations, factor_knots(equations.bands))[1], prior_std)
 
 
 def within_prior(precision: Array, prior_std: Array) -> Array:

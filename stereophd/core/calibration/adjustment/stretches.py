@@ -17,7 +17,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, Point
 from stereophd.core.calibration.adjustment.problem import Problem
-from stereophd.core.calibration.adjustment.solver import Adjustment, eliminate
+from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import motion_links
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.unknowns.scale import log_scale
@@ -70,8 +70,7 @@ def _scores(linearisation: Linearisation, point: Point, log_noise: float, volume
     unknowns, states = len(point.unknowns), point.states
     values = point.unknowns[: problem.parameters.size]
     assert observations.weights is not None
-    eliminated, _ = eliminate(point.equations, 0.0)
-    following = -eliminated[:, :-1].reshape(len(states), 2, 3, unknowns)
+    following = -point.eliminated[0][:, :-1].reshape(len(states), 2, 3, unknowns)
     path, errors, visible, by_point, by_value = linearisation.residuals(values, states)
     pulls = np.einsum("n,nij,nj->ni", visible * observations.weights, observations.precisions, errors)
     direct = np.einsum("nrq,nr->nq", np.where(visible[:, None, None], by_value, 0.0), pulls)

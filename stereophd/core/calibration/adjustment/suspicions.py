@@ -78,7 +78,7 @@ def quadratic_posterior(
     values = np.append(adjustment.values, np.zeros(parameters.size - len(adjustment.values)))
     posterior = MarginalPosterior(linearisation)
     point = posterior.of_answer(values, adjustment.states, noise_factor)
-    gradient, _ = posterior.gradient(point)
+    gradient = posterior.gradient(point)
     precision = np.asarray(np.linalg.inv(posterior.covariance(point)), dtype=np.float64)
     std = posterior.prior_std
     tracks = TrackMoves.of(problem, adjustment.values, adjustment.states, point.equations)

@@ -21,6 +21,7 @@ from scipy.linalg import solveh_banded
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.motion.base import Motion
+from stereophd.core.numerics.compilation.compiled import compiled
 
 # Standard deviation of the deviation from the mean half-way between knots, in parts of the detection noise.
 DEVIATION = 0.3
@@ -116,16 +117,21 @@ def interpolation(knots: Knots, trajectories: Integers, times: Array) -> Interpo
     return _interpolated(knots, trajectories, times, velocities=False)
 
 
+@compiled
+def _knots_before(of_knots: Array, first: Integers, trajectories: Integers, times: Array, knot: Integers) -> None:
+    """Find the knot before each time of a trajectory that has one after it; the first one of any time before it."""
+    for n in range(times.shape[0]):
+        low, high = first[trajectories[n]], first[trajectories[n] + 1]
+        found = np.searchsorted(of_knots[low:high], times[n], side="right") - 1
+        knot[n] = low + min(max(found, 0), max(high - low - 2, 0))
+
+
 def _interpolated(knots: Knots, trajectories: Integers, times: Array, velocities: bool) -> Interpolation:
     motion, part = knots.motion, slice(3, 6) if velocities else slice(0, 3)
     between = motion.velocity_between if velocities else motion.between
-    knot, single = np.empty(len(times), dtype=np.int64), np.empty(len(times), dtype=np.bool_)
+    knot, single = np.empty(len(times), dtype=np.int64), (np.diff(knots.first) == 1)[trajectories]
     weights, offsets = np.zeros((len(times), 4)), np.zeros((len(times), 3))
-    for j in np.unique(trajectories):
-        low, high = int(knots.first[j]), int(knots.first[j + 1])
-        rows = trajectories == j
-        found = np.searchsorted(knots.times[low:high], times[rows], side="right") - 1
-        knot[rows], single[rows] = low + np.clip(found, 0, max(high - low - 2, 0)), high - low == 1
+    _knots_before(knots.times, knots.first, trajectories, times, knot)
 
     def alone(rows: NDArray[np.bool_], first: int, since: Array) -> None:
         """From one knot on, whose position is the weight `first`."""

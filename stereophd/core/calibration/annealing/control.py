@@ -20,7 +20,7 @@ from stereophd.core.alignment.to_track import Alignment, align_to_track
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import true_times
-from stereophd.core.calibration.adjustment.solver import eliminate
+from stereophd.core.calibration.adjustment.solver import eliminate, factor_knots
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.controlled_linearisation import WORLD, ControlledLinearisation
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, problem_of
@@ -137,7 +137,7 @@ def _adjusted(task: Task, answer: Fit, fit: Fit, control: WorldControl, found: A
         matrix[:count, :count] = precision
         vector[:count] = -precision @ (values[:count] - answer.adjustment.values)
         for sign, equations in ((1.0, both.at(values, states[0])), (-1.0, alone.at(values[:count], states[1]))):
-            eliminated, schur = eliminate(equations, 0.0)
+            eliminated, schur = eliminate(equations, factor_knots(equations.bands))
             size = len(schur)
             matrix[:size, :size] += sign * schur
             vector[:size] += sign * (equations.value_vector - equations.coupling.T @ eliminated[:, -1])
@@ -170,7 +170,8 @@ def _adjusted_to_points(task: Task, answer: Fit, fit: Fit, points: ControlPoints
     problem, states = problem_of(task, fit), fit.adjustment.states
     alone = Linearisation.of(problem.weighted(problem.weights(answer.adjustment.distances)))
     for _ in range(ROUNDS):
-        states = states + eliminate(alone.at(values, states), 0.0)[0][:, -1].reshape(states.shape)
+        equations = alone.at(values, states)
+        states = states + eliminate(equations, factor_knots(equations.bands))[0][:, -1].reshape(states.shape)
     std = float(np.median(points.precisions[points.precisions > 0.0]) ** -0.5)
     return _at(task, fit, alone, values, states, covariance), World(alignment, covariance, std)
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solveh_banded
+from scipy.linalg import cho_solve_banded
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
@@ -12,7 +12,7 @@ from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import marginal_optimum
 from stereophd.core.calibration.adjustment.problem import Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.shared_errors import shared_errors
-from stereophd.core.calibration.adjustment.solver import adjust, damped_bands, posterior_covariance
+from stereophd.core.calibration.adjustment.solver import adjust, factor_knots, posterior_covariance
 from stereophd.core.calibration.adjustment.trajectories import (
     Knots,
     fit_states,
@@ -237,7 +237,7 @@ def with_all_members(problem: Problem, values: Array, states: Array) -> Array:
     given = problem.observations.weights
     weights = np.ones(len(problem.observations)) if given is None else given
     _, bands, vector = Linearisation.of(problem.weighted(weights)).of_knots(values, states)
-    step: Array = solveh_banded(damped_bands(bands, 0.0), vector, lower=True)
+    step: Array = cho_solve_banded((factor_knots(bands), True), vector)
     return states + step.reshape(states.shape)
 
 

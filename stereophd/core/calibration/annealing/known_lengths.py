@@ -19,11 +19,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
-from stereophd.core.calibration.adjustment.solver import damped_bands, eliminate
+from stereophd.core.calibration.adjustment.solver import eliminate, factor_knots
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.fits import problem_of
 from stereophd.core.calibration.annealing.known_scale import (
@@ -200,13 +200,13 @@ class _Factors:
 
     @staticmethod
     def of(equations: NormalEquations) -> _Factors:
-        of_knots = (cholesky_banded(damped_bands(equations.bands, DAMPING), lower=True), True)
-        eliminated, schur = eliminate(equations, DAMPING)
+        factor = factor_knots(equations.bands, DAMPING)
+        eliminated, schur = eliminate(equations, factor)
         of_schur = cho_factor(schur)
         value_step = cho_solve(of_schur, equations.value_vector - equations.coupling.T @ eliminated[:, -1])
         state_step = eliminated[:, -1] - eliminated[:, :-1] @ value_step
         covariance = cho_solve(of_schur, np.eye(len(schur)))
-        return _Factors(value_step, state_step, covariance, equations.coupling, eliminated, of_knots, of_schur)
+        return _Factors(value_step, state_step, covariance, equations.coupling, eliminated, (factor, True), of_schur)
 
     def gains(self, slopes: Array) -> tuple[Array, Array]:
         """N^-1 G^T by values (m, k) and knots (size, k), with G the slopes (k, size)."""

@@ -12,13 +12,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import cholesky_banded
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import Observations, Problem
 from stereophd.core.calibration.adjustment.recording import Scans
-from stereophd.core.calibration.adjustment.solver import Adjustment, damped_bands, eliminate
+from stereophd.core.calibration.adjustment.solver import Adjustment, eliminate, factor_knots
 from stereophd.core.calibration.adjustment.volume import covariances_of_points, inverse_in_band
 
 # Squared distance from its prediction within which a detection belongs to a trajectory: 0.1 % of a normal distribution
@@ -42,10 +41,10 @@ class Predictions:
         """Prepare a fit, the solution of a problem."""
         weighted = problem.weighted(problem.weights(adjustment.distances))
         equations = Linearisation.of(weighted).at(adjustment.values, adjustment.states)
-        factor = cholesky_banded(damped_bands(equations.bands, 0.0), lower=True, check_finite=False)
+        factor = factor_knots(equations.bands)
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
-        eliminated, _ = eliminate(equations, 0.0)
+        eliminated, _ = eliminate(equations, factor)
         return Predictions(weighted, adjustment, inverse, -eliminated[:, :-1])
 
     def judged(self, seen: Observations, weights: Array) -> tuple[Array, Array]:

@@ -30,7 +30,7 @@ def check_gradient(problem: Problem, states: np.ndarray, values: np.ndarray, **t
     """Compare the gradient with differences of the objective along four steps."""
     posterior = MarginalPosterior(Linearisation.of(problem))
     at = posterior.at(np.append(values, 0.1), states)
-    gradient, root = posterior.gradient(at)
+    gradient, root = posterior.gradient(at), posterior.root(at)
     rng = np.random.default_rng(3)
     for _ in range(4):
         step = 0.02 * root @ rng.standard_normal(posterior.size)

@@ -10,7 +10,14 @@ from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Problem
-from stereophd.core.calibration.adjustment.solver import Adjustment, adjust, posterior_covariance, within_prior
+from stereophd.core.calibration.adjustment.solver import (
+    Adjustment,
+    adjust,
+    eliminate,
+    factor_knots,
+    posterior_covariance,
+    within_prior,
+)
 from stereophd.core.calibration.adjustment.trajectories import (
     KNOTS_PER_DETECTION,
     fit_states,
@@ -219,3 +226,31 @@ def test_information_that_rounding_makes_negative_is_cut_to_the_prior() -> None:
     """As where a trajectory goes off to 800 km, and takes more from a camera's weight than the motion adds."""
     covariance = within_prior(np.diag([4.0, -2.0]), np.array([1.0, 5.0]))
     np.testing.assert_allclose(covariance, np.diag([0.25, 25.0]))
+
+
+def test_knots_are_eliminated_as_by_a_dense_solver() -> None:
+    rng = np.random.default_rng(0)
+    bands = 0.05 * rng.standard_normal((12, 30))
+    bands[0] = 2.0
+    bands[np.arange(12)[:, None] + np.arange(30) >= 30] = 0.0
+    lower = sum(np.diag(bands[k, : 30 - k], -k) for k in range(12))
+    coupling, vector = rng.standard_normal((30, 3)), rng.standard_normal(30)
+    equations = NormalEquations(0.0, bands, coupling, np.eye(3), vector, np.zeros(3), np.empty(0))
+    eliminated, schur = eliminate(equations, factor_knots(bands))
+    expected = np.linalg.solve(lower + np.tril(lower, -1).T, np.column_stack([coupling, vector]))
+    np.testing.assert_allclose(eliminated, expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(schur, np.eye(3) - coupling.T @ expected[:, :3], rtol=1e-9)
+
+
+def test_where_all_values_are_held_only_trajectories_are_adjusted() -> None:
+    problem, fit = solve(make_problem(0))
+    values, states = problem.parameters.prior_mean, fit.states
+    held = replace(problem, held=np.ones(problem.parameters.size, dtype=np.bool_))
+    every, alone = Linearisation.of(problem).at(values, states), Linearisation.of(held).at(values, states)
+    assert alone.cost == pytest.approx(every.cost)
+    np.testing.assert_allclose(alone.bands, every.bands)
+    np.testing.assert_allclose(alone.state_vector, every.state_vector)
+    found = adjust(held, values, states)
+    assert found.converged
+    np.testing.assert_array_equal(found.values, values)
+    np.testing.assert_allclose(found.covariance, np.diag(problem.parameters.prior_std**2))

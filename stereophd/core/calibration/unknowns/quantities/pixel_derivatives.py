@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.unknowns.quantities.base import CameraView
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.projection import pinhole
+from stereophd.core.geometry.compiled_lenses import distort_point_jacobian
+from stereophd.core.geometry.layout import LENS_NONE
 from stereophd.core.geometry.rotations import rotations
+from stereophd.core.numerics.compilation.compiled import compiled
 
 
 def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:
@@ -34,20 +36,12 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
         if pose.rotation_rate.any():
             turns = rotations(-elapsed[:, None] * pose.rotation_rate)
             points = product(turns, points)
-    visible = points[:, 2] > 0.0
-    depths = np.where(visible, points[:, 2], 1.0)
-    focal = np.array([camera.fx, camera.fy])
-    undistorted, by_point = pinhole(np.column_stack([points[:, :2], depths]), focal)
-    distorted = undistorted
-    if camera.lens.code != 0:
-        visible &= np.einsum("ni,ni->n", undistorted, undistorted) <= camera.lens.max_radius**2
-        distorted, jacobian = camera.lens.distort(np.where(visible[:, None], undistorted, 0.0))
-        scaled = jacobian * focal[:, None] * (1.0 / depths)[:, None, None]
-        by_point[:, :, :2] = scaled
-        by_point[:, :, 2] = -np.einsum("nij,nj->ni", scaled, undistorted)
+    axes = pose.rotation[None] if turns is None else turns @ pose.rotation
+    focal, lens = np.array([camera.fx, camera.fy]), camera.lens
+    visible, undistorted, distorted, by_point, by_world = project(
+        points, axes, focal, lens.code, lens.coefficients, lens.max_radius
+    )
     pixels = distorted * focal + [camera.cx, camera.cy]
-    axes = pose.rotation if turns is None else turns @ pose.rotation
-    by_world = row_product(by_point, axes)
     motion = np.einsum("nij,nj->ni", by_world, velocities - camera_velocity)
     if turns is not None:
         motion += np.einsum("nij,nj->ni", by_point, np.cross(points, camera_rate))
@@ -63,13 +57,41 @@ def product(matrices: Array, vectors: Array) -> Array:
     return np.stack([matrices[..., i, 0] * x + matrices[..., i, 1] * y + matrices[..., i, 2] * z for i in range(3)], 1)
 
 
-def row_product(rows: Array, matrices: Array) -> Array:
-    """Products (n, 2, 3) of rows (n, 2, 3) with a matrix (3, 3), or one for each (n, 3, 3)."""
-    return np.asarray(
-        rows[:, :, 0, None] * matrices[..., None, 0, :]
-        + rows[:, :, 1, None] * matrices[..., None, 1, :]
-        + rows[:, :, 2, None] * matrices[..., None, 2, :]
-    )
+@compiled
+def project(
+    points: Array, axes: Array, focal: Array, code: int, coefficients: Array, max_radius: float
+) -> tuple[Booleans, Array, Array, Array, Array]:
+    """Return `visible`, `undistorted`, `distorted`, `by_point` and `by_world` of a `CameraView` of points (n, 3).
+
+    `axes` (1, 3, 3) or (n, 3, 3) turn the world into the camera's axes; `focal` (2,) are in px.
+    """
+    count = len(points)
+    visible, undistorted, distorted = np.empty(count, dtype=np.bool_), np.empty((count, 2)), np.empty((count, 2))
+    by_point, by_world = np.empty((count, 2, 3)), np.empty((count, 2, 3))
+    for n in range(count):
+        turn = axes[n if axes.shape[0] > 1 else 0]
+        seen = points[n, 2] > 0.0
+        inverse = 1.0 / points[n, 2] if seen else 1.0
+        x, y = points[n, 0] * inverse, points[n, 1] * inverse
+        undistorted[n, 0], undistorted[n, 1] = x, y
+        x_d, y_d, j00, j01, j10, j11 = x, y, 1.0, 0.0, 0.0, 1.0
+        if code != LENS_NONE:
+            seen = seen and x * x + y * y <= max_radius * max_radius
+            x_d, y_d, j00, j01, j10, j11 = distort_point_jacobian(
+                code, coefficients, x if seen else 0.0, y if seen else 0.0
+            )
+        visible[n] = seen
+        distorted[n, 0], distorted[n, 1] = x_d, y_d
+        for i in range(2):
+            by_x, by_y = (j00, j01) if i == 0 else (j10, j11)
+            by_x, by_y = by_x * focal[i] * inverse, by_y * focal[i] * inverse
+            by_z = -(by_x * x + by_y * y)
+            if code == LENS_NONE:
+                by_z = -focal[i] * (x if i == 0 else y) * inverse
+            by_point[n, i, 0], by_point[n, i, 1], by_point[n, i, 2] = by_x, by_y, by_z
+            for a in range(3):
+                by_world[n, i, a] = by_x * turn[0, a] + by_y * turn[1, a] + by_z * turn[2, a]
+    return visible, undistorted, distorted, by_point, by_world
 
 
 def turned(view: CameraView, axes: Array) -> Array:
