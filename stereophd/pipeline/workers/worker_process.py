@@ -14,18 +14,13 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import IO, Any
 
+from stereophd.core.numerics.threads import OF_ALL, OF_LINEAR_ALGEBRA
+
 # How often a worker looks for the process that started it where the system does not end it, s; the call for that.
 WATCH_EVERY_S, PR_SET_PDEATHSIG = 0.5, 1
 
 # Numbers of threads that libraries read when they are loaded.
-THREADS = (
-    "OMP_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "BLIS_NUM_THREADS",
-    "VECLIB_MAXIMUM_THREADS",
-    "NUMBA_NUM_THREADS",
-)
+THREADS = (OF_ALL, *OF_LINEAR_ALGEBRA, "NUMBA_NUM_THREADS")
 
 PROGRAM = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[1]); "
