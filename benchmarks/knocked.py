@@ -67,7 +67,7 @@ def played(messages: Sequence[Message], speed: float) -> Iterator[Message]:
 
 def run(loaded: LoadedConfig, messages: Sequence[Message], speed: float) -> tuple[list[Any], list[Any]]:
     """Return the rows and the events of a live run."""
-    rows, events = io.StringIO(), io.StringIO()
+    rows, events = io.BytesIO(), io.StringIO()
     track_live(loaded, played(messages, speed), "frames", LiveOutputs([JsonLines(rows, events)]))
     return ([json.loads(line) for line in text.getvalue().splitlines()] for text in (rows, events))  # type: ignore[return-value]
 
