@@ -165,7 +165,8 @@ def _watched(case: Case, use: Use, valid: Path, root: Path) -> Result:
             return Result(code, False, f"the valid files: exit code {code}: {said}")
         words.append("--force")
     files = files_of(valid, f"{use.words} {use.stdin}")
-    path = root / files[int(case.file * len(files))]
+    damaged = files[int(case.file * len(files))]
+    path = root / damaged
     if case.harms:
         content = path.read_bytes()
         for harm in case.harms:
@@ -178,9 +179,11 @@ def _watched(case: Case, use: Use, valid: Path, root: Path) -> Result:
     except NoEnd as error:
         long = "--set" in case.words or (case.harms and path.name == "config.yaml") or "--pieces" in case.words
         return Result(-1, bool(long), "" if long else str(error))
-    several = (
-        {log.stem for log in files if log != files[int(case.file * len(files))]} if "several" in case.use else set()
-    )
+    several = set()  # recordings that a batch finishes, although another one fails
+    if "several" in case.use:
+        several = {log.stem for log in files} - {damaged.stem}
+    elif "of folders" in case.use:
+        several = {file.parent.name for file in files} - {damaged.parent.name}
     return Result(code, False, _wrong(code, said, root, before, earlier, several))
 
 
@@ -225,7 +228,7 @@ def _wrong(
         after = {place: text for place, text in after.items() if "/partial-" not in place}
     mixed = {place for place in after.keys() | earlier.keys() if after.get(place) != earlier.get(place)}
     mixed = {place for place in mixed if not place.endswith(".frames.jsonl")}  # the frames of a live run that failed
-    if several:  # logs that were tracked stay, each whole
+    if several:  # what was finished stays, each whole
         mixed = {place for place in mixed if Path(place).parent.name not in several and "summary" not in place}
     if code == 2 and mixed:
         return f"exit code 2 and other outputs: {sorted(mixed)}; {said[-300:]}"
