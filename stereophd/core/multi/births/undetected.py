@@ -13,8 +13,7 @@ After a pause, and where a camera starts late, b times the elapsed time may be m
 An expectation above one is therefore limited to the detections beyond clutter and known objects, and one standard
 deviation more: with thousands of expected births every false detection would be an object.
 
-A frame with far more detections than objects can make is no evidence of new objects: its surplus is
-clutter.
+A frame with far more detections than objects can make is no evidence of new objects: its surplus is clutter.
 """
 
 import math

@@ -60,7 +60,9 @@ def best_explanation(
     """
     size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
     few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
-    quick, geometry = geometry.with_pairs(few, tolerances), geometry.with_pairs(geometry.pairs, tolerances)
+    quick = geometry.with_pairs(few, tolerances)
+    if tolerances != TOLERANCES:  # those that it was measured with
+        geometry = geometry.with_pairs(geometry.pairs, tolerances)
     steps = SHIFT_STEPS if thorough else QUICK_STEPS
     trials = [
         *([] if clocks_only else _camera_trials(geometry)),
