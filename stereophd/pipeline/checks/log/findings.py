@@ -105,7 +105,8 @@ def _pixels(sample: CameraSample) -> Iterator[Finding]:
         )  # fmt: skip
         return
     filled = high / size
-    clutter = camera.detector.clutter_per_frame * len(sample.times)
+    # false detections that are stated and seen lie anywhere in the image; objects may keep to a part of it
+    clutter = min(camera.detector.clutter_per_frame, sample.isolated_per_frame) * len(sample.times)
     if clutter >= CORNER_COUNT and (filled < CORNER_SHARE).all():
         yield Finding(
             "log.pixels", "warning",
