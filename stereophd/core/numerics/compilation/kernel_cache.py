@@ -234,8 +234,10 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
             kernel_units.set_apart(data, self._py_func, units, apart)
             return
         key = self._index_key(sig, data.codegen)
+        if apart or self._for_python:  # no caller is linked against its code, which takes a while to read
+            kernel_units.leave_names(data)
         reduced = apart, units, self._impl.reduce(data)
-        # callers see the form without its code from here on; what is kept holds it
+        # callers see the form without its code from here on
         kernel_units.set_apart(data, self._py_func, units, apart)
         for folder in kernel_folders():
             if folder not in _FAILED and self._save(folder, key, reduced):

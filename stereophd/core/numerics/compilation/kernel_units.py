@@ -122,7 +122,19 @@ def set_apart(form: Any, function: Any, units: Iterable[Unit], apart: bool) -> N
         return
     unit = Unit(name_of(function), tuple(form.signature.args), form.fndesc.llvm_func_name)
     setattr(library, _UNITS_OF, (unit,))
-    library._shared_module = llvm.parse_assembly(str(library.codegen._create_empty_module(library.name)))
+    _set_linked(library, "")
+
+
+def leave_names(form: Any) -> None:
+    """Leave of what a form, just compiled, offers to callers the names of its functions, which to load it takes."""
+    names = [function.name for function in form.library.get_defined_functions()]
+    _set_linked(form.library, "\n".join(f'define void @"{name}"() {{ ret void }}' for name in names))
+
+
+def _set_linked(library: Any, functions: str) -> None:
+    """Set the functions (LLVM's language) that callers of the forms in a library are linked against."""
+    empty = library.codegen._create_empty_module(library.name)
+    library._shared_module = llvm.parse_assembly(f"{empty}\n{functions}")
 
 
 def is_large(form: Any) -> bool:
