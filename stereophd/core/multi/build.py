@@ -23,6 +23,7 @@ from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.filter_settings.common import BirthPrior, FilterSettings
 from stereophd.core.numerics.random_streams import COMPILED_SAMPLES_SEED
 from stereophd.core.numerics.samples import SampleSets, draw_sample_sets
+from stereophd.core.two_views.turns import prepare_turns
 from stereophd.plugins import module_names
 
 SETTINGS = "stereophd.core.multi.filter_settings"
@@ -67,12 +68,13 @@ def last_kernel(kind: str) -> Any:
 
 
 def prepare(kind: str) -> None:
-    """Compile the kernels of a filter, in the order in which an event needs them."""
+    """Compile the kernels of a filter and of the test for knocked cameras, in the order in which events need them."""
     multi_filter = small_filter(kind)
     state = multi_filter.init()
     for time_s in (0.0, 1.0):
         event = Event(time_s, 0, np.full((1, 2), 100.0), np.eye(2)[None], np.ones(1))
         state, _, _ = multi_filter.step(state, event)
+    prepare_turns()
     multi_filter.compile_tests()
     # for what is reported between events, or after a swap of two tracks
     multi_filter.extract(state)
@@ -84,5 +86,6 @@ def prepare_last_first(kind: str) -> None:
     for kernel, arguments in multi_filter.last_kernels:
         # the form for other kernels that call it with such arguments
         kernel.compile(tuple(map(numba.typeof, arguments)))
-    multi_filter.compile_tests()
     multi_filter.extract(multi_filter.init())
+    prepare_turns()
+    multi_filter.compile_tests()
