@@ -107,7 +107,12 @@ def global_state() -> Iterator[None]:
     np.seterr(**errors)
 
 
+def leave_out_checks(patch: pytest.MonkeyPatch) -> None:
+    """Let `track` in this process not check its log first, which takes longer than a short run."""
+    patch.setattr("stereophd.commands.track.check_log", lambda *_, **__: ())
+
+
 @pytest.fixture
 def without_checks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`track` in this process does not check its log first, which takes longer than a short run."""
-    monkeypatch.setattr("stereophd.commands.track.check_log", lambda *_, **__: ())
+    """`track` does not check its log."""
+    leave_out_checks(monkeypatch)

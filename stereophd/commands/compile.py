@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from stereophd.core.multi.build import prepare, prepare_last_first
+from stereophd.core.multi.build import prepare
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.numerics.compilation.kernel_cache import place_to_keep
 from stereophd.errors import InputError
@@ -25,12 +25,11 @@ def compile_kernels(jobs: int = 1) -> dict[str, Any]:
             prepare(kind)
     else:
         # of each filter, two processes compile from both ends
-        for _ in on_processes(_prepare, [(kind, backwards) for kind in kinds for backwards in (False, True)], jobs):
+        for _ in on_processes(_prepare, [(kind, last_first) for kind in kinds for last_first in (False, True)], jobs):
             pass
     LOGGER.info("kernels of %s: kept in %s", ", ".join(kinds), place)
     return {"folder": str(place), "filters": kinds}
 
 
 def _prepare(task: tuple[str, bool]) -> None:
-    kind, backwards = task
-    (prepare_last_first if backwards else prepare)(kind)
+    prepare(*task)

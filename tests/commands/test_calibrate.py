@@ -33,7 +33,7 @@ QUICK = (
 # where a test is about something else than which start is right
 ONE_START = ("calibration.annealed.starts=1", "calibration.annealed.agreeing_starts=1")
 
-# The results do not depend on the number of processes (`again` has two), and to start some takes longer than these fits.
+# Results do not depend on the number of processes (`again` has two), and to start some takes longer than these fits.
 calibrate = partial(calibrate_on_all_cores, jobs=1)
 
 

@@ -215,9 +215,10 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
             try:
                 data = self._file_in(folder).load(key)
                 if data is not None:
-                    apart, units, reduced = data
+                    apart, units, names, reduced = data
                     if not kernel_units.load_units(units, target_context):
                         continue
+                    kernel_units.define(names, target_context)
                     form = self._impl.rebuild(target_context, reduced)
                     kernel_units.set_apart(form, self._py_func, units, apart)
                     _mark_used(self.folder_in(folder))
@@ -229,16 +230,14 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a form in the first folder that can be written to."""
-        units, apart = kernel_units.units_of(data), kernel_units.is_large(data)
+        units, names = kernel_units.units_of(data), kernel_units.names_in(data)
+        # callers see the form without its code, which takes a while to read; those in Python never do
+        apart = self._for_python or kernel_units.is_large(data)
+        kernel_units.set_apart(data, self._py_func, units, apart)
         if not self._impl.check_cachable(data):
-            kernel_units.set_apart(data, self._py_func, units, apart)
             return
         key = self._index_key(sig, data.codegen)
-        if apart or self._for_python:  # no caller is linked against its code, which takes a while to read
-            kernel_units.leave_names(data)
-        reduced = apart, units, self._impl.reduce(data)
-        # callers see the form without its code from here on
-        kernel_units.set_apart(data, self._py_func, units, apart)
+        reduced = apart, units, names, self._impl.reduce(data)
         for folder in kernel_folders():
             if folder not in _FAILED and self._save(folder, key, reduced):
                 _prune(folder)

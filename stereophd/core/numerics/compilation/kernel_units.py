@@ -122,19 +122,17 @@ def set_apart(form: Any, function: Any, units: Iterable[Unit], apart: bool) -> N
         return
     unit = Unit(name_of(function), tuple(form.signature.args), form.fndesc.llvm_func_name)
     setattr(library, _UNITS_OF, (unit,))
-    _set_linked(library, "")
+    library._shared_module = llvm.parse_assembly(str(library.codegen._create_empty_module(library.name)))
 
 
-def leave_names(form: Any) -> None:
-    """Leave of what a form, just compiled, offers to callers the names of its functions, which to load it takes."""
-    names = [function.name for function in form.library.get_defined_functions()]
-    _set_linked(form.library, "\n".join(f'define void @"{name}"() {{ ret void }}' for name in names))
+def names_in(form: Any) -> list[str]:
+    """Return the names of the functions that a form, just compiled, consists of."""
+    return [function.name for function in form.library.get_defined_functions()]
 
 
-def _set_linked(library: Any, functions: str) -> None:
-    """Set the functions (LLVM's language) that callers of the forms in a library are linked against."""
-    empty = library.codegen._create_empty_module(library.name)
-    library._shared_module = llvm.parse_assembly(f"{empty}\n{functions}")
+def define(names: Iterable[str], target_context: Any) -> None:
+    """Say that functions are there: numba learns it of a kept form from the code for callers, which it may not hold."""
+    target_context.codegen()._engine._defined_symbols.update(names)
 
 
 def is_large(form: Any) -> bool:
