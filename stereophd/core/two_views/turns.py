@@ -116,14 +116,13 @@ def look_at_frame(
         for r in range(2):
             for s in range(2):
                 average[r, s] += noises[j, r, s] / len(points)
-    for i in range(len(rows)):
-        for r in range(3):
-            for q in range(responses.shape[2]):
-                responses[i, r, q] += passed_s * responses[i, r + 3, q]
     place_of = np.full(len(states), -1)
     for i in range(len(rows)):
         if rows[i] >= 0:
             place_of[rows[i]] = i
+        for r in range(3):
+            for q in range(responses.shape[2]):
+                responses[i, r, q] += passed_s * responses[i, r + 3, q]
     # of the tracks that are looked at, and of one of the others
     places, pixels, seen = np.empty((len(rows) + 1, 3)), np.empty((len(rows) + 1, 2)), np.empty((len(rows) + 1, 2, 3))
     shared, spreads = np.empty((len(rows) + 1, 2, 6)), np.empty((len(rows) + 1, 2, 2))

@@ -60,15 +60,10 @@ def _candidates() -> list[Path]:
         parents.append(Path(user))
     elif home and Path(home).is_dir():
         parents.append(Path(home) / ".cache")
-    return [*(parent / FOLDER_NAME for parent in parents), *_temporary_folder()]
-
-
-def _temporary_folder() -> list[Path]:
-    """Return this user's folder in the temporary folder, or an empty list if the system has no temporary folder."""
-    try:
-        return [Path(tempfile.gettempdir()) / f"{FOLDER_NAME}-{os.getuid() if _HAS_USERS else 'user'}"]
-    except OSError:
-        return []
+    folders = [parent / FOLDER_NAME for parent in parents]
+    with contextlib.suppress(OSError):  # the system has no temporary folder
+        folders.append(Path(tempfile.gettempdir()) / f"{FOLDER_NAME}-{os.getuid() if _HAS_USERS else 'user'}")
+    return folders
 
 
 @cache
@@ -218,7 +213,8 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
                     apart, units, names, reduced = data
                     if not kernel_units.load_units(units, target_context):
                         continue
-                    kernel_units.define(names, target_context)
+                    # numba learns them from the code for callers, which a kept form may not hold
+                    target_context.codegen()._engine._defined_symbols.update(names)
                     form = self._impl.rebuild(target_context, reduced)
                     kernel_units.set_apart(form, self._py_func, units, apart)
                     _mark_used(self.folder_in(folder))
@@ -230,7 +226,7 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a form in the first folder that can be written to."""
-        units, names = kernel_units.units_of(data), kernel_units.names_in(data)
+        units, names = kernel_units.units_of(data), [each.name for each in data.library.get_defined_functions()]
         # callers see the form without its code, which takes a while to read; those in Python never do
         apart = self._for_python or kernel_units.is_large(data)
         kernel_units.set_apart(data, self._py_func, units, apart)

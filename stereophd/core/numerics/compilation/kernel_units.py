@@ -125,16 +125,6 @@ def set_apart(form: Any, function: Any, units: Iterable[Unit], apart: bool) -> N
     library._shared_module = llvm.parse_assembly(str(library.codegen._create_empty_module(library.name)))
 
 
-def names_in(form: Any) -> list[str]:
-    """Return the names of the functions that a form, just compiled, consists of."""
-    return [function.name for function in form.library.get_defined_functions()]
-
-
-def define(names: Iterable[str], target_context: Any) -> None:
-    """Say that functions are there: numba learns it of a kept form from the code for callers, which it may not hold."""
-    target_context.codegen()._engine._defined_symbols.update(names)
-
-
 def is_large(form: Any) -> bool:
     """Whether a form, just compiled, is too large to be inlined."""
     function = form.library.get_function(form.fndesc.llvm_func_name)
