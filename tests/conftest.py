@@ -25,6 +25,9 @@ terminal.PACE_S = 1e6
 hypothesis.settings.register_profile("stereophd", deadline=None)
 hypothesis.settings.load_profile("stereophd")
 
+# Processes that tests start keep their bytecode, beside which kernels lie already: they need not compile the sources.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # A shell starts what runs in the background with SIGINT ignored, and nohup with SIGHUP; both would be inherited by
 # the processes that tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
