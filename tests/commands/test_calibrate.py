@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from stereophd.commands.batches import calibrate_logs
-from stereophd.commands.calibrate import calibrate
+from stereophd.commands.calibrate import calibrate as calibrate_on_all_cores
 from stereophd.commands.evaluate_cameras import evaluate_calibration
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
@@ -32,7 +33,8 @@ QUICK = (
 # where a test is about something else than which start is right
 ONE_START = ("calibration.annealed.starts=1", "calibration.annealed.agreeing_starts=1")
 
-Made = tuple[Path, tuple[str, ...]]
+# Results do not depend on the number of processes (`again` has two), and to start some takes longer than these fits.
+calibrate = partial(calibrate_on_all_cores, jobs=1)
 
 
 def loaded(scene: Path, overrides: tuple[str, ...] = QUICK, config: Path = CONFIG) -> LoadedConfig:

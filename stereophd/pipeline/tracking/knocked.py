@@ -144,14 +144,14 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
         in_view[predicted:] &= np.isin(before.track_ids[predicted:], responses.track_ids)
     pixels = camera.fx, camera.fy, camera.cx, camera.cy
     # what belongs to a track that is not looked at speaks for no turn of the others
-    points, noise, nearest, is_free, alone, values, sums_of_block = look_at_frame(
+    values, sums_of_block = responses.values.copy(), responses.blocks[-1].copy()
+    points, noise, nearest, is_free, alone = look_at_frame(
         (before.states, before.covariances, in_view, elapsed_s),
         (
-            responses.rows, responses.since_s <= event.time_s - LEAST_AGE_S,
-            responses.values, event.time_s - responses.time_s,
+            responses.rows, responses.since_s <= event.time_s - LEAST_AGE_S, values, event.time_s - responses.time_s,
         ),
         (camera.pose.rotation, camera.pose.center), pixels, event.camera, (event.points, event.covariances),
-        (TAKEN * known.spread, known.spread), responses.blocks[-1],
+        (TAKEN * known.spread, known.spread), sums_of_block,
     )  # fmt: skip
     responses = replace(responses, time_s=event.time_s, values=values, blocks=(*responses.blocks[:-1], sums_of_block))
     test = replace(test, responses=responses)
