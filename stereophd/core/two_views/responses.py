@@ -156,7 +156,7 @@ def find_change(sums: Array, factor: float) -> PoseChange | None:
     far = math.sqrt(diagonal[:2].sum() / diagonal[3:5].sum())
     unit, one = USUAL * np.array([1.0, 1.0, 1.0, far, far, far]), np.eye(6)
     information = sums[..., :6] * (unit[:, None] * unit)
-    information = information + np.swapaxes(np.tril(information, -1), -1, -2)
+    information = information + np.swapaxes(information * np.tri(6, k=-1), -1, -2)
     gradient = sums[..., 6:] * unit[:, None]
     whole = information.sum(axis=(0, 1))
     factor = max(factor, ROUNDING * whole.max())
@@ -170,8 +170,8 @@ def find_change(sums: Array, factor: float) -> PoseChange | None:
     less, excess = one + late @ known, pull - late @ offset
     rest = np.linalg.solve(less, excess)
     precision = less * SUPPOSED[:, None, None] + late
-    change = np.linalg.solve(precision, np.broadcast_to(excess, (len(SUPPOSED), *excess.shape)))
-    lost = np.log(np.linalg.det(precision) / np.linalg.det(less)) - np.log(SUPPOSED.prod(axis=1))[:, None]
+    change = np.linalg.solve(precision, excess)
+    lost = np.log(np.linalg.det(precision) / (np.linalg.det(less) * SUPPOSED.prod(axis=1)[:, None]))
     evidence = 0.5 * ((rest * change).sum(axis=(2, 3)) - lost)
     # neither half of the tracks speaks more than twice as loud as the other
     moved, before = change[:, :, None], offset[:, None]
