@@ -110,9 +110,8 @@ def world_moments(
 
 def looks_at(sets: SampleSets, turn: int) -> Looks:
     """Return the samples of an event number `turn`."""
-    samples = sets.size
     return Looks(
-        Look(sets.turn(turn), _equal_weights(samples), minimum_in_view(samples)),
+        Look(sets.turn(turn), _equal_weights(sets.size), minimum_in_view(sets.size)),
         Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES),
     )
 

@@ -93,10 +93,7 @@ class SingleEstimator(ABC, Generic[State]):
 
     @abstractmethod
     def _detected(self, state: State, event: Event, space: Array, time_s: float) -> tuple[State, float]:
-        """Return the state after the event's detection at a time, and the logarithm of the detection's density.
-
-        `space` (30,) is the packed space of the camera then.
-        """
+        """Return the state after a detection at a time, in the packed space (30,) of then, and its log-density."""
 
     @abstractmethod
     def estimate(self, state: State) -> SingleEstimate | None:
