@@ -99,7 +99,7 @@ class _Watched:
         return self._estimator.init()
 
     def step(self, state: Any, event: Event) -> tuple[Any, Info, Estimates]:
-        """Return the state after an event, which is observed between its prediction and its update."""
+        """Return the state after an event, which is compared with its prediction."""
         sums, settled = self.sums, self._settled
         self.own_noise |= event.own_noise
         state, info, estimates, sighting = self._look(state, event)
@@ -117,24 +117,20 @@ class _Watched:
     def _look(self, state: Any, event: Event) -> tuple[Any, Info, Estimates, Sighting]:
         """Return the state after an event, and what the event shows of the settled tracks."""
         sums, settled, camera = self.sums[event.camera], self._settled.labels(), self.rig.cameras[event.camera]
+        after, info, estimates = self._estimator.step(state, event)
         if isinstance(self._estimator, DisparityFilter):
             prediction = self._estimator.predict(state, event)
-            sighting = observe(
-                sums, prediction, event, camera.at(event.time_s), self.rig.space(event.camera, event.time_s),
-                prediction.births, settled, not event.own_noise,
-            )  # fmt: skip
-            state, info = self._estimator.update(state, prediction, event)
-            state, estimates = self._estimator.extract(state)
-            return state, info, estimates, sighting
+            space = self.rig.space(event.camera, event.time_s)
+            sighting = observe(sums, prediction, event, camera.at(event.time_s), space, settled, not event.own_noise)
+            return after, info, estimates, sighting
         # imported here: what it needs of SciPy is costly to import
         from stereophd.core.bodies.filter import BodyFilter
         from stereophd.pipeline.detectors.bodies import observe_bodies
 
         assert isinstance(self._estimator, BodyFilter)
-        before = self._estimator.predict(state, event)
-        state, info, estimates = self._estimator.step(state, event)
-        sighting = observe_bodies(sums, before, info, event, camera.at(event.time_s), self._estimator.shape, settled)
-        return state, info, estimates, sighting
+        predicted = self._estimator.predict(state, event)
+        sighting = observe_bodies(sums, predicted, info, event, camera.at(event.time_s), self._estimator.shape, settled)
+        return after, info, estimates, sighting
 
     def forecast(self, state: Any, info: Info, time_s: float) -> tuple[Info, Estimates]:
         """Return the objects at a time between two events."""

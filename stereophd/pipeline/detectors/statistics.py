@@ -202,7 +202,6 @@ def observe(
     event: Event,
     camera: Camera,
     space: Array,
-    births_per_frame: float,
     settled: Integers,
     with_noise: bool = True,
 ) -> Sighting:
@@ -219,7 +218,6 @@ def observe(
         At the time of the event, with the present detector.
     space : array (30,)
         Its packed disparity space.
-    births_per_frame : float
     settled : array of int
         Labels of tracks that are confirmed and were seen by at least two cameras.
     with_noise : bool
@@ -235,7 +233,7 @@ def observe(
     )  # fmt: skip
     detector = camera.detector
     expected = detector.p_detect * existence
-    background = (detector.clutter_per_frame + detector.p_detect * births_per_frame) / (camera.width * camera.height)
+    background = (detector.clutter_per_frame + detector.p_detect * prediction.births) / (camera.width * camera.height)
     missed = np.maximum(1.0 - expected, 1e-9)
     odds = expected[owners] * densities / (missed[owners] * max(background, 1e-300))
     share, untouched, _, _ = association_marginals(owners, targets, odds, len(chosen), len(event.points))
