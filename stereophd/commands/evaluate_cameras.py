@@ -103,19 +103,17 @@ def _read_pair(cameras_path: Path | str, true_path: Path | str) -> tuple[list[Ca
             f"{cameras_path}: expected two or more cameras of {true_path} ({', '.join(true.cameras)}), "
             f"found {', '.join(estimated.cameras)}"
         )
-    if alone := sorted(true.cameras.keys() ^ estimated.cameras.keys()):
-        LOGGER.warning("not compared: %s, of which %s or %s has none", ", ".join(alone), cameras_path, true_path)
+    for path, file in ((cameras_path, estimated), (true_path, true)):
+        if missing := [name for name in true.cameras | estimated.cameras if name not in file.cameras]:
+            LOGGER.warning("%s has no %s: not compared", path, ", ".join(missing))
     # cameras without a known length are compared all the same: their scale is an error of its own
     if estimated.units.length not in (true.units.length, NO_LENGTH):
         raise InputError(
             f"{cameras_path}: units.length: expected {true.units.length} as in {true_path}, "
             f"found {estimated.units.length}"
         )
-    return (
-        [estimated.cameras[name].build(name) for name in names],
-        [true.cameras[name].build(name) for name in names],
-        true.units.length,
-    )
+    built = [[file.cameras[name].build(name) for name in names] for file in (estimated, true)]
+    return built[0], built[1], true.units.length
 
 
 def _posterior_of(cameras_path: Path, names: list[str]) -> Posterior | None:

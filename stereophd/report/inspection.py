@@ -78,8 +78,8 @@ def _objects(found: Mapping[str, Any]) -> Iterator[str]:
         f"{duration['longest']:.4g} s, median {duration['median']:.4g} s"
     )
     spans = zip("xyz", found["lowest"], found["highest"], strict=True)
-    extents = ", ".join(f"{axis} {low:.4g} to {high:.4g}{unit}" for axis, low, high in spans)
-    yield extents if unit else f"{extents}; the file states no unit of length"
+    extents = (f"{axis} {low:.4g} to {high:.4g}{unit}" for axis, low, high in spans)
+    yield ", ".join(extents) + ("" if unit else "; the file states no unit of length")
     if "mean_existence" in found:
         yield f"mean existence {found['mean_existence']:.3f}"
     rows = [("id", "first s", "last s", "rows")]
