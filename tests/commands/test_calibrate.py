@@ -431,6 +431,20 @@ def test_three_cameras_of_which_two_are_unknown(tmp_path: Path) -> None:
             assert scores["cameras"][name][key] < 5.0 * scores["bounds"]["cameras"][name][key]
 
 
+def test_cameras_of_one_file_alone_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    camera = "{image_size_px: [640, 480], intrinsics: {fx: 500, fy: 500, cx: 320, cy: 240}, pose: {center: [%d, 0, 0]}}"
+    for name, count in (("estimate", 2), ("true", 3), ("one", 1)):
+        lines = [f"  cam{k}: {camera % k}" for k in range(count)]
+        (tmp_path / f"{name}.yaml").write_text("\n".join(["units: {length: m}", "cameras:", *lines]))
+    for pair in (("estimate", "true"), ("true", "estimate")):
+        caplog.clear()
+        report = evaluate_calibration(*(tmp_path / f"{name}.yaml" for name in pair))
+        assert list(report["cameras"]) == ["cam1"]
+        assert "estimate.yaml has no cam2: not compared" in caplog.text
+    with pytest.raises(InputError, match=r"one\.yaml: expected two or more cameras of .*, cam2\), found cam0"):
+        evaluate_calibration(tmp_path / "one.yaml", tmp_path / "true.yaml")
+
+
 def test_scoring_refuses_and_gates(scene: Path, result: Path, tmp_path: Path) -> None:
     estimate, true = result / "cameras.yaml", scene / "cameras.yaml"
     with pytest.raises(GateError, match=r"joint\.rotation_deg"):

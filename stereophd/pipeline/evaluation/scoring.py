@@ -221,7 +221,7 @@ def registration_of(
         with np.errstate(over="ignore", invalid="ignore"):  # a motion that is none is refused
             found = register(time_s[used], tracks.position[rows[used]], truth, max_gap_s, freedom)
     except ValueError as error:
-        raise InputError(f"{path}: `align`: {error}") from None
+        raise InputError(f"{path}: `align`: {error}; stereophd align `to` the truth finds any offset") from None
     LOGGER.info("tracks aligned with the truth: %s", registration_report(found))
     return found
 

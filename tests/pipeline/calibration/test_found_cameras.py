@@ -70,7 +70,7 @@ def test_logs_of_unknown_clocks_that_show_nothing_are_undetermined(tmp_path: Pat
 
 def test_an_unknown_pose_is_refused_where_one_is_needed(tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match=r"cameras\.left\.pose: expected a known one, found unknown; `calibrate` finds"
+        InputError, match=r"cameras\.left\.pose: expected a value, found unknown: run `calibrate` first"
     ):
         stated(tmp_path).build_cameras()
 

@@ -251,8 +251,8 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     loosened, suspicions, held = np.zeros(count, dtype=np.int64), list[Suspicion](), tuple[Remark, ...]()
     for number in range(MOST_ROUNDS):
-        if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
-            text = "the time was over before the answer was found and doubted: these cameras are the best so far"
+        if not task.limit.begin(f"what the answer assumes is tested, round {number + 1} of at most {MOST_ROUNDS}"):
+            text = "the time was over before the answer was found and tested: these cameras are the best so far"
             answer, suspicions, held = Answer(fit, 1.0, None), [], (Remark("time", text, is_reservation=True),)
             break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
@@ -362,8 +362,8 @@ def motion_remarks(answer: Answer) -> tuple[Remark, ...]:
     if abs(np.log(answer.noise_factor)) <= np.log(MOTION_FACTOR):
         return ()
     text = (
-        f"the motion of the objects shows {answer.noise_factor:.2g} times the noise that the configuration states, "
-        "which was used: motion.acceleration_std is wrong, or objects move together (corners of a board: state their "
+        f"the objects accelerate {answer.noise_factor:.2g} times as much as motion.acceleration_std states; what they "
+        "show was used: motion.acceleration_std is wrong, or objects move together (corners of a board: state their "
         "known distance, calibration.scale.kind: length)"
     )
     return (Remark("motion", text),)
@@ -408,8 +408,8 @@ def held_remarks(enlarged: EnlargedSet, suspicions: list[Suspicion]) -> tuple[Re
     largest = max(suspicions, key=lambda s: s.expected_move, default=None)
     if contradicted is None and largest is not None and largest.expected_move > LARGEST_MOVE:
         text = (
-            f"the answer depends on what is stated: {fitting(enlarged, largest)} fits as well, and moves tracks by "
-            f"{largest.expected_move:.1f} times what is stated"
+            f"the answer depends on what is stated: the data allow {fitting(enlarged, largest)} too, which moves "
+            f"tracks by {largest.expected_move:.1f} of their stated standard deviations"
         )
         remarks.append(Remark("sensitivity", text, is_reservation=True))
     return tuple(remarks)

@@ -141,8 +141,7 @@ def _places(sample: CameraSample) -> Iterator[Finding]:
         "log.places", "warning",
         f"{name}: the same places detect again and again: {shown} of {len(sample.times)} frames{more}: dead pixels, "
         "lamps, or objects at rest", len(places), 0, name,
-        "leave them out if they are no objects (input.leave_out)", "lasting_places",
-        f"input.leave_out.{name}=[{areas}]",
+        f"if they are no objects, leave them out: input.leave_out.{name}=[{areas}]", "lasting_places",
     )  # fmt: skip
 
 
