@@ -182,7 +182,7 @@ def find_change(sums: Array, factor: float) -> PoseChange | None:
     excess = gradient[1].sum(axis=0) - first @ offset[-1]
     # what a block says little about is left out: the pose may be off by `USUAL` there
     spread = first + first @ known[-1] @ first / factor
-    inverse = np.linalg.inv(spread + one)
+    inverse = np.linalg.inv(spread + max(1.0, ROUNDING * spread.max()) * one)
     expected = float((inverse * spread).sum())
     misfit = float(excess[:, 0] @ inverse @ excess[:, 0]) / expected if expected > LEAST_EXPECTED else None
     turns, moves = USUAL * change[which, best, :, 0].reshape(2, 3)
