@@ -42,10 +42,10 @@ from stereophd.pipeline.checks.geometry.rays import (
     signed_of_rays,
 )
 from stereophd.pipeline.checks.log.sample import CameraSample
-from stereophd.pipeline.detectors.statistics import USUAL_P_DETECT, NoisePrior
+from stereophd.pipeline.detectors.statistics import BETWEEN_CAMERAS, USUAL_P_DETECT, NoisePrior
 
-# The prior: the noise of one detector, px, the spread of its logarithm, and that between the cameras of one log.
-USUAL_NOISE_PX, NOISE_SPREAD, BETWEEN_CAMERAS = 1.7, 1.5, 0.4
+# The prior: the noise of one detector, px, and the spread of its logarithm.
+USUAL_NOISE_PX, NOISE_SPREAD = 1.7, 1.5
 # False detections of a frame to begin with: no detector is free of them, and births need some to compete with.
 LEAST_CLUTTER = 0.02
 # Frames of each camera that are looked at.

@@ -57,8 +57,9 @@ FEWEST_RESIDUALS = 50.0
 USUAL_P_DETECT, PRIOR_FRAMES = 0.9, 5.0
 # Smallest noise of a box, as a part of its height, and the largest correlation of its errors.
 LEAST_PART, MOST_LASTING = 1e-3, 0.9
-# Spread of the logarithm of the noise between the axes of a camera, or the values of a box.
-BETWEEN_AXES = 0.25
+# Spread of the logarithm of the noise between the axes of a camera, or the values of a box, and between the cameras of
+# one log.
+BETWEEN_AXES, BETWEEN_CAMERAS = 0.25, 0.4
 # Residuals over stated noise between which tracks confirm it (to within so many standard errors), the fewest of them
 # that can, and the spread of what is known from the rays from which it needs no more of them.
 CONFIRMED, CONFIRMED_ERRORS, FEWEST_TO_CONFIRM, KNOWN_SPREAD = (0.7, 1.4), 2.0, 8.0, 0.25
@@ -135,6 +136,11 @@ class NoisePrior:
     def boxes(self) -> bool:
         """Whether it is that of boxes."""
         return len(self.noise) == len(BOX_NOISE)
+
+    @property
+    def own_spread(self) -> float:
+        """By how much the logarithm may differ from that of the other cameras."""
+        return 0.0 if self.boxes else min(self.spread, BETWEEN_CAMERAS)
 
     def of(self, detector: Detector) -> Array:
         """Return the noise of a detector that this is the prior of."""
