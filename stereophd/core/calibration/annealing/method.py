@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment.marginal import exact_covariance
-from stereophd.core.calibration.adjustment.noise import noise_factors
+from stereophd.core.calibration.adjustment.noise import estimate_noise
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.selection import Comparison, compare
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
@@ -24,10 +24,11 @@ from stereophd.core.calibration.annealing.control import World, WorldControl, wi
 from stereophd.core.calibration.annealing.fits import (
     adjusted_to,
     fit_until,
+    marginal_fit,
     problem_of,
     refitted,
+    restated_fit,
     restricted_fit,
-    stated_fit,
     with_covariance,
     with_stated_motion,
 )
@@ -226,46 +227,81 @@ def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Ta
     return replace(task, scale=measured), rescaled(task, fit, measured), ()
 
 
-def state(task: Task, fit: Fit, choices: Choices) -> Answer:
-    """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
-    joint, comparison = selected(task, fit, choices)
-    stated, noise_factor = stated_fit(task, joint)
-    return Answer(stated, noise_factor, comparison)
-
-
-def selected(task: Task, fit: Fit, choices: Choices) -> tuple[Fit, Comparison | None]:
-    """Adjust with the set of unknowns that predicts the log best, and return the comparison too."""
+def compared(task: Task, fit: Fit, choices: Choices) -> Comparison | None:
+    """Compare sets of unknowns by how well they predict the log of a fit; None if all are to be free."""
     if choices.select == "all" or choices.is_sampled:
-        return fit, None
-    sets = candidates(task.parameters)
-    comparison = compare(problem_of(task, fit), fit.adjustment.values, fit.adjustment.states, sets)
-    if comparison is None:
-        return fit, None
-    free = comparison.sets[comparison.chosen].free
-    return (fit if free.all() else restricted_fit(task, fit, free)), comparison
+        return None
+    return compare(problem_of(task, fit), fit.adjustment.values, fit.adjustment.states, candidates(task.parameters))
+
+
+def state(task: Task, fit: Fit, comparison: Comparison | None) -> Answer:
+    """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
+    free = free_in(task, comparison)
+    return Answer(*marginal_fit(task, fit if free.all() else restricted_fit(task, fit, free)), comparison)
+
+
+def free_in(task: Task, comparison: Comparison | None) -> Booleans:
+    """Which values (m,) the chosen set of a comparison has free."""
+    every = np.ones(task.parameters.size, dtype=np.bool_)
+    return every if comparison is None else comparison.sets[comparison.chosen].free
+
+
+def chosen_anew(task: Task, fit: Fit, still: bool = False) -> Fit:
+    """Let the trajectories of a fit choose their detections anew, unless that leaves many out."""
+    chosen = refitted(task, fit, still=still)
+    return fit if chosen is None or len(chosen.detections) < LEAST_KEPT * len(fit.detections) else chosen
 
 
 def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
-    """State the answer, and state it anew with the noise of the residuals and without what the data contradict."""
+    """State the answer, and state it anew with the noise of the residuals and without what the data contradict.
+
+    Trajectories of an answer choose their detections and show the noise, and the search goes on from the answer. Once
+    the noise stays, unknowns are compared with it, and what is held is tested. Another set of unknowns, and a search
+    that did not end, begin at the joint optimum again.
+    """
     count = len(task.parameters.cameras)
-    noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
+    noise, shared = np.ones(count), np.zeros(count)
+    freed, given_up = tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     loosened, suspicions, held = np.zeros(count, dtype=np.int64), list[Suspicion](), tuple[Remark, ...]()
+    answer: Answer | None = None
+    comparison: Comparison | None = None  # With the present noise, if any
     for number in range(MOST_ROUNDS):
         if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and doubted: these cameras are the best so far"
-            answer, suspicions, held = Answer(fit, 1.0, None), [], (Remark("time", text, is_reservation=True),)
+            answer = answer or Answer(fit, 1.0, None)
+            suspicions, held = [], (Remark("time", text, is_reservation=True),)
             break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
-        answer = state(task, fit, choices)
-        basis = with_stated_motion(task, answer.fit)
-        rng = np.random.default_rng(NOISE_SEED)
-        estimate = noise_factors(problem_of(task, answer.fit), answer.fit.adjustment, rng)
-        hides = estimate.hides & (loosened < MOST_LOOSENED)
-        if (estimate.differs | hides).any() and not last:
-            factors = np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
-            task, noise, loosened = task.with_noise(factors), noise * factors, loosened + hides
-            fit = adjusted_anew(task, basis)
+        if answer is None:
+            comparison = comparison or compared(task, fit, choices)
+            answer = state(task, fit, comparison)
+        chosen = chosen_anew(task, answer.fit, still=True)
+        estimate = estimate_noise(
+            problem_of(task, chosen), chosen.adjustment, shared, task.settings.shared_error_px,
+            np.random.default_rng(NOISE_SEED),
+        )  # fmt: skip
+        differs, hides = estimate.differs(shared), estimate.hides & (loosened < MOST_LOOSENED)
+        is_new = bool((differs | hides).any()) and not last
+        if is_new:
+            factors = np.where(differs | (estimate.shared > 0.0), estimate.factors, 1.0)
+            factors = np.where(hides, LOOSENED, factors)
+            noise, shared = noise * factors, np.where(hides, 0.0, estimate.shared)
+            task, loosened, comparison = task.with_noise(factors, shared), loosened + hides, None
+        if answer.fit.adjustment.converged and not hides.any():
+            again = restated_fit(task, answer.fit, chosen, answer.noise_factor)
+            if is_new or again[0].adjustment.converged:
+                answer = replace(answer, fit=again[0], noise_factor=again[1])
+        fit = with_stated_motion(task, answer.fit)
+        if is_new:
+            if hides.any() or not answer.fit.adjustment.converged:
+                fit, answer = adjusted_anew(task, fit), None
             continue
+        if comparison is None and (comparison := compared(task, fit, choices)) is not None and not last:
+            free = free_in(task, comparison)
+            if not np.array_equal(free, free_in(task, answer.comparison)):
+                fit, answer = adjusted_anew(task, fit), None
+                continue
+            answer = replace(answer, comparison=comparison)
         enlarged, suspicions = suspected(task, answer)
         held = held_remarks(enlarged, suspicions)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
@@ -273,7 +309,9 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             break
         given_up.append((enlarged, wrong))
         freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
-        task, fit = with_freed(task, basis, enlarged, wrong)
+        task, fit = with_freed(task, fit, enlarged, wrong)
+        answer, comparison = None, None
+    assert answer is not None
     size = task.parameters.size
     doubtful = np.hstack([np.zeros((size, 0)), *(suspicion.spread[:size] for suspicion in suspicions)])
     tested = (*given_up, *((enlarged, suspicion) for suspicion in suspicions))
@@ -338,8 +376,7 @@ def adjusted_anew(task: Task, fit: Fit) -> Fit:
     trajectories = fit.observations.trajectories
     observations = task.observations(cameras, trajectories, fit.detections)
     adjusted = adjusted_to(task, replace(fit, held=None), observations, trajectories, fit.detections)
-    chosen = refitted(task, adjusted)
-    return adjusted if chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections) else chosen
+    return chosen_anew(task, adjusted)
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:

@@ -16,10 +16,10 @@ from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.annealing.fits import (
     FITTED_PASSES,
+    marginal_fit,
     paired_fit,
     pairings_of,
     refitted,
-    stated_fit,
     tracked_fit,
     with_stated_motion,
 )
@@ -105,7 +105,7 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
     why = disagreement(task, fit)
     if why is not None and task.parameters.prior_disagreement(values) is not None:
         # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
-        fit = with_stated_motion(task, stated_fit(task, fit)[0])
+        fit = with_stated_motion(task, marginal_fit(task, fit)[0])
         values = fit.adjustment.values
         history.append(values)
         why = disagreement(task, fit)
