@@ -10,8 +10,10 @@ Residuals are taken as
 and b and w are the components of variance of each camera (one-way analysis of variance with random effects: S. R.
 Searle, G. Casella and C. E. McCulloch, "Variance Components", 1992, section 3.6). Cameras and trajectories that were
 fitted absorb most of what cells share: how much is found by drawing errors of unit variance of either kind, adjusting
-to them by one linear step, and taking the components of what is left. The noise is b + w, and the mean of n detections
-of a cell has the variance b + w / n, so that each of them counts as one of variance w + n b.
+to them by one linear step, and taking the components of what is left. Residuals also hold what trajectories that keep
+to the motion model miss of the motion. Where errors e leave (I - H) e of variance R, this has the covariance H R (I -
+H)^T, which the same draws give. The noise is b + w, and the mean of n detections of a cell has the variance b + w / n,
+so that each of them counts as one of variance w + n b.
 
 **At full weights.** The residuals are those of trajectories that follow every detection at the weight of its noise
 alone. Trajectories of detections that count less keep to the motion model instead, and what it does wrong looks like an
@@ -94,14 +96,9 @@ def weights_of(observations: Observations, shared: Array, radius: float) -> Arra
 
 
 def variance_components(residuals: Array, cells: Integers) -> tuple[float, float]:
-    """Variances, per coordinate, of the errors of residuals (n, 2): independent ones, and those cells (n,) share.
-
-    The latter is negative where cells differ by less than chance.
-    """
+    """Variances, per coordinate, of the errors of residuals (n, 2): independent ones, and those cells (n,) share."""
     _, cells, sizes = np.unique(cells, return_inverse=True, return_counts=True)
     count, total = len(sizes), len(cells)
-    if count < 2 or total == count:
-        return float((residuals**2).mean()), 0.0
     means = np.stack([np.bincount(cells, residuals[:, axis]) / sizes for axis in (0, 1)], axis=1)
     own = ((residuals - means[cells]) ** 2).sum() / (2.0 * (total - count))
     # about zero and not about their mean: the fit leaves none
@@ -154,49 +151,63 @@ def estimate_noise(
     residuals = linearisation.residuals(values, states)[1] / sigma
     cells = cells_of(observations, radius)
     own = rng.standard_normal((DRAWS, len(cells), 2))
-    of_cells = rng.standard_normal((DRAWS, len(cells), 2))[:, cells] if radius > 0.0 else own[:0]
-    left = remaining_errors(linearisation, values, states, sigma * np.concatenate([own, of_cells])) / sigma
+    of_cells = rng.standard_normal((DRAWS, len(cells), 2))[:, cells]
+    counted = linearisation
+    if shared.any():
+        counted = Linearisation.of(problem.weighted(weights * weights_of(observations, shared, radius)))
+    left = remaining_errors(linearisation, counted, values, states, sigma * np.concatenate([own, of_cells])) / sigma
     squares = np.bincount(observations.cameras, weights * adjustment.distances, count)
     left_of_own = weights * (own * left[:DRAWS]).sum(axis=2).mean(axis=0)
     redundancy = np.maximum(np.bincount(observations.cameras, left_of_own, count), 0.0)
     coordinates = 2.0 * np.bincount(observations.cameras, weights, count).astype(np.float64)
     variances = (PRIOR_REDUNDANCY + squares) / (PRIOR_REDUNDANCY + redundancy)
     parts, sizes = np.zeros(count), np.ones(count)
-    for camera, here in enumerate(linearisation.members if radius > 0.0 else ()):
+    for camera, here in enumerate(linearisation.members):
         here = here[weights[here] > LEAST_WEIGHT]
         in_cell = np.unique(cells[here], return_counts=True)[1]
-        if len(in_cell) < LEAST_CELLS:
+        if radius == 0.0 or not LEAST_CELLS <= len(in_cell) < len(here):
             continue
         sizes[camera] = (in_cell**2).sum() / len(here)
-        drawn = np.array([variance_components(errors[here], cells[here]) for errors in left])
+        drawn, absorbed, all_of_own = (
+            np.array([variance_components(errors[here], cells[here]) for errors in kind])
+            for kind in (left, own - left[:DRAWS], own)
+        )
         responses = drawn.reshape(2, DRAWS, 2).mean(axis=1).T
         if np.linalg.det(responses) <= LEAST_RESPONSE**2 or responses[1, 1] < LEAST_RESPONSE:
             continue
-        found = np.linalg.solve(responses, variance_components(residuals[here], cells[here]))
-        of_one, of_cell = np.maximum(found, 0.0)
-        if of_cell > (LEAST_PART if shared[camera] == 0.0 else 0.0) * (of_one + of_cell):
-            variances[camera] = of_one + of_cell
-            parts[camera] = of_cell / (of_one + of_cell)
+        of_motion = (all_of_own - absorbed - drawn[:DRAWS]).mean(axis=0) / 2.0
+        components = np.array(variance_components(residuals[here], cells[here]))
+        of_one, of_cell = np.linalg.solve(responses, components - of_motion)
+        # errors of their own make cells differ by chance, too
+        chance = LEAST_SIGMAS * of_one * drawn[:DRAWS, 1].std() / responses[1, 1]
+        least = max(chance, LEAST_PART * (of_one + of_cell)) if shared[camera] == 0.0 else 0.0
+        if of_one > 0.0 and of_cell > least:
+            variances[camera], parts[camera] = of_one + of_cell, of_cell / (of_one + of_cell)
     return NoiseEstimate(np.sqrt(variances), parts, redundancy, coordinates, sizes)
 
 
-def remaining_errors(linearisation: Linearisation, values: Array, states: Array, errors: Array) -> Array:
-    """Return what one linear step of cameras and trajectories leaves of errors (d, n, 2) of the detections."""
-    equations = linearisation.at(values, states)
-    path, _, visible, by_point, by_value = linearisation.residuals(values, states)
-    observations = linearisation.problem.observations
-    assert observations.weights is not None
-    factor = factor_knots(equations.bands, DAMPING)
-    eliminated, schur = eliminate(equations, factor)
-    covariance = within_prior(schur, linearisation.problem.parameters.prior_std)
-    pulls = visible[:, None, None] * observations.weights[:, None, None] * observations.precisions
-    by_knots, by_values = by_point.swapaxes(1, 2) @ pulls, by_value.swapaxes(1, 2) @ pulls
-    steps = np.stack([linearisation.of_states(path, (by_knots @ e[:, :, None])[:, :, 0]) for e in errors], axis=1)
-    substitute(factor.T, steps)
-    right = np.stack([linearisation.of_values((by_values @ e[:, :, None])[:, :, 0]) for e in errors], axis=1)
-    value_steps = covariance @ (right - equations.coupling.T @ steps)
-    steps -= eliminated[:, :-1] @ value_steps
-    left, still = errors.copy(), np.zeros((len(visible), 3))
+def remaining_errors(
+    linearisation: Linearisation, counted: Linearisation, values: Array, states: Array, errors: Array
+) -> Array:
+    """Return what one linear step of cameras and trajectories leaves of errors (d, n, 2) of the detections.
+
+    The cameras take the step of a problem in which detections that share errors count less, and the trajectories
+    follow all detections.
+    """
+    seen = path, _, _, by_point, by_value = linearisation.residuals(values, states)
+    value_steps, steps = np.empty((0, 0)), np.empty((0, 0))
+    for problem in (counted,) if counted is linearisation else (counted, linearisation):
+        equations = problem.at(values, states)
+        factor = factor_knots(equations.bands, DAMPING)
+        eliminated, matrix = eliminate(equations, factor)
+        sums = [problem.summed(path, one, *seen[2:]) for one in errors]
+        steps = np.stack([one.state_vector for one in sums], axis=1)
+        substitute(factor.T, steps)
+        if problem is counted:
+            right = np.stack([one.value_vector for one in sums], axis=1) - equations.coupling.T @ steps
+            value_steps = within_prior(matrix, problem.problem.parameters.prior_std) @ right
+        steps = steps - eliminated[:, :-1] @ value_steps
+    left, still = errors.copy(), np.zeros((len(by_point), 3))
     for out, step, value_step in zip(left, steps.T, value_steps.T, strict=True):
         moved = positions(step.reshape(states.shape), path.knot, path.weights, still)
         out -= np.einsum("nij,nj->ni", by_point, moved)

@@ -13,7 +13,7 @@ fit                    detections of a trajectory             holds             
 ``fit_until``          those until a time                     as the fit given            floor   ``method.history_of``
 ``restricted_fit``     as the fit given                       unknowns not selected       floor   ``method.state``
 ``rescaled``           as the fit given                       as the fit given            floor   ``at_known_scale``
-``adjusted_anew``      given first, then chosen anew          nothing                     floor   ``method.believe``
+``readjusted``         as the fit given                       nothing, or all values      floor   ``method.believe``
 ``marginal_fit``       as the fit given                       as the fit given            fixed   ``method.state``
 ``restated_fit``       chosen anew at a marginal optimum      as the fit given            fixed   ``method.believe``
 ``with_lengths``       as the fit given                       nothing                     fixed   ``method.calibrated``

@@ -282,11 +282,15 @@ def restated_fit(task: Task, stated: Fit, chosen: Fit, factor: float) -> tuple[F
     The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
     residuals look like shared errors. The search goes on from the marginal optimum, with the noise of the task.
     """
-    cameras, of_fit = task.parameters.build(chosen.adjustment.values), chosen.observations.trajectories
-    observations = task.observations(cameras, of_fit, chosen.detections)
-    still = replace(chosen, held=np.ones(task.parameters.size, dtype=np.bool_))
-    again = adjusted_to(task, still, observations, of_fit, chosen.detections, tolerance=ANNEALED_TOLERANCE)
+    again = readjusted(task, chosen, np.ones(task.parameters.size, dtype=np.bool_))
     return marginal_fit(task, with_stated_motion(task, replace(again, held=stated.held)), factor)
+
+
+def readjusted(task: Task, fit: Fit, held: Booleans | None = None) -> Fit:
+    """Adjust a fit to its detections with the noise and the unknowns of a task, some values (m,) held."""
+    cameras, of_fit = task.parameters.build(fit.adjustment.values), fit.observations.trajectories
+    observations = task.observations(cameras, of_fit, fit.detections)
+    return adjusted_to(task, replace(fit, held=held), observations, of_fit, fit.detections)
 
 
 def with_stated_motion(task: Task, fit: Fit) -> Fit:

@@ -1,9 +1,9 @@
 """Method annealed, from the starts to the result: what is stated is the answer of a model that was doubted first.
 
 `calibrated` is the whole of it. The best start is brought to the known scale. The answer is then stated (unknowns
-selected, trajectories integrated out), and doubted: the noise of the detections is estimated, and what the calibration
-holds is tested (`adjustment.suspicions`). Where the noise is another, or a contradicted statement may be given up, the
-answer is stated anew under the better model, until nothing changes. What remains in doubt is a remark.
+selected, trajectories integrated out), and doubted: the noise of the detections is estimated until it stays, and what
+the calibration holds is tested (`adjustment.suspicions`). Where other unknowns predict better then, or a contradicted
+statement may be given up, the answer is stated anew under the better model. What remains in doubt is a remark.
 """
 
 from collections import Counter
@@ -22,10 +22,10 @@ from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadrati
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
-    adjusted_to,
     fit_until,
     marginal_fit,
     problem_of,
+    readjusted,
     refitted,
     restated_fit,
     restricted_fit,
@@ -275,7 +275,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         if answer is None:
             comparison = comparison or compared(task, fit, choices)
             answer = state(task, fit, comparison)
-        chosen = chosen_anew(task, answer.fit, still=True)
+        chosen = chosen_anew(task, answer.fit, still=True) if answer.fit.adjustment.converged else answer.fit
         estimate = estimate_noise(
             problem_of(task, chosen), chosen.adjustment, shared, task.settings.shared_error_px,
             np.random.default_rng(NOISE_SEED),
@@ -283,10 +283,10 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         differs, hides = estimate.differs(shared), estimate.hides & (loosened < MOST_LOOSENED)
         is_new = bool((differs | hides).any()) and not last
         if is_new:
-            factors = np.where(differs | (estimate.shared > 0.0), estimate.factors, 1.0)
-            factors = np.where(hides, LOOSENED, factors)
-            noise, shared = noise * factors, np.where(hides, 0.0, estimate.shared)
-            task, loosened, comparison = task.with_noise(factors, shared), loosened + hides, None
+            factors = np.where(hides, LOOSENED, np.where(differs, estimate.factors, 1.0))
+            shared = np.where(hides, 0.0, np.where(differs, estimate.shared, shared))
+            task, noise = task.with_noise(factors, shared), noise * factors
+            loosened, comparison = loosened + hides, None
         if answer.fit.adjustment.converged and not hides.any():
             again = restated_fit(task, answer.fit, chosen, answer.noise_factor)
             if is_new or again[0].adjustment.converged:
@@ -294,12 +294,12 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
         fit = with_stated_motion(task, answer.fit)
         if is_new:
             if hides.any() or not answer.fit.adjustment.converged:
-                fit, answer = adjusted_anew(task, fit), None
+                fit, answer = chosen_anew(task, readjusted(task, fit)), None
             continue
         if comparison is None and (comparison := compared(task, fit, choices)) is not None and not last:
             free = free_in(task, comparison)
             if not np.array_equal(free, free_in(task, answer.comparison)):
-                fit, answer = adjusted_anew(task, fit), None
+                fit, answer = chosen_anew(task, readjusted(task, fit)), None
                 continue
             answer = replace(answer, comparison=comparison)
         enlarged, suspicions = suspected(task, answer)
@@ -367,16 +367,7 @@ def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion
     task = replace(task, parameters=parameters)
     values = np.append(fit.adjustment.values, suspicion.values)
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
-    return task, adjusted_anew(task, begin)
-
-
-def adjusted_anew(task: Task, fit: Fit) -> Fit:
-    """Adjust a fit to its detections with the noise and the unknowns of a task, and let it choose them anew."""
-    cameras = task.parameters.build(fit.adjustment.values)
-    trajectories = fit.observations.trajectories
-    observations = task.observations(cameras, trajectories, fit.detections)
-    adjusted = adjusted_to(task, replace(fit, held=None), observations, trajectories, fit.detections)
-    return chosen_anew(task, adjusted)
+    return task, chosen_anew(task, readjusted(task, begin))
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
