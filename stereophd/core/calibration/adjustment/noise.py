@@ -10,10 +10,10 @@ Residuals are taken as
 and b and w are the components of variance of each camera (one-way analysis of variance with random effects: S. R.
 Searle, G. Casella and C. E. McCulloch, "Variance Components", 1992, section 3.6). Cameras and trajectories that were
 fitted absorb most of what cells share: how much is found by drawing errors of unit variance of either kind, adjusting
-to them by one linear step, and taking the components of what is left. Residuals also hold what trajectories that keep
-to the motion model miss of the motion. Where errors e leave (I - H) e of variance R, this has the covariance H R (I -
-H)^T, which the same draws give. The noise is b + w, and the mean of n detections of a cell has the variance b + w / n,
-so that each of them counts as one of variance w + n b.
+to them by one linear step, and taking the components of what is left. The noise is b + w, and the mean of n detections
+of a cell has the variance b + w / n, so that each of them counts as one of variance w + n b. Residuals also hold the
+motion that trajectories miss. If the fit leaves (I - H) e of errors e of covariance R, it leaves motion of the
+covariance H R (I - H)^T by the model, which the same draws show.
 
 **At full weights.** The residuals are those of trajectories that follow every detection at the weight of its noise
 alone. Trajectories of detections that count less keep to the motion model instead, and what it does wrong looks like an
@@ -121,13 +121,12 @@ class NoiseEstimate:
 
         The noise of a detection differs, or that of a cell.
         """
-        cells = [1.0 + (self.sizes - 1.0) * part for part in (self.shared, shared)]
+        of_cells = (1.0 + (self.sizes - 1.0) * self.shared) / (1.0 + (self.sizes - 1.0) * shared)
         change = np.log(self.factors)
-        of_cell = np.abs(change + 0.5 * np.log(cells[0] / cells[1]))
+        largest = np.maximum(np.abs(change), np.abs(change + 0.5 * np.log(of_cells)))
         tells = np.where((self.shared > 0.0) | (shared > 0.0), self.coordinates / self.sizes, self.redundancy)
         least = np.maximum(np.log1p(LEAST_CHANGE), LEAST_SIGMAS / np.sqrt(2.0 * (tells + PRIOR_REDUNDANCY)))
-        differs = (np.maximum(np.abs(change), of_cell) > least) & ((change > 0.0) | ~self.hides)
-        return np.asarray(differs)
+        return np.asarray((largest > least) & ((change > 0.0) | ~self.hides))
 
     @property
     def hides(self) -> Booleans:

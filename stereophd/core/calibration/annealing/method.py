@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.marginal import exact_covariance
 from stereophd.core.calibration.adjustment.noise import estimate_noise
 from stereophd.core.calibration.adjustment.problem import Problem
@@ -236,14 +236,9 @@ def compared(task: Task, fit: Fit, choices: Choices) -> Comparison | None:
 
 def state(task: Task, fit: Fit, comparison: Comparison | None) -> Answer:
     """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
-    free = free_in(task, comparison)
-    return Answer(*marginal_fit(task, fit if free.all() else restricted_fit(task, fit, free)), comparison)
-
-
-def free_in(task: Task, comparison: Comparison | None) -> Booleans:
-    """Which values (m,) the chosen set of a comparison has free."""
-    every = np.ones(task.parameters.size, dtype=np.bool_)
-    return every if comparison is None else comparison.sets[comparison.chosen].free
+    if comparison is not None and not comparison.free.all():
+        fit = restricted_fit(task, fit, comparison.free)
+    return Answer(*marginal_fit(task, fit), comparison)
 
 
 def chosen_anew(task: Task, fit: Fit, still: bool = False) -> Fit:
@@ -297,8 +292,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
                 fit, answer = chosen_anew(task, readjusted(task, fit)), None
             continue
         if comparison is None and (comparison := compared(task, fit, choices)) is not None and not last:
-            free = free_in(task, comparison)
-            if not np.array_equal(free, free_in(task, answer.comparison)):
+            if answer.comparison is None or answer.comparison.chosen != comparison.chosen:
                 fit, answer = chosen_anew(task, readjusted(task, fit)), None
                 continue
             answer = replace(answer, comparison=comparison)
