@@ -75,11 +75,10 @@ MOVE_REFERENCE = Purpose(
 
 # Streams of a fixed seed. Any number would do; another one changes results a little.
 SCRAMBLE_SEED = 5  # scramble of the low-discrepancy points of the estimators of one object
-SHARED_ERRORS_SEED = 0  # errors that `calibrate` draws to find how much of them a fit absorbs
 BENDS_SEED = 0  # draws of a posterior of cameras beside which `calibrate` looks at its bend
 GROUND_SEED = 0  # triples of places by which `init` finds the ground that bodies stand on
 RAY_NOISE_SEED = 0  # draws of the noise of all cameras by which `init` and `track` estimate detectors from rays
-NOISE_SEED = 0  # errors that `calibrate` draws to find the redundancy of each camera's detections
+NOISE_SEED = 0  # errors that `calibrate` draws to find how much of them a fit absorbs
 COMPILED_SAMPLES_SEED = 0  # samples of the small filters that are built to compile the kernels; no result uses them
 WARM_UP_SEED = 0  # detections that make the kernels ready before the first frame of a live run; no result uses them
 

@@ -109,8 +109,8 @@ def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 
     """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
 
     Values that the problem holds stay, and keep the covariance of the prior. The search begins at a factor on the noise
-    of the motion. Returns the adjustment given, not
-    converged, at the noise stated, where the normal equations are singular.
+    of the motion. Returns the adjustment given, not converged, at the noise stated, where the normal equations are
+    singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)

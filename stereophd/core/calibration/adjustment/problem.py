@@ -30,7 +30,7 @@ class Observations(ArrayRows):
     precisions: Array
     log_times: Array  # (n,): Times of the frames on the cameras' own clocks, s
     rows: Array  # (n,): Row of each detection over the height of the image
-    # (n,), optional: What each detection counts, in measurements of its precision (`adjustment.shared_errors`);
+    # (n,), optional: What each detection counts, in measurements of its precision (`adjustment.noise`);
     # default 1.
     weights: Array | None = None
 

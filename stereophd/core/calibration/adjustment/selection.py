@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet
@@ -36,6 +36,11 @@ class Comparison:
     sets: tuple[UnknownSet, ...]  # The smallest first, all unknowns last
     losses: Array  # (s, b): Loss of the detections of each stretch under cameras that did not see it, by set
     chosen: int  # Which set is taken
+
+    @property
+    def free(self) -> Booleans:
+        """Values (m,) of the set that is taken."""
+        return self.sets[self.chosen].free
 
     @property
     def totals(self) -> Array:

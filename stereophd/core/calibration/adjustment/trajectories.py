@@ -78,7 +78,7 @@ def place_knots(
     pieces = []
     for j, (start, end) in enumerate(spans):
         parts = 0
-        if motion.noisy and end > start:
+        if motion.noisy and (end - start) ** 3 > SMALLEST:  # the variance of positions grows with this
             most = np.inf if counts is None else KNOTS_PER_DETECTION * float(counts[j])
             parts = int(max(min(np.ceil((end - start) / max(spacing, SMALLEST)), most), 1.0))
         pieces.append(np.linspace(start, end, parts + 1) if parts else np.array([start]))

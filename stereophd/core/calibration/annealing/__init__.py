@@ -11,17 +11,18 @@ fit                    detections of a trajectory             holds             
 ``refitted``           chosen anew by the trajectories        nothing, or all values      floor   ``starts``, ``method``
 ``adjusted_to``        those given                            what the fit given held     floor   the others below
 ``fit_until``          those until a time                     as the fit given            floor   ``method.history_of``
-``restricted_fit``     as the fit given                       unknowns not selected       floor   ``method.selected``
+``restricted_fit``     as the fit given                       unknowns not selected       floor   ``method.state``
 ``rescaled``           as the fit given                       as the fit given            floor   ``at_known_scale``
-``adjusted_anew``      given first, then chosen anew          nothing                     floor   ``method.believe``
-``stated_fit``         chosen anew at its optimum             as the fit given            fixed   ``method.state``
+``readjusted``         as the fit given                       nothing, or all values      floor   ``method.believe``
+``marginal_fit``       as the fit given                       as the fit given            fixed   ``method.state``
+``restated_fit``       chosen anew at a marginal optimum      as the fit given            fixed   ``method.believe``
 ``with_lengths``       as the fit given                       nothing                     fixed   ``method.calibrated``
 ``with_control``       as the fit given                       nothing                     floor   ``method.calibrated``
 =====================  =====================================  ==========================  ======  =====================
 
-``stated_fit`` integrates the trajectories out, with the weights that the floor loss gave at the optimum;
-``with_lengths`` adds pairs of objects at a known distance, ``with_control`` a control track of one object. Detections
-that share errors count less (`adjustment.shared_errors`) in what is stated, as the residuals there show. The noise of
-the motion is what is stated until ``stated_fit`` has found another; the noise of the detections until
-``method.believe`` has. A known scale is held by the task, and counts in every fit.
+``marginal_fit`` integrates the trajectories out, with the weights that the floor loss gave at the optimum;
+``with_lengths`` adds pairs of objects at a known distance, ``with_control`` a control track of one object. The noise of
+the motion is what is stated until ``marginal_fit`` has found another; the noise of the detections, and how much of it
+they share (`adjustment.noise`), until ``method.believe`` has. Detections that share errors count less from then on. A
+known scale is held by the task, and counts in every fit.
 """

@@ -11,7 +11,6 @@ from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import marginal_optimum
 from stereophd.core.calibration.adjustment.problem import Loss, Observations, Problem, true_times
-from stereophd.core.calibration.adjustment.shared_errors import shared_errors
 from stereophd.core.calibration.adjustment.solver import adjust, factor_knots, posterior_covariance
 from stereophd.core.calibration.adjustment.trajectories import (
     Knots,
@@ -32,7 +31,6 @@ from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import enlarged, reduced
-from stereophd.core.numerics.random_streams import SHARED_ERRORS_SEED
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
 # are rather false ones (at that distance a normal density is down to this part of its peak).
@@ -48,8 +46,6 @@ TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
 FITTED_PASSES = 3
 # Frames by which a trajectory may go on before its first detection and after its last one, in a pass.
 PADDED_FRAMES = 2.0
-# Times at most that trajectories of marginal optima choose their detections, and the change of a weight that counts.
-MOST_CHOICES, SAME_WEIGHT = 2, 0.1
 
 
 def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list[Pairing]:
@@ -121,8 +117,8 @@ def tracked_fit(
 def refitted(task: Task, fit: Fit, tracked: bool = False, last: bool = True, still: bool = False) -> Fit | None:
     """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
 
-    `last`: no other adjustment follows. `still`: the fit is a marginal optimum, its cameras stay, and detections whose
-    errors are shared count less (`adjustment.shared_errors`), as its residuals show.
+    `last`: no other adjustment follows. `still`: the cameras stay, and the trajectories follow every detection at the
+    weight of its noise alone (`adjustment.noise`).
     """
     cameras = task.parameters.build(fit.adjustment.values)
     scans = task.tracked_scans(cameras) if tracked else task.all_scans(cameras)
@@ -145,28 +141,10 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, last: bool = True, sti
     of_log = scans.source[detections[rows]]
     fit = replace(fit, held=np.ones(task.parameters.size, dtype=np.bool_) if still else None)
     observations = task.observations(cameras, numbers, of_log)
-    if still and task.settings.shared_error_px > 0.0:
-        weights = _weights(task, fit, replace(observations, trajectories=trajectories[rows]), of_log)
-        observations = replace(observations, weights=weights)
+    if still:
+        observations = replace(observations, weights=None)
     tolerance = TOLERANCE if last else ANNEALED_TOLERANCE
     return adjusted_to(task, fit, observations, trajectories[rows], of_log, tolerance=tolerance)
-
-
-def _weights(task: Task, fit: Fit, observations: Observations, detections: Integers) -> Array | None:
-    """Weights of detections whose errors are shared, by their residuals in a fit; None if none are.
-
-    The detections belong to trajectories of the fit, which knew most of them, with the weights of then.
-    """
-    if fit.observations.weights is not None:
-        weights = np.ones(len(task.recording.pixels))
-        weights[fit.detections] = fit.observations.weights
-        observations = replace(observations, weights=weights[detections])
-    problem = Problem(task.parameters, task.reference, fit.knots, observations, FITTED_LOSS, task.scale)
-    found = shared_errors(
-        Linearisation.of(problem), fit.adjustment.values, fit.adjustment.states, task.settings.shared_error_px,
-        np.random.default_rng(SHARED_ERRORS_SEED),
-    )  # fmt: skip
-    return found.weights if found.shared.any() else None
 
 
 def fit_from(task: Task, values: Array) -> Fit | None:
@@ -197,8 +175,8 @@ def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None
         return None
     cameras = task.parameters.build(fit.adjustment.values)
     observations = task.observations(cameras, numbers.astype(np.int64), fit.detections[rows])
-    if fit.observations.weights is not None:
-        observations = replace(observations, weights=fit.observations.weights[rows])
+    if fit.observations.weights is None:
+        observations = replace(observations, weights=None)
     of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
     return adjusted_to(task, fit, observations, of_fit, detections, most)
 
@@ -298,33 +276,21 @@ def marginal_fit(task: Task, fit: Fit, factor: float = 1.0) -> tuple[Fit, float]
     return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor
 
 
-def stated_fit(task: Task, joint: Fit) -> tuple[Fit, float]:
-    """`marginal_fit` of detections that its own trajectories choose, weighed by the errors that they share there.
+def restated_fit(task: Task, stated: Fit, chosen: Fit, factor: float) -> tuple[Fit, float]:
+    """`marginal_fit` of the detections that the trajectories of a marginal optimum have chosen.
 
     The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
-    residuals look like shared errors.
+    residuals look like shared errors. The search goes on from the marginal optimum, with the noise of the task.
     """
-    stated, factor = marginal_fit(task, joint)
-    for _ in range(MOST_CHOICES if stated.adjustment.converged else 0):
-        again = refitted(task, stated, still=True)
-        if again is None or _same_members(again, stated):
-            break
-        better, new_factor = marginal_fit(task, with_stated_motion(task, replace(again, held=joint.held)), factor)
-        if not better.adjustment.converged:
-            break
-        stated, factor = better, new_factor
-    return stated, factor
+    again = readjusted(task, chosen, np.ones(task.parameters.size, dtype=np.bool_))
+    return marginal_fit(task, with_stated_motion(task, replace(again, held=stated.held)), factor)
 
 
-def _same_members(one: Fit, other: Fit) -> bool:
-    """Whether two fits have the same detections, which count alike."""
-    if not np.array_equal(one.detections, other.detections):
-        return False
-    first, second = (
-        np.ones(len(fit.detections)) if fit.observations.weights is None else fit.observations.weights
-        for fit in (one, other)
-    )
-    return bool(np.allclose(first, second, rtol=SAME_WEIGHT))
+def readjusted(task: Task, fit: Fit, held: Booleans | None = None) -> Fit:
+    """Adjust a fit to its detections with the noise and the unknowns of a task, some values (m,) held."""
+    cameras, of_fit = task.parameters.build(fit.adjustment.values), fit.observations.trajectories
+    observations = task.observations(cameras, of_fit, fit.detections)
+    return adjusted_to(task, replace(fit, held=held), observations, of_fit, fit.detections)
 
 
 def with_stated_motion(task: Task, fit: Fit) -> Fit:

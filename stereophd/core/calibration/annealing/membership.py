@@ -76,6 +76,9 @@ class Predictions:
         predicted += total @ self.adjustment.covariance @ total.swapaxes(1, 2)
         left = (1.0 + LEAST_LEFT) * np.eye(2) - weights[:, None, None] * (predicted @ seen.precisions)
         covariance = np.linalg.inv(seen.precisions) + np.linalg.solve(left, predicted)
+        # rounding makes what is far too uncertain in one direction singular: it is taken to be so in both
+        singular = np.linalg.det(covariance) == 0.0
+        covariance[singular] = np.trace(covariance[singular], axis1=1, axis2=2)[:, None, None] * np.eye(2)
         residual = np.linalg.solve(left, errors[:, :, None])
         distance = (residual * np.linalg.solve(covariance, residual)).sum(axis=(1, 2))
         distance = np.where(visible & (distance >= 0.0), distance, np.inf)

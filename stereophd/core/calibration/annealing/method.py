@@ -1,9 +1,9 @@
 """Method annealed, from the starts to the result: what is stated is the answer of a model that was doubted first.
 
 `calibrated` is the whole of it. The best start is brought to the known scale. The answer is then stated (unknowns
-selected, trajectories integrated out), and doubted: the noise of the detections is estimated, and what the calibration
-holds is tested (`adjustment.suspicions`). Where the noise is another, or a contradicted statement may be given up, the
-answer is stated anew under the better model, until nothing changes. What remains in doubt is a remark.
+selected, trajectories integrated out), and doubted: the noise of the detections is estimated until it stays, and what
+the calibration holds is tested (`adjustment.suspicions`). Where other unknowns predict better then, or a contradicted
+statement may be given up, the answer is stated anew under the better model. What remains in doubt is a remark.
 """
 
 from collections import Counter
@@ -14,7 +14,7 @@ from scipy.linalg import LinAlgError
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.marginal import exact_covariance
-from stereophd.core.calibration.adjustment.noise import noise_factors
+from stereophd.core.calibration.adjustment.noise import estimate_noise
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.selection import Comparison, compare
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
@@ -22,12 +22,13 @@ from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadrati
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
-    adjusted_to,
     fit_until,
+    marginal_fit,
     problem_of,
+    readjusted,
     refitted,
+    restated_fit,
     restricted_fit,
-    stated_fit,
     with_covariance,
     with_stated_motion,
 )
@@ -230,49 +231,75 @@ def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Ta
     return replace(task, scale=measured), rescaled(task, fit, measured), ()
 
 
-def state(task: Task, fit: Fit, choices: Choices) -> Answer:
-    """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
-    joint, comparison = selected(task, fit, choices)
-    stated, noise_factor = stated_fit(task, joint)
-    return Answer(stated, noise_factor, comparison)
-
-
-def selected(task: Task, fit: Fit, choices: Choices) -> tuple[Fit, Comparison | None]:
-    """Adjust with the set of unknowns that predicts the log best, and return the comparison too."""
+def compared(task: Task, fit: Fit, choices: Choices) -> Comparison | None:
+    """Compare sets of unknowns by how well they predict the log of a fit; None if all are to be free."""
     if choices.select == "all" or choices.is_sampled:
-        return fit, None
-    sets = candidates(task.parameters)
-    comparison = compare(problem_of(task, fit), fit.adjustment.values, fit.adjustment.states, sets)
-    if comparison is None:
-        return fit, None
-    free = comparison.sets[comparison.chosen].free
-    return (fit if free.all() else restricted_fit(task, fit, free)), comparison
+        return None
+    return compare(problem_of(task, fit), fit.adjustment.values, fit.adjustment.states, candidates(task.parameters))
+
+
+def state(task: Task, fit: Fit, comparison: Comparison | None) -> Answer:
+    """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
+    if comparison is not None and not comparison.free.all():
+        fit = restricted_fit(task, fit, comparison.free)
+    return Answer(*marginal_fit(task, fit), comparison)
+
+
+def chosen_anew(task: Task, fit: Fit, still: bool = False) -> Fit:
+    """Let the trajectories of a fit choose their detections anew, unless that leaves many out."""
+    chosen = refitted(task, fit, still=still)
+    return fit if chosen is None or len(chosen.detections) < LEAST_KEPT * len(fit.detections) else chosen
 
 
 def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -> Believed:
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict.
 
-    `noise_of_fit` is the noise of the task over what is stated.
+    Trajectories of an answer choose their detections and show the noise, and the search goes on from the answer. Once
+    the noise stays, unknowns are compared with it, and what is held is tested. Another set of unknowns, and a search
+    that did not end, begin at the joint optimum again. `noise_of_fit` is the noise of the task over what is stated.
     """
     count = len(task.parameters.cameras)
-    noise, freed, given_up = np.full(count, noise_of_fit), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
+    noise, shared = np.full(count, noise_of_fit), np.zeros(count)
+    freed, given_up = tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     loosened, suspicions, held = np.zeros(count, dtype=np.int64), list[Suspicion](), tuple[Remark, ...]()
+    answer: Answer | None = None
+    comparison: Comparison | None = None  # With the present noise, if any
     for number in range(MOST_ROUNDS):
         if not task.limit.begin(f"what the answer assumes is tested, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and tested: these cameras are the best so far"
-            answer, suspicions, held = Answer(fit, 1.0, None), [], (Remark("time", text, is_reservation=True),)
+            answer = answer or Answer(fit, 1.0, None)
+            suspicions, held = [], (Remark("time", text, is_reservation=True),)
             break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
-        answer = state(task, fit, choices)
-        basis = with_stated_motion(task, answer.fit)
-        rng = np.random.default_rng(NOISE_SEED)
-        estimate = noise_factors(problem_of(task, answer.fit), answer.fit.adjustment, rng)
-        hides = estimate.hides & (loosened < MOST_LOOSENED)
-        if (estimate.differs | hides).any() and not last:
-            factors = np.where(hides, LOOSENED, np.where(estimate.differs, estimate.factors, 1.0))
-            task, noise, loosened = task.with_noise(factors), noise * factors, loosened + hides
-            fit = adjusted_anew(task, basis)
+        if answer is None:
+            comparison = comparison or compared(task, fit, choices)
+            answer = state(task, fit, comparison)
+        chosen = chosen_anew(task, answer.fit, still=True) if answer.fit.adjustment.converged else answer.fit
+        estimate = estimate_noise(
+            problem_of(task, chosen), chosen.adjustment, shared, task.settings.shared_error_px,
+            np.random.default_rng(NOISE_SEED),
+        )  # fmt: skip
+        differs, hides = estimate.differs(shared), estimate.hides & (loosened < MOST_LOOSENED)
+        is_new = bool((differs | hides).any()) and not last
+        if is_new:
+            factors = np.where(hides, LOOSENED, np.where(differs, estimate.factors, 1.0))
+            shared = np.where(hides, 0.0, np.where(differs, estimate.shared, shared))
+            task, noise = task.with_noise(factors, shared), noise * factors
+            loosened, comparison = loosened + hides, None
+        if answer.fit.adjustment.converged and not hides.any():
+            again = restated_fit(task, answer.fit, chosen, answer.noise_factor)
+            if is_new or again[0].adjustment.converged:
+                answer = replace(answer, fit=again[0], noise_factor=again[1])
+        fit = with_stated_motion(task, answer.fit)
+        if is_new:
+            if hides.any() or not answer.fit.adjustment.converged:
+                fit, answer = chosen_anew(task, readjusted(task, fit)), None
             continue
+        if comparison is None and (comparison := compared(task, fit, choices)) is not None and not last:
+            if answer.comparison is None or answer.comparison.chosen != comparison.chosen:
+                fit, answer = chosen_anew(task, readjusted(task, fit)), None
+                continue
+            answer = replace(answer, comparison=comparison)
         enlarged, suspicions = suspected(task, answer)
         held = held_remarks(enlarged, suspicions)
         wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
@@ -280,7 +307,9 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
             break
         given_up.append((enlarged, wrong))
         freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
-        task, fit = with_freed(task, basis, enlarged, wrong)
+        task, fit = with_freed(task, fit, enlarged, wrong)
+        answer, comparison = None, None
+    assert answer is not None
     size = task.parameters.size
     doubtful = np.hstack([np.zeros((size, 0)), *(suspicion.spread[:size] for suspicion in suspicions)])
     tested = (*given_up, *((enlarged, suspicion) for suspicion in suspicions))
@@ -336,17 +365,7 @@ def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion
     task = replace(task, parameters=parameters)
     values = np.append(fit.adjustment.values, suspicion.values)
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
-    return task, adjusted_anew(task, begin)
-
-
-def adjusted_anew(task: Task, fit: Fit) -> Fit:
-    """Adjust a fit to its detections with the noise and the unknowns of a task, and let it choose them anew."""
-    cameras = task.parameters.build(fit.adjustment.values)
-    trajectories = fit.observations.trajectories
-    observations = task.observations(cameras, trajectories, fit.detections)
-    adjusted = adjusted_to(task, replace(fit, held=None), observations, trajectories, fit.detections)
-    chosen = refitted(task, adjusted)
-    return adjusted if chosen is None or len(chosen.detections) < LEAST_KEPT * len(adjusted.detections) else chosen
+    return task, chosen_anew(task, readjusted(task, begin))
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:

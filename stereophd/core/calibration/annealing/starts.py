@@ -18,10 +18,10 @@ from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.annealing.fits import (
     FITTED_PASSES,
+    marginal_fit,
     paired_fit,
     pairings_of,
     refitted,
-    stated_fit,
     tracked_fit,
     with_stated_motion,
 )
@@ -122,7 +122,7 @@ def _judged(task: Task, start: Start, about: str, done: int) -> Start:
     part, why = explained(task, fit), disagreement(task, fit)
     if why is not None and task.parameters.prior_disagreement(fit.adjustment.values) is not None:
         # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
-        fit = with_stated_motion(task, stated_fit(task, fit)[0])
+        fit = with_stated_motion(task, marginal_fit(task, fit)[0])
         start, why = start.with_pass(fit), disagreement(task, fit)
     if why is not None:
         return replace(start, outcome=why, explained=part)

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
+from stereophd.core.calibration.adjustment.noise import weights_of
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
@@ -51,6 +52,8 @@ class Task:
     # Unknowns that are free while tracking, pass by pass, the last of them also in the passes that follow.
     stages: tuple[UnknownSet, ...]
     limit: TimeLimit = ENDLESS
+    # (c,): Part of the noise's variance that detections of a cell share (`adjustment.noise`); default none.
+    shared: Array | None = None
 
     @property
     def most_starts(self) -> int:
@@ -92,13 +95,13 @@ class Task:
             clocks, stages or default_stages(parameters),
         )  # fmt: skip
 
-    def with_noise(self, factors: Array | float) -> Task:
-        """Return the task with the noise of each camera's detections times a factor (c,), or all times one."""
+    def with_noise(self, factors: Array | float, shared: Array | None = None) -> Task:
+        """Return the task with the noise of each camera's detections times factors (c,) or one, a part `shared`."""
         factors = np.broadcast_to(np.asarray(factors, dtype=np.float64), len(self.parameters.cameras))
         recording, cameras = self.recording.with_noise(factors), self.parameters.cameras
         scans = Scans.of(recording, cameras)
         tracking = scans if self.tracking is self.scans else Scans.of(recording, cameras, self.frames)
-        return replace(self, recording=recording, scans=scans, tracking=tracking)
+        return replace(self, recording=recording, scans=scans, tracking=tracking, shared=shared)
 
     def held(self, number: int) -> NDArray[np.bool_] | None:
         """Values (m,) that are held in the pass of this number; None where all are free."""
@@ -116,8 +119,15 @@ class Task:
     def observations(
         self, cameras: Sequence[Camera], trajectories: Integers, detections: Integers, inflation: float = 1.0
     ) -> Observations:
-        """Return detections of the recording that belong to trajectories, timed by cameras, their noise inflated."""
-        return self.recording.observations(cameras, trajectories, detections, inflation)
+        """Return detections of the recording that belong to trajectories, timed by cameras, their noise inflated.
+
+        Those that share an error count less.
+        """
+        observations = self.recording.observations(cameras, trajectories, detections, inflation)
+        if self.shared is None or not self.shared.any():
+            return observations
+        weights = weights_of(observations, self.shared, self.settings.shared_error_px)
+        return replace(observations, weights=weights)
 
 
 @dataclass(frozen=True)

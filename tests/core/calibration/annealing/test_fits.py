@@ -98,6 +98,19 @@ def test_trajectories_choose_all_their_detections_and_no_others(made: MadeUp, ta
     check_near_truth(made, again)
 
 
+def test_detections_that_share_errors_count_less_and_show_the_noise_at_full_weight(task: Task, paired: Fit) -> None:
+    counted = task.with_noise(np.ones(2), np.array([0.0, 0.5]))
+    cameras = task.parameters.build(paired.adjustment.values)
+    observations = counted.observations(cameras, paired.observations.trajectories, paired.detections)
+    assert observations.weights is not None
+    np.testing.assert_array_equal(observations.weights[observations.cameras == 0], 1.0)
+    assert np.median(observations.weights[observations.cameras == 1]) < 0.5
+    still = refitted(counted, paired, still=True)
+    assert still is not None
+    assert still.observations.weights is None
+    np.testing.assert_array_equal(still.adjustment.values, paired.adjustment.values)
+
+
 def test_a_fit_from_the_truth_explains_the_log(made: MadeUp, task: Task) -> None:
     fit = fit_from(task, made.truth)
     assert fit is not None
