@@ -69,14 +69,14 @@ def build_report(
 
 
 def _scale(section: CalibrationConfig, found: Observability, used: bool) -> dict[str, Any]:
-    """Return what determined the scale; a known length that was not `used` did not."""
+    """Return what determined the scale: a known length that was `used`, however much the answer was widened after."""
     kind = section.scale.kind
     if math.isnan(found.scale_ratio):
         return {"kind": kind, "determined_by": "known cameras", "posterior_over_prior_std": None}
-    by_data = found.scale_ratio <= UNDETERMINED_RATIO
+    by_data = "data" if found.scale_ratio <= UNDETERMINED_RATIO else "prior"
     return {
         "kind": kind,
-        "determined_by": "prior" if not by_data else kind if used and kind != "none" else "data",
+        "determined_by": kind if used and kind != "none" else by_data,
         "posterior_over_prior_std": found.scale_ratio,
     }
 
