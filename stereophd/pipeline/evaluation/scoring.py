@@ -215,15 +215,15 @@ def registration_of(
     freedom = Freedom(options.align != "none", options.align == "similarity", options.align_clock)
     if not len(freedom.columns):
         return None
-    time_s, rows = tracks.confirmed_rows()
-    used = in_window(time_s, options.from_s, options.to_s)
+    estimates = tracks.confirmed_estimates()
+    used = in_window(estimates.time_s, options.from_s, options.to_s)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a motion that is none is refused
-            found = register(time_s[used], tracks.position[rows[used]], truth, max_gap_s, freedom)
+            found = register(estimates.take(used), truth, max_gap_s, freedom)
     except ValueError as error:
         raise InputError(f"{path}: `align`: {error}") from None
-    LOGGER.info("tracks aligned with the truth: %s", registration_report(found))
-    return found
+    LOGGER.info("tracks aligned with the truth: %s", registration_report(found.registration))
+    return found.registration
 
 
 def registered_tracks(tracks: Tracks, found: Registration) -> Tracks:

@@ -5,7 +5,7 @@ import pytest
 
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.core.metrics.truth.interpolation import Truth
-from stereophd.core.metrics.truth.registration import Freedom, register
+from stereophd.core.metrics.truth.registration import Estimates, Freedom, register
 
 
 def two_objects():
@@ -18,6 +18,14 @@ def two_objects():
 
 def as_truth(times, paths):
     return Truth(np.tile(times, 2), np.repeat([4, 7], len(times)), paths.reshape(-1, 3))
+
+
+def estimates(times, positions, covariance=None, track_id=0):
+    """Estimates of unit covariance, unless it is given."""
+    return Estimates(
+        times, positions, np.tile(np.eye(3), (len(times), 1, 1)) if covariance is None else covariance,
+        np.broadcast_to(track_id, len(times)),
+    )  # fmt: skip
 
 
 def interpolated(times, paths, at):
@@ -35,9 +43,8 @@ def test_frame_scale_and_clock_are_found(clock, scale):
     tracks = (seen - move) @ turn / scale
     rng = np.random.default_rng(0)
     tracks[rng.random((700, 2)) < 0.1] += rng.normal(scale=1.5, size=3)
-    found = register(
-        np.repeat(at, 2), tracks.reshape(-1, 3), as_truth(times, paths), 0.1, Freedom(True, scale != 1.0, clock)
-    )
+    seen = estimates(np.repeat(at, 2), tracks.reshape(-1, 3), track_id=np.tile([0, 1], 700))
+    found = register(seen, as_truth(times, paths), 0.1, Freedom(True, scale != 1.0, clock)).registration
     np.testing.assert_allclose(found.rotation, turn, atol=2e-4)
     np.testing.assert_allclose(found.translation, move, atol=2e-3)
     assert found.scale == pytest.approx(scale, abs=1e-4)
@@ -51,14 +58,15 @@ def test_one_object_needs_no_start():
     turn = rotation_from_vector(np.array([0.5, 1.2, -0.3]))
     tracks = (paths[0] - [40.0, -10.0, 5.0]) @ turn
     truth = Truth(times, np.zeros(len(times), dtype=np.int64), paths[0])
-    found = register(times, tracks, truth, 0.1, Freedom())
+    found = register(estimates(times, tracks), truth, 0.1, Freedom()).registration
     np.testing.assert_allclose(found.positions(tracks), paths[0], atol=1e-6)
 
 
 def test_what_a_straight_line_leaves_open_stays():
     times = np.linspace(0.0, 10.0, 101)
     path = times[:, None] * [1.0, 0.0, 0.0]
-    found = register(times, path + [0.0, 0.3, 0.0], Truth(times, np.zeros(101, dtype=np.int64), path), 0.2, Freedom())
+    truth = Truth(times, np.zeros(101, dtype=np.int64), path)
+    found = register(estimates(times, path + [0.0, 0.3, 0.0]), truth, 0.2, Freedom()).registration
     np.testing.assert_allclose(found.rotation, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(found.translation, [0.0, -0.3, 0.0], atol=1e-9)
 
@@ -67,7 +75,7 @@ def test_covariances_and_velocities_turn_and_scale():
     times, paths = two_objects()
     turn = rotation_from_vector(np.array([0.0, 0.0, 0.3]))
     truth = Truth(times, np.zeros(len(times), dtype=np.int64), paths[0])
-    found = register(times, paths[0] @ turn / 2.0, truth, 0.1, Freedom(True, True))
+    found = register(estimates(times, paths[0] @ turn / 2.0), truth, 0.1, Freedom(True, True)).registration
     velocity, covariance = np.array([[1.0, 2.0, 3.0]]), np.diag([1.0, 4.0, 9.0])[None]
     np.testing.assert_allclose(found.velocities(velocity), 2.0 * velocity @ turn.T, atol=1e-6)
     np.testing.assert_allclose(found.covariances(covariance)[0], 4.0 * turn @ covariance[0] @ turn.T, atol=1e-5)
@@ -76,4 +84,4 @@ def test_covariances_and_velocities_turn_and_scale():
 def test_too_few_estimates():
     times, paths = two_objects()
     with pytest.raises(ValueError, match="6 or more estimates at times of the truth, found 0"):
-        register(times - 500.0, paths[0], as_truth(times, paths), 0.1, Freedom())
+        register(estimates(times - 500.0, paths[0]), as_truth(times, paths), 0.1, Freedom())
