@@ -29,6 +29,7 @@ from stereophd.pipeline.calibration.unknowns import with_quantities
 from stereophd.pipeline.cameras_covariance import in_world, rows_of, stated_uncertainty
 from stereophd.pipeline.control import Control, alignment_report, points_report, read_control
 from stereophd.pipeline.evaluation.inputs import read_tracks
+from stereophd.pipeline.evaluation.scoring import warn_of_rate
 from stereophd.validated import METRES, NO_LENGTH
 from stereophd.wording import LOGGER
 
@@ -144,6 +145,7 @@ def _alignment(
             return gravity_frame(estimates, pose, GRAVITY / METRES[target]), target, None
         freedom = Freedom(True, not options.same_scale, not options.same_clock)
         found = align_to_track(estimates, control.track, freedom)
+        warn_of_rate(tracks_path, found.registration)
         return found, target, control.origin
     except ValueError as error:
         raise InputError(f"{tracks_path}: `to` {to}: {error}") from None

@@ -72,6 +72,19 @@ def test_the_track_the_similarity_and_the_clock_are_found() -> None:
     assert (found.std[[0, 1, 2, 6, 7, 8]] < [2e-3, 2e-3, 2e-3, 1e-3, 5e-3, 2e-4]).all()
 
 
+def test_places_that_one_camera_saw_hide_no_motion() -> None:
+    tracks = tracks_of(wander(2, TIMES))
+    lost = (tracks.time_s > 20.0) & (tracks.time_s < 32.0)  # far off in depth, and known to be so
+    tracks.position[lost, 2] += 40.0
+    tracks.covariance[lost, 2, 2] = 25.0
+    kept = tracks.take((tracks.time_s < 32.0) | (tracks.time_s > 40.0))
+    kept.track_id[kept.time_s > 40.0] = 1
+    found = align_to_track(kept, control_of(wander(2, TIMES), TIMES), Freedom(scale=True, clock=True))
+    assert found.members.tolist() == [0, 1]
+    assert abs(np.log(found.registration.scale / SCALE)) < min(5.0 * found.std[6], 5e-3)
+    assert abs(found.registration.rate - RATE) < min(5.0 * found.std[8], 1e-3)
+
+
 STILL = np.zeros((len(TIMES), 3))
 LINE = np.column_stack([10.0 * np.sin(TIMES / 5.0) + TIMES / 3.0, 0.0 * TIMES, 0.0 * TIMES])
 CIRCLE = 5.0 * np.column_stack([np.cos(TIMES / 4.0), np.sin(TIMES / 4.0), 0.0 * TIMES])
@@ -114,8 +127,9 @@ def write_tracks(folder: Path, tracks: Estimates) -> None:
     with TableWriter(folder / "tracks.parquet", TRACKS, metadata) as table:
         table.append(
             {
-                "time_s": times, "camera": "a", "frame": np.round(10.0 * times).astype(int), "track_id": tracks.track_id,
-                **dict(zip("xyz", tracks.position.T, strict=True)), "vx": 1.0, "vy": 0.0, "vz": 0.0,
+                "time_s": times, "camera": "a", "frame": np.round(10.0 * times).astype(int),
+                "track_id": tracks.track_id, **dict(zip("xyz", tracks.position.T, strict=True)),
+                "vx": 1.0, "vy": 0.0, "vz": 0.0,
                 "covariance": covariance, "existence": 1.0, "status": "confirmed",
             }
         )  # fmt: skip

@@ -14,8 +14,8 @@ SAME_OBJECT, LEAST_APART, ROUNDS = 4.0, 0.02, 4
 FINER, LEAST_OF_SPLINE = 4, 5
 # Tracks follow each other if their spans add up to at most this many times that of all.
 MOST_OVERLAP = 1.1
-# Largest part of the control's spread that may be left over.
-MOST_LEFT = 0.2
+# Largest part of the control's spread that may be left over, and of its variance at the start, which is not robust.
+MOST_LEFT, MOST_UNEXPLAINED = 0.2, 0.5
 # What is determined: rotation, rad; logarithm of the scale; shift of the clock, s.
 MOST_ROTATION, MOST_SCALE, MOST_SHIFT_S = np.deg2rad(5.0), 0.05, 0.5
 
@@ -30,14 +30,14 @@ def align_to_track(tracks: Estimates, control: Truth, freedom: Freedom) -> Align
     control = _finer(control, gap)
     if not len(control.time_s):
         raise ValueError("the control track is broken by gaps everywhere: expected stretches of five rows or more")
-    curves, names = _curves(tracks)
+    weights = 1.0 / np.trace(tracks.safe_covariance, axis1=1, axis2=2)
+    curves, names = _curves(tracks, weights)
     fits = sorted(fits_to(curves, control, gap, freedom), key=lambda fit: -fit.gain)
-    _refuse_other_motion(float(np.sqrt(fits[0].unexplained)) if fits else 1.0)
+    if not fits or fits[0].unexplained > MOST_UNEXPLAINED:
+        _refuse_other_motion(float(np.sqrt(fits[0].unexplained)) if fits else 1.0)
     is_single = np.array([len(one) == 1 for one in names])
     found, members = fits[0].registration, np.array([fits[0].curve])
     used = tracks.take(np.isin(tracks.track_id, names[fits[0].curve]))
-    _refuse_straight(residuals(found, used, control, gap))
-    _refuse_rival_offset(fits[0])
     spread = float(np.sqrt(control.position.var(axis=0).sum()))
     for number in range(ROUNDS):
         alignment = register(used, control, gap, freedom, found)
@@ -50,8 +50,14 @@ def align_to_track(tracks: Estimates, control: Truth, freedom: Freedom) -> Align
         if not len(chosen) or np.array_equal(chosen, members):
             break
         members, used = chosen, tracks.take(np.isin(tracks.track_id, np.concatenate([names[k] for k in chosen])))
+    left = residuals(found, used, control, gap)
+    _refuse_other_motion(left.distance / spread)
+    _refuse_straight(left)
+    # whether another offset or track fits as well, without estimates that are far off
+    weights[np.flatnonzero(np.isin(tracks.track_id, used.track_id))[left.rows]] *= left.weights
+    fits = sorted(fits_to(_curves(tracks, weights)[0], control, gap, freedom), key=lambda fit: -fit.gain)
+    _refuse_rival_offset(fits[0])
     _refuse_rival_track(fits, np.unique(used.track_id), names)
-    _refuse_other_motion(residuals(found, used, control, gap).distance / spread)
     _refuse_undetermined(alignment.covariance)
     return alignment
 
@@ -77,10 +83,9 @@ def _finer(control: Truth, max_gap_s: float) -> Truth:
     return Truth(table[:, 0], np.zeros(len(table), dtype=np.int64), table[:, 1:4], table[:, 4:])
 
 
-def _curves(tracks: Estimates) -> tuple[list[Curve], list[Integers]]:
+def _curves(tracks: Estimates, weights: Array) -> tuple[list[Curve], list[Integers]]:
     """Return each track as a curve, and all as one where they follow each other: tracks of one object that broke."""
     curves, names = [], []
-    weights = 1.0 / np.trace(tracks.safe_covariance, axis1=1, axis2=2)
     every = np.unique(tracks.track_id)
     spans = [float(np.ptp(tracks.time_s[tracks.track_id == name])) for name in every]
     follow = len(every) > 1 and sum(spans) <= MOST_OVERLAP * float(np.ptp(tracks.time_s))
@@ -105,8 +110,7 @@ def _refuse_other_motion(left_over: float) -> None:
 def _refuse_straight(left: Residuals) -> None:
     """Refuse motion along one line."""
     places = left.jacobian[:, :, 6]  # about their middle
-    places = places - left.mean(places)
-    width = float(np.sqrt(np.linalg.eigvalsh(left.mean(places[:, :, None] * places[:, None]))[1]))
+    width = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(places.T, aweights=left.precisions))[1], 0.0)))
     if width < 2.0 * left.distance:
         raise ValueError(
             "the object moves along one straight line, which leaves the rotation about it open: record curves in two "

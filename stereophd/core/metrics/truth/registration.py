@@ -7,10 +7,11 @@ IROS 2012, for the frame), or cameras and tracks are brought into a world. With 
     true time = t_0 + shift + rate (t - t_0),     q(true time) ~ scale * rotation x + translation,
 
 are found together by reweighted least squares, each estimate with the true object nearest to it at its time. An
-estimate weighs by its covariance, so that places that one camera alone saw hardly count, and by Cauchy weights at twice
-the median distance in standard deviations. Clocks run at nearly one rate, which is known beforehand to `RATE_STD`:
-else an error of the scale, or of any other kind, passes for one of the clock. The frames must agree well enough for the
-pairs to be right mostly; a single object needs no such start.
+estimate weighs by its covariance, and by how far it is off in standard deviations (weights of S. Geman, D. E. McClure,
+"Statistical methods for tomographic image reconstruction", 1987), so that places that one camera alone saw hardly
+count. Clocks run at nearly one rate, which is known beforehand to `RATE_STD`: else an error of the scale, or of any
+other kind, passes for one of the clock. The frames must agree well enough for the pairs to be right mostly; a single
+object needs no such start.
 """
 
 from dataclasses import dataclass, field, replace
@@ -32,8 +33,8 @@ MOST_ESTIMATES, LEAST_ESTIMATES = 5000, 6
 RATE_STD, LOWEST_RATE, HIGHEST_RATE = 1e-3, 0.5, 2.0
 # Least variance along an axis, in parts of the median variance: covariances may be singular.
 LEAST_VARIANCE = 1e-6
-# Median distance of normal errors of unit variance along three axes.
-MEDIAN_DISTANCE = 1.538
+# Median and lower quartile of the distances of normal errors of unit variance along three axes.
+MEDIAN_DISTANCE, QUARTILE_DISTANCE = 1.538, 1.101
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,7 @@ class Residuals:
     errors: Array  # (r, 3): True position less the moved estimate
     jacobian: Array  # (r, 3, 9): Of the moved estimates less the truth, in the order of `Freedom.columns`
     roots: Array  # (r, 3, 3): With which errors become those of unit covariance
-    precisions: Array  # (r,): Inverse mean variances
+    precisions: Array  # (r,): Inverse mean variances, in the unit of the estimates
 
     @property
     def distances(self) -> Array:
@@ -147,32 +148,38 @@ class Residuals:
 
     @property
     def reach(self) -> float:
-        """Twice the median distance in standard deviations."""
-        return max(2.0 * float(np.median(np.linalg.norm(self.whitened, axis=1))) if len(self.rows) else 0.0, 1e-12)
+        """Four median distances in standard deviations, by the lower quartile: most estimates may be far off."""
+        lengths = np.linalg.norm(self.whitened, axis=1)
+        quartile = float(np.quantile(lengths, 0.25)) if len(lengths) else 0.0
+        return max(4.0 * MEDIAN_DISTANCE / QUARTILE_DISTANCE * quartile, 1e-12)
 
     @property
     def weights(self) -> Array:
-        """Cauchy weights (r,)."""
-        return np.asarray(1.0 / (1.0 + (np.linalg.norm(self.whitened, axis=1) / self.reach) ** 2))
+        """Robust weights (r,)."""
+        return np.asarray((1.0 + (np.linalg.norm(self.whitened, axis=1) / self.reach) ** 2) ** -2)
 
-    def mean(self, values: Array) -> Array:
-        """Mean of values (r, ...), weighted by what is known of the places and by how well they fit."""
-        return np.asarray(np.average(values, axis=0, weights=self.precisions * self.weights))
+    @property
+    def misfit(self) -> float:
+        """How many times what the estimates state the distances are (median)."""
+        lengths = np.linalg.norm(self.whitened, axis=1)
+        return float(np.median(lengths)) / MEDIAN_DISTANCE
 
     @property
     def distance(self) -> float:
-        """Root mean square distance, weighted as `mean`, length."""
-        return float(np.sqrt(self.mean(self.distances**2)))
+        """Median distance, weighted by what is known of the places, length."""
+        order = np.argsort(self.distances)
+        known = np.cumsum(self.precisions[order])
+        return float(self.distances[order][np.searchsorted(known, 0.5 * known[-1])])
 
-    def variance(self, weights: Array, track_ids: Integers) -> float:
-        """Variance, in parts of what is stated, that successive errors as alike as these have when taken for independent.
+    def variance(self, track_ids: Integers) -> float:
+        """Variance, in parts of what is stated, of errors as alike as these when they are taken for independent.
 
         If their correlation falls exponentially, with the r errors worth m of a mean square (`independent_count`),
         those of a mean are worth about r / (2 r / m - 1).
         """
-        errors = np.sqrt(weights)[:, None] * self.whitened
+        errors = np.sqrt(self.weights)[:, None] * self.whitened
         alike = 2.0 * len(errors) / max(independent_count(errors, track_ids), 1.0) - 1.0
-        return max(alike, 1.0) * float((errors**2).sum() / (3.0 * weights.sum()))
+        return max(alike, 1.0) * (0.25 * self.reach / MEDIAN_DISTANCE) ** 2
 
 
 def register(
@@ -199,14 +206,13 @@ def register(
             raise ValueError(
                 f"expected {LEAST_ESTIMATES} or more estimates at times of the truth, found {len(fit.rows)}"
             )
-        weights = fit.weights
         jacobian = (fit.roots @ fit.jacobian)[:, :, columns]
         # all columns of one size, those of the rotation together: what the estimates leave open then stays as it is
         sizes = np.maximum(np.sqrt((jacobian**2).sum(axis=(0, 1))), 1e-300)
         sizes[columns < 3] = sizes[columns < 3].max(initial=1e-300)
-        roots = np.sqrt(weights)
+        roots = np.sqrt(fit.weights)
         # the rate's prior, of the variance of the errors
-        prior = np.sqrt(fit.variance(weights, used.track_id[fit.rows])) / RATE_STD
+        prior = np.sqrt(fit.variance(used.track_id[fit.rows])) / RATE_STD
         solved = np.linalg.lstsq(
             np.vstack([(roots[:, None, None] * jacobian).reshape(-1, len(columns)), prior * (columns == 8)]) / sizes,
             np.append(roots[:, None] * fit.whitened, prior * (1.0 - registration.rate)),
@@ -221,8 +227,7 @@ def register(
     fit = residuals(registration, used, truth, max_gap_s)
     ids = used.track_id[fit.rows]
     covariance = _covariance(fit, ids, columns)
-    misfit = 0.5 * fit.reach / MEDIAN_DISTANCE
-    return Alignment(registration, fit.center, covariance, np.unique(ids), fit.distances, misfit)
+    return Alignment(registration, fit.center, covariance, np.unique(ids), fit.distances, fit.misfit)
 
 
 def residuals(registration: Registration, estimates: Estimates, truth: Truth, max_gap_s: float) -> Residuals:
@@ -232,17 +237,16 @@ def residuals(registration: Registration, estimates: Estimates, truth: Truth, ma
     moved = registration.positions(used.position)
     center = moved.mean(axis=0) if len(rows) else np.zeros(3)
     jacobian = derivatives(moved - center, velocities, used.time_s - registration.at_s)
-    covariances = registration.covariances(estimates.safe_covariance[rows])
-    return Residuals(
-        rows, center, targets - moved, jacobian, np.linalg.inv(np.linalg.cholesky(covariances)),
-        3.0 / np.trace(covariances, axis1=1, axis2=2),
-    )  # fmt: skip
+    covariances = estimates.safe_covariance[rows]
+    roots = np.linalg.inv(np.linalg.cholesky(covariances)) @ (registration.rotation.T / registration.scale)
+    precisions = 3.0 / np.trace(covariances, axis1=1, axis2=2)
+    return Residuals(rows, center, targets - moved, jacobian, roots, precisions)
 
 
 def _covariance(left: Residuals, track_ids: Integers, columns: Integers) -> Array:
-    """Covariance (9, 9) of a registration by what it leaves over and the prior of the rate; zero of what is not free."""
+    """Covariance (9, 9) of a registration by what is left over and the prior of the rate; zero of what is not free."""
     weighted = (left.roots @ left.jacobian)[:, :, columns] * np.sqrt(left.weights)[:, None, None]
-    matrix = np.einsum("nai,naj->ij", weighted, weighted) / max(left.variance(left.weights, track_ids), 1e-300)
+    matrix = np.einsum("nai,naj->ij", weighted, weighted) / max(left.variance(track_ids), 1e-300)
     matrix += np.diag((columns == 8) / RATE_STD**2)
     scales = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     inverse = np.linalg.pinv(matrix / np.outer(scales, scales), rcond=1e-13, hermitian=True) / np.outer(scales, scales)

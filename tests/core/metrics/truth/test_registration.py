@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereophd.core.geometry.pose import rotation_from_vector
+from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.core.metrics.truth.registration import Estimates, Freedom, register
 
@@ -51,6 +51,38 @@ def test_frame_scale_and_clock_are_found(clock, scale):
     assert found.estimates > 1300
     np.testing.assert_allclose(found.times(at), 115.0 + shift + rate * (at - 115.0), atol=2e-3)
     np.testing.assert_allclose(found.track_times(found.times(at)), at, atol=1e-9)
+
+
+def test_places_that_one_camera_saw_hardly_count():
+    # two fifths of the track miss the object by 30 in depth, and state a standard deviation of 5 along it
+    times, paths = two_objects()
+    rng = np.random.default_rng(1)
+    tracks = paths[0] + rng.normal(scale=0.02, size=(len(times), 3))
+    lost = (times > 112.0) & (times < 124.0)
+    tracks[lost, 2] += 30.0
+    covariance = np.tile(4e-4 * np.eye(3), (len(times), 1, 1))
+    covariance[lost, 2, 2] = 25.0
+    truth = Truth(times, np.zeros(len(times), dtype=np.int64), paths[0])
+    found = register(estimates(times, tracks, covariance), truth, 0.1, Freedom(True, True, True))
+    errors = [*rotation_to_vector(found.registration.rotation), found.registration.scale - 1.0]
+    errors += [found.registration.shift_s, found.registration.rate - 1.0]
+    assert (np.abs(errors) < 5.0 * found.std[[0, 1, 2, 6, 7, 8]]).all()
+    assert (np.abs(errors) < [5e-3, 5e-3, 5e-3, 5e-3, 5e-3, 5e-4]).all()
+
+
+def test_an_error_of_the_scale_does_not_pass_for_one_of_the_clock():
+    # objects that go away from the cameras: places 3 % too far off look like a clock that is 3 % fast
+    times = np.linspace(0.0, 60.0, 301)
+    starts, speeds = np.array([[5.0, 0.0, 20.0], [-5.0, 1.0, 25.0]]), np.array([[0.2, 0.0, 1.0], [-0.2, 0.1, 1.2]])
+    paths = starts[:, None] + speeds[:, None] * times[:, None]
+    paths += 0.3 * np.sin(times[:, None] * [0.3, 0.5, 0.7])
+    truth = Truth(np.tile(times, 2), np.repeat([0, 1], len(times)), paths.reshape(-1, 3))
+    places = np.swapaxes(1.03 * paths, 0, 1).reshape(-1, 3)
+    covariance = 1e-4 * np.eye(3) + 0.03**2 * places[:, :, None] * places[:, None]
+    seen = estimates(np.repeat(times, 2), places, covariance, np.tile([0, 1], len(times)))
+    found = register(seen, truth, 0.5, Freedom(True, False, True)).registration
+    assert found.rate == pytest.approx(1.0, abs=3e-3)
+    assert found.shift_s == pytest.approx(0.0, abs=0.2)
 
 
 def test_one_object_needs_no_start():
