@@ -26,7 +26,7 @@ from stereophd.core.metrics.truth.interpolation import Truth, align_truth
 from stereophd.core.numerics.rows import ArrayRows
 
 # Steps of the least squares at most, and the change at which they end, in parts of the median distance.
-MOST_STEPS, TOLERANCE = 100, 1e-9
+MOST_STEPS, TOLERANCE = 100, 1e-6
 # Estimates that are used at most (evenly chosen) and at least.
 MOST_ESTIMATES, LEAST_ESTIMATES = 5000, 6
 # Standard deviation of the rate of a clock relative to another; slowest and fastest rate.
@@ -98,13 +98,8 @@ class Estimates(ArrayRows):
     @property
     def safe_covariance(self) -> Array:
         """Covariances (n, 3, 3) that are positive definite; unit ones where none is stated."""
-        middle = float(np.median(self.variance)) if len(self.variance) else 0.0
+        middle = float(np.median(np.trace(self.covariance, axis1=1, axis2=2))) / 3.0 if len(self.time_s) else 0.0
         return np.asarray(self.covariance + (LEAST_VARIANCE * middle if middle > 0.0 else 1.0) * np.eye(3))
-
-    @property
-    def variance(self) -> Array:
-        """Mean variances (n,) along the axes."""
-        return np.asarray(np.trace(self.covariance, axis1=1, axis2=2) / 3.0)
 
 
 @dataclass(frozen=True)
@@ -206,27 +201,21 @@ def register(
             raise ValueError(
                 f"expected {LEAST_ESTIMATES} or more estimates at times of the truth, found {len(fit.rows)}"
             )
-        jacobian = (fit.roots @ fit.jacobian)[:, :, columns]
+        ids = used.track_id[fit.rows]
+        roots = np.sqrt(fit.weights / fit.variance(ids))[:, None]
+        jacobian = roots[:, :, None] * (fit.roots @ fit.jacobian)[:, :, columns]
         # all columns of one size, those of the rotation together: what the estimates leave open then stays as it is
         sizes = np.maximum(np.sqrt((jacobian**2).sum(axis=(0, 1))), 1e-300)
         sizes[columns < 3] = sizes[columns < 3].max(initial=1e-300)
-        roots = np.sqrt(fit.weights)
-        # the rate's prior, of the variance of the errors
-        prior = np.sqrt(fit.variance(used.track_id[fit.rows])) / RATE_STD
-        solved = np.linalg.lstsq(
-            np.vstack([(roots[:, None, None] * jacobian).reshape(-1, len(columns)), prior * (columns == 8)]) / sizes,
-            np.append(roots[:, None] * fit.whitened, prior * (1.0 - registration.rate)),
-            1e-9,
-        )[0]
-        step = np.zeros(9)
-        step[columns] = solved / sizes
+        prior = (columns == 8) / RATE_STD**2
+        matrix = np.einsum("nai,naj->ij", jacobian, jacobian) + np.diag(prior)
+        inverse = np.linalg.pinv(matrix / np.outer(sizes, sizes), rcond=1e-13, hermitian=True) / np.outer(sizes, sizes)
+        vector = np.einsum("nai,na->i", jacobian, roots * fit.whitened) + prior * (1.0 - registration.rate)
+        step, covariance = np.zeros(9), np.zeros((9, 9))
+        step[columns], covariance[np.ix_(columns, columns)] = inverse @ vector, inverse
         registration = stepped(registration, step, fit.center, len(fit.rows))
-        change = np.abs(jacobian @ step[columns]).max()
-        if change <= TOLERANCE * fit.reach:
+        if np.abs(fit.jacobian @ step).max() <= TOLERANCE * fit.distance:
             break
-    fit = residuals(registration, used, truth, max_gap_s)
-    ids = used.track_id[fit.rows]
-    covariance = _covariance(fit, ids, columns)
     return Alignment(registration, fit.center, covariance, np.unique(ids), fit.distances, fit.misfit)
 
 
@@ -241,18 +230,6 @@ def residuals(registration: Registration, estimates: Estimates, truth: Truth, ma
     roots = np.linalg.inv(np.linalg.cholesky(covariances)) @ (registration.rotation.T / registration.scale)
     precisions = 3.0 / np.trace(covariances, axis1=1, axis2=2)
     return Residuals(rows, center, targets - moved, jacobian, roots, precisions)
-
-
-def _covariance(left: Residuals, track_ids: Integers, columns: Integers) -> Array:
-    """Covariance (9, 9) of a registration by what is left over and the prior of the rate; zero of what is not free."""
-    weighted = (left.roots @ left.jacobian)[:, :, columns] * np.sqrt(left.weights)[:, None, None]
-    matrix = np.einsum("nai,naj->ij", weighted, weighted) / max(left.variance(track_ids), 1e-300)
-    matrix += np.diag((columns == 8) / RATE_STD**2)
-    scales = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
-    inverse = np.linalg.pinv(matrix / np.outer(scales, scales), rcond=1e-13, hermitian=True) / np.outer(scales, scales)
-    out = np.zeros((9, 9))
-    out[np.ix_(columns, columns)] = inverse
-    return out
 
 
 def _nearest(
