@@ -16,7 +16,7 @@ from stereophd.core.alignment.to_points import ControlPoints, align_to_points
 from stereophd.core.alignment.to_track import align_to_track
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.core.metrics.truth.interpolation import Truth
-from stereophd.core.metrics.truth.registration import Estimates, Freedom
+from stereophd.core.metrics.truth.registration import Freedom, TrackedPlaces
 from stereophd.io.outputs.provenance import to_metadata
 from stereophd.io.tables.schemas import TRACKS
 from stereophd.io.tables.writing import TableWriter
@@ -45,13 +45,13 @@ def control_of(path: np.ndarray, times: np.ndarray, noise: float = 0.05) -> Trut
     return Truth(RATE * times + SHIFT, np.zeros(len(times), dtype=np.int64), in_world(path) + errors)
 
 
-def tracks_of(*paths: np.ndarray, noise: float = 0.02) -> Estimates:
+def tracks_of(*paths: np.ndarray, noise: float = 0.02) -> TrackedPlaces:
     """Return noisy positions of several objects, in order of time."""
     rng = np.random.default_rng(8)
     noisy = np.stack(paths, axis=1)
     ids = np.tile(np.arange(len(paths)), len(TIMES))
     places = (noisy + rng.normal(0.0, noise, noisy.shape)).reshape(-1, 3)
-    return Estimates(np.repeat(TIMES, len(paths)), places, np.tile(noise**2 * np.eye(3), (len(places), 1, 1)), ids)
+    return TrackedPlaces(np.repeat(TIMES, len(paths)), places, np.tile(noise**2 * np.eye(3), (len(places), 1, 1)), ids)
 
 
 def test_the_track_the_similarity_and_the_clock_are_found() -> None:
@@ -120,7 +120,7 @@ def run(tmp_path: Path) -> Path:
     return tmp_path / "run"
 
 
-def write_tracks(folder: Path, tracks: Estimates) -> None:
+def write_tracks(folder: Path, tracks: TrackedPlaces) -> None:
     times, covariance = tracks.time_s, np.zeros((len(tracks.time_s), 6, 6))
     covariance[:, :3, :3], covariance[:, 3:, 3:] = tracks.covariance, 4e-4 * np.eye(3)
     metadata = to_metadata({"units": {"length": "baseline"}})
@@ -167,7 +167,7 @@ def test_cameras_and_tables_are_moved(run: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diag(first)[3:], 4e-4 * SCALE**2, rtol=2e-3)
 
 
-def floor_and_balls(kind: str) -> Estimates:
+def floor_and_balls(kind: str) -> TrackedPlaces:
     """Return objects on an inclined floor, or that are thrown over and over, in a frame where down is not y."""
     tilt = rotation_from_vector([0.2, 0.0, 0.15])
     paths = []

@@ -8,7 +8,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.metrics.truth.registration import Alignment, Estimates, Registration
+from stereophd.core.metrics.truth.registration import Alignment, Registration, TrackedPlaces
 
 # The objects are on a floor if their scatter about it is at most this part of their second extent.
 MOST_SCATTER = 0.2
@@ -49,7 +49,7 @@ def floor_frame(position: Array, pose: Pose) -> Alignment:
     return _upright(down, foot, pose, 1.0, np.array([scatter / extent, 0.0]) / np.sqrt(len(position)), heights)
 
 
-def gravity_frame(tracks: Estimates, pose: Pose, gravity: float) -> Alignment:
+def gravity_frame(tracks: TrackedPlaces, pose: Pose, gravity: float) -> Alignment:
     """Return the frame of a camera's centre in which objects in free flight fall along y with the acceleration given.
 
     Raises ValueError where stretches of tracks do not share one acceleration.
@@ -75,7 +75,7 @@ def gravity_frame(tracks: Estimates, pose: Pose, gravity: float) -> Alignment:
     return _upright(mean / size, pose.center, pose, gravity / size, np.full(2, best[0]), np.zeros(0))
 
 
-def _accelerations(tracks: Estimates, count: int) -> Array:
+def _accelerations(tracks: TrackedPlaces, count: int) -> Array:
     """Accelerations (k, 3) of successive stretches of `count` estimates of each track."""
     out = [np.zeros((0, 3))]
     for name in np.unique(tracks.track_id):

@@ -5,7 +5,7 @@ import numpy as np
 from stereophd.core.alignment.start import OTHER_GAIN, OTHER_UNEXPLAINED, Curve, CurveFit, fits_to
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.metrics.truth.interpolation import DEFAULT_GAP_STEPS, Truth
-from stereophd.core.metrics.truth.registration import Alignment, Estimates, Freedom, Residuals, register, residuals
+from stereophd.core.metrics.truth.registration import Alignment, Freedom, Residuals, TrackedPlaces, register, residuals
 
 # A track belongs to the control if its median distance is below this many times that of the best track, or this part
 # of the control's spread; rounds in which the members are found.
@@ -20,7 +20,7 @@ MOST_LEFT, MOST_UNEXPLAINED = 0.2, 0.5
 MOST_ROTATION, MOST_SCALE, MOST_SHIFT_S = np.deg2rad(5.0), 0.05, 0.5
 
 
-def align_to_track(tracks: Estimates, control: Truth, freedom: Freedom) -> Alignment:
+def align_to_track(tracks: TrackedPlaces, control: Truth, freedom: Freedom) -> Alignment:
     """Align tracks with a control track of one object, on a clock of its own unless `freedom` keeps the clock.
 
     The function finds which of all tracks belong to the control. Raises ValueError, which names what is missing, where
@@ -83,7 +83,7 @@ def _finer(control: Truth, max_gap_s: float) -> Truth:
     return Truth(table[:, 0], np.zeros(len(table), dtype=np.int64), table[:, 1:4], table[:, 4:])
 
 
-def _curves(tracks: Estimates, weights: Array) -> tuple[list[Curve], list[Integers]]:
+def _curves(tracks: TrackedPlaces, weights: Array) -> tuple[list[Curve], list[Integers]]:
     """Return each track as a curve, and all as one where they follow each other: tracks of one object that broke."""
     curves, names = [], []
     every = np.unique(tracks.track_id)

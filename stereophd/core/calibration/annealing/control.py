@@ -27,7 +27,7 @@ from stereophd.core.calibration.annealing.fits import FITTED_LOSS, problem_of
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.unknowns.scale import can_be_enlarged, enlarged, scale_is_free
 from stereophd.core.metrics.truth.interpolation import Truth
-from stereophd.core.metrics.truth.registration import MEDIAN_DISTANCE, MOST_ESTIMATES, Alignment, Estimates, Freedom
+from stereophd.core.metrics.truth.registration import MEDIAN_DISTANCE, MOST_ESTIMATES, Alignment, Freedom, TrackedPlaces
 
 # The world is known beforehand to this many deviations of the alignment, at most as well as the least ones: rad,
 # length and log scale as parts, s, 1. A scale that is not free is held.
@@ -107,7 +107,7 @@ def _aligned(fit: Fit, track: Truth, any_scale: bool) -> Alignment:
     every = np.concatenate(times)
     places = positions(fit.adjustment.states, *interpolation(fit.knots, ids, every))
     alike = np.tile(np.eye(3), (len(every), 1, 1))
-    trajectories = Estimates(every, places, alike, ids).take(np.argsort(every, kind="stable"))
+    trajectories = TrackedPlaces(every, places, alike, ids).take(np.argsort(every, kind="stable"))
     return align_to_track(trajectories, track, Freedom(True, any_scale, True))
 
 

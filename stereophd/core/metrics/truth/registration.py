@@ -87,8 +87,8 @@ class Registration:
 
 
 @dataclass(frozen=True)
-class Estimates(ArrayRows):
-    """Estimates of objects, in order of time."""
+class TrackedPlaces(ArrayRows):
+    """Estimates of places of objects, in order of time."""
 
     time_s: Array  # (n,): s, never decreasing
     position: Array  # (n, 3)
@@ -124,7 +124,7 @@ class Alignment:
 class Residuals:
     """Distances of the estimates that `register` uses from the truth, and their derivatives."""
 
-    rows: Integers  # (r,): Estimates that have a true object at their time
+    rows: Integers  # (r,): TrackedPlaces that have a true object at their time
     center: Array  # (3,): Middle of the moved estimates, about which they are turned and scaled
     errors: Array  # (r, 3): True position less the moved estimate
     jacobian: Array  # (r, 3, 9): Of the moved estimates less the truth, in the order of `Freedom.columns`
@@ -178,7 +178,7 @@ class Residuals:
 
 
 def register(
-    estimates: Estimates, truth: Truth, max_gap_s: float, freedom: Freedom, start: Registration | None = None
+    estimates: TrackedPlaces, truth: Truth, max_gap_s: float, freedom: Freedom, start: Registration | None = None
 ) -> Alignment:
     """Find the motion and the map of time that bring estimates nearest to the truth, within what `freedom` allows.
 
@@ -219,7 +219,7 @@ def register(
     return Alignment(registration, fit.center, covariance, np.unique(ids), fit.distances, fit.misfit)
 
 
-def residuals(registration: Registration, estimates: Estimates, truth: Truth, max_gap_s: float) -> Residuals:
+def residuals(registration: Registration, estimates: TrackedPlaces, truth: Truth, max_gap_s: float) -> Residuals:
     """Return how far estimates are from the nearest true objects."""
     rows, targets, velocities = _nearest(registration, estimates, truth, max_gap_s)
     used = estimates.take(rows)
@@ -233,7 +233,7 @@ def residuals(registration: Registration, estimates: Estimates, truth: Truth, ma
 
 
 def _nearest(
-    registration: Registration, estimates: Estimates, truth: Truth, max_gap_s: float
+    registration: Registration, estimates: TrackedPlaces, truth: Truth, max_gap_s: float
 ) -> tuple[Integers, Array, Array]:
     """Estimates (r,) that have true objects at their times, and position and velocity (r, 3) of the nearest."""
     aligned = align_truth(truth, registration.times(estimates.time_s), max_gap_s)

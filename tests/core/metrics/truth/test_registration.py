@@ -5,7 +5,7 @@ import pytest
 
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.core.metrics.truth.interpolation import Truth
-from stereophd.core.metrics.truth.registration import Estimates, Freedom, register
+from stereophd.core.metrics.truth.registration import Freedom, TrackedPlaces, register
 
 
 def two_objects():
@@ -22,7 +22,7 @@ def as_truth(times, paths):
 
 def estimates(times, positions, covariance=None, track_id=0):
     """Estimates of unit covariance, unless it is given."""
-    return Estimates(
+    return TrackedPlaces(
         times, positions, np.tile(np.eye(3), (len(times), 1, 1)) if covariance is None else covariance,
         np.broadcast_to(track_id, len(times)),
     )  # fmt: skip
