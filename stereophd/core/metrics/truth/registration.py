@@ -142,22 +142,24 @@ class Residuals:
         return np.asarray((self.roots @ self.errors[:, :, None])[:, :, 0])
 
     @property
+    def deviations(self) -> Array:
+        """Distances (r,) in standard deviations."""
+        return np.asarray(np.linalg.norm(self.whitened, axis=1))
+
+    @property
     def reach(self) -> float:
         """Four median distances in standard deviations, by the lower quartile: most estimates may be far off."""
-        lengths = np.linalg.norm(self.whitened, axis=1)
-        quartile = float(np.quantile(lengths, 0.25)) if len(lengths) else 0.0
-        return max(4.0 * MEDIAN_DISTANCE / QUARTILE_DISTANCE * quartile, 1e-12)
+        return max(4.0 * MEDIAN_DISTANCE / QUARTILE_DISTANCE * float(np.quantile(self.deviations, 0.25)), 1e-12)
 
     @property
     def weights(self) -> Array:
         """Robust weights (r,)."""
-        return np.asarray((1.0 + (np.linalg.norm(self.whitened, axis=1) / self.reach) ** 2) ** -2)
+        return np.asarray((1.0 + (self.deviations / self.reach) ** 2) ** -2)
 
     @property
     def misfit(self) -> float:
         """How many times what the estimates state the distances are (median)."""
-        lengths = np.linalg.norm(self.whitened, axis=1)
-        return float(np.median(lengths)) / MEDIAN_DISTANCE
+        return float(np.median(self.deviations)) / MEDIAN_DISTANCE
 
     @property
     def distance(self) -> float:
@@ -204,11 +206,11 @@ def register(
         ids = used.track_id[fit.rows]
         roots = np.sqrt(fit.weights / fit.variance(ids))[:, None]
         jacobian = roots[:, :, None] * (fit.roots @ fit.jacobian)[:, :, columns]
-        # all columns of one size, those of the rotation together: what the estimates leave open then stays as it is
-        sizes = np.maximum(np.sqrt((jacobian**2).sum(axis=(0, 1))), 1e-300)
-        sizes[columns < 3] = sizes[columns < 3].max(initial=1e-300)
         prior = (columns == 8) / RATE_STD**2
         matrix = np.einsum("nai,naj->ij", jacobian, jacobian) + np.diag(prior)
+        # all columns of one size, those of the rotation together: what the estimates leave open then stays as it is
+        sizes = np.sqrt(np.maximum(np.diag(matrix), 1e-300))
+        sizes[columns < 3] = sizes[columns < 3].max(initial=1e-300)
         inverse = np.linalg.pinv(matrix / np.outer(sizes, sizes), rcond=1e-13, hermitian=True) / np.outer(sizes, sizes)
         vector = np.einsum("nai,na->i", jacobian, roots * fit.whitened) + prior * (1.0 - registration.rate)
         step, covariance = np.zeros(9), np.zeros((9, 9))
