@@ -1,7 +1,7 @@
 # `make demo` and `make test` do all the set-up; everything lives in $(VENV) and out/.
 VENV ?= .venv
 BIN := $(VENV)/bin
-DEMO := out/quickstart
+DEMO := out
 # The default Python where it is new enough, else one that is. Override: make PYTHON=...
 PYTHON ?= $(shell for p in python3 python python3.11 python3.12 python3.13; do \
 	"$$p" -c 'import sys; sys.exit(sys.version_info < (3, 11))' >/dev/null 2>&1 && { echo "$$p"; break; }; done)
@@ -24,6 +24,7 @@ help:
 
 demo: $(VENV)/.installed-plot
 	$(BIN)/stereophd demo $(DEMO) --force
+	@echo "These commands need the environment: . $(BIN)/activate"
 
 test: $(VENV)/.installed-all
 	$(BIN)/python -m pytest -n 2 --dist worksteal

@@ -22,7 +22,7 @@ from stereophd.core.settings import Coordinate, parameter
 class Model(BaseModel):
     """Base of all models: unknown keys are errors, instances are immutable."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, defer_build=True)
 
 
 @dataclass(frozen=True)

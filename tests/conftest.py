@@ -25,6 +25,9 @@ terminal.PACE_S = 1e6
 hypothesis.settings.register_profile("stereophd", deadline=None)
 hypothesis.settings.load_profile("stereophd")
 
+# Processes that tests start keep their bytecode, beside which kernels lie already: they need not compile the sources.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+
 # A shell starts what runs in the background with SIGINT ignored, and nohup with SIGHUP; both would be inherited by
 # the processes that tests start and interrupt.
 signal.signal(signal.SIGINT, signal.default_int_handler)
@@ -107,7 +110,12 @@ def global_state() -> Iterator[None]:
     np.seterr(**errors)
 
 
+def leave_out_checks(patch: pytest.MonkeyPatch) -> None:
+    """Let `track` in this process not check its log first, which takes longer than a short run."""
+    patch.setattr("stereophd.commands.track.check_log", lambda *_, **__: ())
+
+
 @pytest.fixture
 def without_checks(monkeypatch: pytest.MonkeyPatch) -> None:
-    """`track` in this process does not check its log first, which takes longer than a short run."""
-    monkeypatch.setattr("stereophd.commands.track.check_log", lambda *_, **__: ())
+    """`track` does not check its log."""
+    leave_out_checks(monkeypatch)

@@ -31,7 +31,9 @@ MARKS = {"ok": "ok", "warning": "WARNING", "not checked": "not checked"}
 class StatedDetector:
     """The detector of all cameras of a source, as the command line states it."""
 
-    sigma_px: float | None = declared.option("Noise of the detections; default: estimated.", default=None, metavar="PX")
+    sigma_px: float | None = declared.option(
+        "Noise of detections; default: estimated, or as in native --cameras.", default=None, metavar="PX"
+    )
     p_detect: float = declared.option("With --sigma-px: detection probability.", default=0.9, metavar="P")
     clutter: float = declared.option(
         "With --sigma-px: mean number of false detections per frame.", default=1.0, metavar="N",

@@ -59,6 +59,7 @@ COLUMNS: dict[str, dict[str, tuple[Any, Callable[[Report], Any]]]] = {
         "information_bits": (FLOAT, lambda report: report.get("observability", {}).get("information_bits")),
         "rotation_std_deg": (FLOAT, lambda report: _largest(report, "rotation_std_deg")),
         "center_std": (FLOAT, lambda report: _largest(report, "center_std")),
+        "length_unit": (STRING, lambda report: report["length_unit"]),
         "warnings": (INTEGER, count_warnings),
     },
     "evaluate": {
@@ -68,6 +69,7 @@ COLUMNS: dict[str, dict[str, tuple[Any, Callable[[Report], Any]]]] = {
         "gospa": (FLOAT, lambda report: report["gospa"]["mean"]),
         "rmse_position": (FLOAT, lambda report: report["rmse"]["position"]),
         "rmse_velocity": (FLOAT, lambda report: report["rmse"]["velocity"]),
+        "length_unit": (STRING, lambda report: report["length_unit"]),
         "cardinality_bias": (FLOAT, lambda report: report["cardinality"]["bias"]),
         "identity_switches": (INTEGER, lambda report: report["identity_switches"]),
         "nees_position": (FLOAT, lambda report: report["nees"]["position"]),

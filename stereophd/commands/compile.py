@@ -1,8 +1,10 @@
 """Compile the kernels of `track` and keep them, so that later runs find them."""
 
+from functools import partial
+from operator import call
 from typing import Any
 
-from stereophd.core.multi.build import prepare, prepare_last_first
+from stereophd.core.multi.build import prepare
 from stereophd.core.multi.filter_settings import filters
 from stereophd.core.numerics.compilation.kernel_cache import place_to_keep
 from stereophd.errors import InputError
@@ -20,17 +22,9 @@ def compile_kernels(jobs: int = 1) -> dict[str, Any]:
     if place is None:
         raise InputError("compiled kernels: expected a folder that can be written to; set NUMBA_CACHE_DIR to one")
     kinds = sorted(filters())
-    if jobs == 1:
-        for kind in kinds:
-            prepare(kind)
-    else:
-        # of each filter, two processes compile from both ends
-        for _ in on_processes(_prepare, [(kind, backwards) for kind in kinds for backwards in (False, True)], jobs):
-            pass
+    # of each filter, two processes compile from both ends
+    tasks = [partial(prepare, kind, last_first) for kind in kinds for last_first in (False, True)]
+    for _ in map(prepare, kinds) if jobs == 1 else on_processes(call, tasks, jobs):
+        pass
     LOGGER.info("kernels of %s: kept in %s", ", ".join(kinds), place)
     return {"folder": str(place), "filters": kinds}
-
-
-def _prepare(task: tuple[str, bool]) -> None:
-    kind, backwards = task
-    (prepare_last_first if backwards else prepare)(kind)

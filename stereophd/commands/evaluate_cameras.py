@@ -62,7 +62,8 @@ def evaluate_calibration(
 
     With the ``posterior.parquet`` of `calibrate` beside the estimate, NEES and coverage of the posterior are reported
     too; with `loaded`, a scenario (``simulate``) and priors (``calibration``), the Cramer-Rao bound, its cameras the
-    true ones. Returns the report. Raises InputError if a file is not usable, or the two have not the same cameras;
+    true ones. Cameras of one file alone are left out, with a warning. Returns the report. Raises InputError if a file
+    is not usable, or the two have fewer than two cameras in common;
     GateError, which carries the report, if a figure is beyond its limit: everything has been written then.
     """
     estimated, true, unit = _read_pair(cameras_path, true_path)
@@ -80,7 +81,8 @@ def evaluate_calibration(
     if posterior is not None:
         report["posterior"] = posterior_figures(posterior, true)
     if loaded is not None:
-        report["bounds"] = bound_figures(loaded, true)
+        all_true = [camera.build(name) for name, camera in load_cameras(true_path).cameras.items()]
+        report["bounds"] = bound_figures(loaded, all_true)
     report["gates"] = gates(options.fail_above, options.fail_below, {"joint": report["joint"]})
     if out_dir is not None:
         inputs = {"cameras": cameras_path, "true_cameras": true_path}
@@ -93,25 +95,25 @@ def evaluate_calibration(
 
 
 def _read_pair(cameras_path: Path | str, true_path: Path | str) -> tuple[list[Camera], list[Camera], str]:
-    """Read both files; the estimated cameras come in the order of the true ones."""
+    """Read the cameras that both files have; the estimated ones come in the order of the true ones."""
     estimated, true = load_cameras(cameras_path), load_cameras(true_path)
-    if set(estimated.cameras) != set(true.cameras) or len(true.cameras) < 2:
+    names = [name for name in true.cameras if name in estimated.cameras]
+    if len(names) < 2:
         raise InputError(
-            f"{cameras_path}: expected two or more cameras, those of {true_path} ({', '.join(true.cameras)}), "
+            f"{cameras_path}: expected two or more cameras of {true_path} ({', '.join(true.cameras)}), "
             f"found {', '.join(estimated.cameras)}"
         )
+    for path, file in ((cameras_path, estimated), (true_path, true)):
+        if missing := [name for name in true.cameras | estimated.cameras if name not in file.cameras]:
+            LOGGER.warning("%s has no %s: not compared", path, ", ".join(missing))
     # cameras without a known length are compared all the same: their scale is an error of its own
     if estimated.units.length not in (true.units.length, NO_LENGTH):
         raise InputError(
             f"{cameras_path}: units.length: expected {true.units.length} as in {true_path}, "
             f"found {estimated.units.length}"
         )
-    names = list(true.cameras)
-    return (
-        [estimated.cameras[name].build(name) for name in names],
-        [true.cameras[name].build(name) for name in names],
-        true.units.length,
-    )
+    built = [[file.cameras[name].build(name) for name in names] for file in (estimated, true)]
+    return built[0], built[1], true.units.length
 
 
 def _posterior_of(cameras_path: Path, names: list[str]) -> Posterior | None:

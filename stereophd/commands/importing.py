@@ -91,7 +91,8 @@ def import_recording(
             summaries = write_native_log(recording, noted, log, log.parent, to_metadata(record))
         if recording.truth is not None:
             _write_truth(recording.truth, out.path(TRUTH_FILE), recording, noted, to_metadata(record))
-        refuse_unread(given, read | of_reader, f"a source of format {form}")
+        beside = "" if cameras_path is None else f" with {cameras_path} (native cameras state size, unit and detector)"
+        refuse_unread(given, read | of_reader, f"a source of format {form}{beside}")
         stated = paths if cameras_path is None else [*paths, Path(cameras_path)]
         refuse_other_cameras(options, [*recording.cameras, *summaries], in_source, stated)
         cameras = _with_rates(recording.cameras, summaries)
@@ -111,7 +112,7 @@ def import_recording(
             "checks": report_findings(tuple(findings)),
             "detections": sum(summary.detections for summary in summaries.values()) if summaries else None,
             "cameras": _camera_rows(cameras, summaries),
-            "distances": None if _has_unknown(cameras) else summarise_cameras(cameras, "")["distances"],
+            "distances": summarise_cameras(cameras, "")["distances"],
             "models": recording.models,
             "truth": None if recording.truth is None else {"rows": len(recording.truth.object_id)},
             "labels": {str(number): label for number, label in recording.labels.items()},
@@ -158,10 +159,6 @@ def _write_truth(
     columns |= dict(zip("xyz", truth.position[order].T, strict=True))
     with TableWriter(path, pa.schema([TRUTH.field(name) for name in columns]), metadata) as table:
         table.append(columns)
-
-
-def _has_unknown(cameras: Mapping[str, CameraConfig]) -> bool:
-    return not cameras or any(camera.pose.unknown for camera in cameras.values())
 
 
 def _with_rates(cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary]) -> dict[str, CameraConfig]:

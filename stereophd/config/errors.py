@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from stereophd.config.known_keys import kinds_with, known_keys, places_of
+from stereophd.config.known_keys import branches_at, kinds_with, known_keys, places_of
 from stereophd.config.yaml import KeyPath, Tree
 from stereophd.errors import did_you_mean, near_name, nearest
 
@@ -131,6 +131,10 @@ def _sentence(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mappin
             selector, kinds = other
             place = ".".join(map(_part, (*path[:-1], selector)))
             return f"belongs to {place} {' or '.join(kinds)}, found {_value(data, (*path[:-1], selector))}"
+        forms = [node.get("properties", {}).keys() for node in branches_at(schema, path[:-1])]
+        others = [key for key in _value(data, path[:-1]) if key in known and not any({name, key} <= f for f in forms)]
+        if name in known and others:
+            return f"expected no {name} beside {' and '.join(others)}, which takes its place"
         close = near_name(name, known)
         candidates = [*([close] if close else ()), *_elsewhere(schema, (name,))]
         return f"unknown key{_did_you_mean(candidates) or nearest(name, known)}"

@@ -85,8 +85,8 @@ class LoadedConfig:
             if camera.must_be_found:
                 key = "pose" if camera.pose.unknown else "clock.offset_s"
                 raise InputError(
-                    f"{self.path}: cameras.{name}.{key}: expected a known one, found unknown; `calibrate` finds it, "
-                    "and writes a cameras.yaml for `track`"
+                    f"{self.path}: cameras.{name}.{key}: expected a value, found unknown: run `calibrate` first; it "
+                    "writes a cameras.yaml with this value"
                 )
         return tuple(camera.build(name) for name, camera in self.cameras.items())
 

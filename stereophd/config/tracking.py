@@ -115,12 +115,12 @@ class LiveConfig(Model):
         "that of the clock on the wall",
         unit="s",
         default=0.0,
-        advice="0: every frame is worked as it comes, and a late one takes the filter back; more: fewer rows are "
+        advice="0: every frame is processed as it comes, and a late one takes the filter back; more: fewer rows are "
         "revised, and all come later.",
     )
     span_s: PositiveDuration = parameter(
-        "a frame may be this much older than the newest one: the filter goes back to the state before it and works "
-        "what followed again, exactly; an older frame is too late",
+        "a frame may be this much older than the newest one: the filter goes back to the state before it and "
+        "processes what followed again, exactly; an older frame is too late",
         unit="s",
         default=2.0,
         advice="the longest delay of a camera; states of this span are kept in memory.",

@@ -67,7 +67,7 @@ def _log(found: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _objects(found: Mapping[str, Any]) -> Iterator[str]:
-    unit = found["length_unit"] or "length"
+    unit = f" {found['length_unit']}" if found["length_unit"] else ""
     what = "track" if found["kind"] == "tracks" else "object"
     yield f"{counted(found['objects'], what)}, {counted(found['rows'], 'row')}"
     if not found["objects"]:
@@ -78,7 +78,8 @@ def _objects(found: Mapping[str, Any]) -> Iterator[str]:
         f"{duration['longest']:.4g} s, median {duration['median']:.4g} s"
     )
     spans = zip("xyz", found["lowest"], found["highest"], strict=True)
-    yield ", ".join(f"{axis} {low:.4g} to {high:.4g} {unit}" for axis, low, high in spans)
+    extents = (f"{axis} {low:.4g} to {high:.4g}{unit}" for axis, low, high in spans)
+    yield ", ".join(extents) + ("" if unit else "; the file states no unit of length")
     if "mean_existence" in found:
         yield f"mean existence {found['mean_existence']:.3f}"
     rows = [("id", "first s", "last s", "rows")]
@@ -116,13 +117,13 @@ def _cameras(found: Mapping[str, Any]) -> Iterator[str]:
         near, far = found["distances"]["nearest"], found["distances"]["farthest"]
         yield f"distances between cameras: {near:.4g} to {far:.4g} {unit}"
     if found["axes_meet_near"] is not None:
-        centers = [camera["center"] for camera in found["cameras"].values()]
+        centers = [camera["center"] for camera in found["cameras"].values() if camera["center"] is not None]
         least = ROUND_OFF * max(abs(x) for place in (found["axes_meet_near"], *centers) for x in place)
         *meet, within = (0.0 if abs(x) < least else x for x in (*found["axes_meet_near"], found["axes_distance_rms"]))
         yield f"the optical axes meet near {_vector(meet, 4)}, to within {within:.3g} {unit}"
         if found["axes_meet_behind"]:
             yield f"that point is behind {', '.join(found['axes_meet_behind'])}: do the cameras look apart?"
-    if len(found["cameras"]) > 1:
+    if found["distances"] is not None:
         yield ""
         yield from sketch(found)
 
@@ -186,5 +187,5 @@ def _shown(value: float | None, digits: int | None) -> str:
     return instant(value) if digits is None else f"{value:.{digits}g}" if digits else str(value)
 
 
-def _vector(values: Sequence[float], digits: int) -> str:
-    return "(" + ", ".join(f"{value + 0.0:.{digits}g}" for value in values) + ")"
+def _vector(values: Sequence[float] | None, digits: int) -> str:
+    return "unknown" if values is None else "(" + ", ".join(f"{value + 0.0:.{digits}g}" for value in values) + ")"

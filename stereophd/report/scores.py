@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 from stereophd.report.tables import SummaryTable, table_text
+from stereophd.wording import counted
 
 # One row: name, value, and a note (may be empty).
 Row = tuple[str, str, str]
@@ -41,7 +42,7 @@ def _error_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     low, high = nees["interval_95"]
     note = "" if report["plane"] is None else "not defined on a plane"
     if low is not None:
-        note = f"{nees['dimension']} if consistent; 95 % between {low:.3g} and {high:.3g}"
+        note = f"{nees['dimension']} if consistent; 95 % between {low:.4g} and {high:.4g}"
         if nees["position"] is not None and not low <= nees["position"] <= high:
             ratio = (nees["position"] / nees["dimension"]) ** 0.5
             note += f": errors are {ratio:.2g} times what the tracks state"
@@ -80,7 +81,7 @@ def _identity_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
 
 def _confirmation_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
     waited = report["confirmation"]
-    note = f"mean over {waited['objects']} objects; median {_number(waited['median_s'], ' s')}"
+    note = f"mean over {counted(waited['objects'], 'object')}; median {_number(waited['median_s'], ' s')}"
     never = f", {waited['never']} never" if waited["never"] else ""
     yield "time to confirmation", _number(waited["mean_s"], " s"), f"{note}{never}"
     yield "  first report", _number(waited["first_report_mean_s"], " s"), "confirmed or tentative"

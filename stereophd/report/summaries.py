@@ -4,6 +4,7 @@ The terminal and the page print the same tables.
 """
 
 import math
+from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -215,7 +216,7 @@ def _findings(checks: Sequence[Mapping[str, Any]]) -> SummaryTable:
     )
     fine, missing = (sum(check["status"] == status for check in checks) for status in ("ok", "not checked"))
     note = f"{fine} of {len(checks)} checks passed" + (f", {len(warnings)} warn" if warnings else "")
-    note += f", {missing} not made" if missing else ""
+    note += f", {missing} not checked" if missing else ""
     return SummaryTable(CHECKS, ("check", "camera", "finding", "remedy"), rows, (note,))
 
 
@@ -227,10 +228,7 @@ def verdict(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None = No
 def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) -> Iterator[str]:
     unit = report.get("length_unit") or "length"
     if "parameters" in report or "status" in report:
-        text = {"determined": "Cameras are determined", "partly determined": "Cameras are determined in part"}.get(
-            str(report.get("status")), f"Cameras are {report.get('status')}"
-        )
-        yield text + (f": {report['reason']}" if report.get("reason") else "")
+        yield f"Cameras are {report.get('status')}" + (f": {report['reason']}" if report.get("reason") else "")
         worst = [camera["rotation_std_deg"] for camera in (report.get("cameras") or {}).values()]
         if worst:
             yield f"rotations to {number(max(worst), 2)} deg or better"
@@ -256,9 +254,10 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
         ospa = evaluation["ospa"]
         scale = f" {unit}" if ospa["base"] == "euclidean" else ""
         yield f"OSPA {number(ospa['mean'])}{scale} (cutoff {ospa['cutoff']:g}{scale})"
-    warnings = [finding["name"] for finding in report.get("checks", ()) if finding["status"] == "warning"]
+    warnings = Counter(finding["name"] for finding in report.get("checks", ()) if finding["status"] == "warning")
     if warnings:
-        what = "check warns" if len(warnings) == 1 else "checks warn"
-        yield f"{len(warnings)} {what}: {', '.join(dict.fromkeys(warnings))}"
+        what = "check warns" if warnings.total() == 1 else "checks warn"
+        names = (name if count == 1 else f"{name} ({count} times)" for name, count in warnings.items())
+        yield f"{warnings.total()} {what}: {', '.join(names)}"
     elif report.get("checks"):
         yield "no check warns"

@@ -48,20 +48,21 @@ def test_the_command_is_printed_with_what_mends_it(call: Callable[..., Outcome],
     log = tmp_path / "log.parquet"
     with LogWriter(log) as writer:
         for frame in range(100):
-            for camera in ("left", "right"):
-                writer.write(
-                    frame / 25.0, camera, frame, np.array([[100.0, 100.0], [20.0 + frame, 30.0], [60.0, 20.0 + frame]])
-                )
+            for camera, x, late_s in (("left", -5.0, 0.0), ("right", 5.0, 0.7)):
+                phase = np.array([0.0, 1.0, 2.5, 4.0]) + 0.05 * frame * np.array([1.0, 1.3, 0.7, 1.6])
+                point = np.stack([20.0 * np.sin(phase), 15.0 * np.cos(1.7 * phase), 110.0 + 20.0 * np.cos(phase)])
+                pixels = np.array([[320.0], [240.0]]) + 500.0 * (point[:2] - [[x], [0.0]]) / point[2]
+                writer.write(frame / 25.0 + late_s, camera, frame, pixels.T)
     found = call("check", config, log, "--seed", "3")
     *_, title, command = found.out.splitlines()
     assert title == "The same with these remedies:"
     words = shlex.split(command)
     assert words[:6] == ["stereophd", "check", str(config), str(log), "--seed", "3"]
     assert words[6] == "--set"
+    assert "clock.offset_s=" in command
     again = call(*words[1:])
     assert again.code == 0
-    assert "log.places" in found.out
-    assert "log.places" not in again.out
+    assert "clock.offset_s" not in again.out
 
 
 def test_json(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:

@@ -244,7 +244,8 @@ def test_calibrate_of_logs_has_a_folder_and_a_row_for_each(
         out.mkdir(parents=True)
         cameras = {"a": {"rotation_std_deg": 0.5, "center_std": 2.0}}
         checks = [{"status": "warning"}, {"status": "ok"}]
-        report = {"status": "determined", "input": {"frames": 8}, "cameras": cameras, "checks": checks}
+        report = {"status": "determined", "length_unit": "m", "cameras": cameras, "checks": checks}
+        report["input"] = {"frames": 8}
         (out / "report.json").write_text("{}")
         return report
 
@@ -252,7 +253,7 @@ def test_calibrate_of_logs_has_a_folder_and_a_row_for_each(
     found = batches.calibrate_logs(loaded, [scenes / "run-*" / "detections.parquet"], tmp_path / "out", jobs=1)
     assert [row["calibration"] for row in summary(tmp_path / "out")] == ["determined", "", "determined"]
     assert [row["warnings"] for row in summary(tmp_path / "out")] == [1, None, 1]
-    assert found["logs"][0]["rotation_std_deg"] == 0.5
+    assert (found["logs"][0]["rotation_std_deg"], found["logs"][0]["length_unit"]) == (0.5, "m")
     assert found["exit_code"] == 2
 
 

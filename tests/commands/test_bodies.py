@@ -155,7 +155,7 @@ def test_size_and_ground_are_those_of_the_boxes(log: Path) -> None:
 
 
 def test_detectors_of_boxes_are_estimated(log: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stereophd.pipeline.detectors.passes.MOST_PASSES", 1)
+    monkeypatch.setattr("stereophd.pipeline.detectors.passes.MOST_RUNS", 3)
     run = build_tracking(load_config(CONFIG, ["detector=estimate"]))
     found = run.with_estimated_detectors(open_stream(run.loaded.config, run.cameras, log))
     assert found.detectors is not None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Callable
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from stereophd.commands.batches import calibrate_logs
-from stereophd.commands.calibrate import calibrate
+from stereophd.commands.calibrate import calibrate as calibrate_on_all_cores
 from stereophd.commands.evaluate_cameras import evaluate_calibration
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
@@ -32,7 +33,8 @@ QUICK = (
 # where a test is about something else than which start is right
 ONE_START = ("calibration.annealed.starts=1", "calibration.annealed.agreeing_starts=1")
 
-Made = tuple[Path, tuple[str, ...]]
+# Results do not depend on the number of processes (`again` has two), and to start some takes longer than these fits.
+calibrate = partial(calibrate_on_all_cores, jobs=1)
 
 
 def loaded(scene: Path, overrides: tuple[str, ...] = QUICK, config: Path = CONFIG) -> LoadedConfig:
@@ -427,6 +429,20 @@ def test_three_cameras_of_which_two_are_unknown(tmp_path: Path) -> None:
     for name in ("right", "above"):
         for key in ("rotation_deg", "direction_deg"):
             assert scores["cameras"][name][key] < 5.0 * scores["bounds"]["cameras"][name][key]
+
+
+def test_cameras_of_one_file_alone_are_left_out(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    camera = "{image_size_px: [640, 480], intrinsics: {fx: 500, fy: 500, cx: 320, cy: 240}, pose: {center: [%d, 0, 0]}}"
+    for name, count in (("estimate", 2), ("true", 3), ("one", 1)):
+        lines = [f"  cam{k}: {camera % k}" for k in range(count)]
+        (tmp_path / f"{name}.yaml").write_text("\n".join(["units: {length: m}", "cameras:", *lines]))
+    for pair in (("estimate", "true"), ("true", "estimate")):
+        caplog.clear()
+        report = evaluate_calibration(*(tmp_path / f"{name}.yaml" for name in pair))
+        assert list(report["cameras"]) == ["cam1"]
+        assert "estimate.yaml has no cam2: not compared" in caplog.text
+    with pytest.raises(InputError, match=r"one\.yaml: expected two or more cameras of .*, cam2\), found cam0"):
+        evaluate_calibration(tmp_path / "one.yaml", tmp_path / "true.yaml")
 
 
 def test_scoring_refuses_and_gates(scene: Path, result: Path, tmp_path: Path) -> None:

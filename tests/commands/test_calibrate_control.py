@@ -76,7 +76,7 @@ def config(cameras: list[Camera], **calibration: object) -> dict:
 
 def test_scale_frame_and_clock_are_those_of_the_control(cameras: list[Camera], log: Path, tmp_path: Path) -> None:
     control = str(log.with_name("gps.parquet"))
-    report = calibrate(make_config(config(cameras, control=control)), log, tmp_path / "out", plots=False)
+    report = calibrate(make_config(config(cameras, control=control)), log, tmp_path / "out", plots=False, jobs=1)
     found = report["control"]
     assert report["scale"]["determined_by"] == "data"
     assert 0.5 * NOISE < found["std"] < 2.0 * NOISE
@@ -105,7 +105,7 @@ def test_points_fix_scale_and_frame(cameras: list[Camera], log: Path, tmp_path: 
         pa.table(dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))), tmp_path / "court.parquet"
     )
     given = config(cameras, control={"points": str(tmp_path / "court.parquet")})
-    report = calibrate(make_config(given), log, tmp_path / "out", plots=False)
+    report = calibrate(make_config(given), log, tmp_path / "out", plots=False, jobs=1)
     assert report["control"]["residual_px"]["median"] < 1.0
     for camera, again in zip(cameras, read_cameras(tmp_path / "out" / "cameras.yaml"), strict=True):
         turn = again.pose.rotation @ (camera.pose.rotation @ TURN.T).T
@@ -135,7 +135,7 @@ def test_a_control_that_fits_nothing_is_not_used_and_said(cameras: list[Camera],
     pq.write_table(
         pa.table({"time_s": times, **dict(zip("xyz", np.outer(times, [1.0, 0.0, 0.0]).T, strict=True))}), path
     )
-    report = calibrate(make_config(config(cameras, control=str(path))), log, tmp_path / "out", plots=False)
+    report = calibrate(make_config(config(cameras, control=str(path))), log, tmp_path / "out", plots=False, jobs=1)
     assert report["status"] == "partly determined"
     assert "the control was not used" in report["reason"]
     assert "control" not in report

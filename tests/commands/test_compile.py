@@ -22,8 +22,7 @@ def test_compile_prepares_every_filter(monkeypatch: pytest.MonkeyPatch, capsys: 
 
 def test_two_processes_compile_each_filter_from_both_ends(monkeypatch: pytest.MonkeyPatch) -> None:
     prepared: list[tuple[str, bool]] = []
-    monkeypatch.setattr(compile, "prepare", lambda kind: prepared.append((kind, False)))
-    monkeypatch.setattr(compile, "prepare_last_first", lambda kind: prepared.append((kind, True)))
+    monkeypatch.setattr(compile, "prepare", lambda kind, last_first: prepared.append((kind, last_first)))
     monkeypatch.setattr(compile, "on_processes", lambda function, tasks, jobs: map(function, tasks))
     assert compile.compile_kernels(2)["filters"] == ["phd", "pmb"]
     assert prepared == [("phd", False), ("phd", True), ("pmb", False), ("pmb", True)]
@@ -70,10 +69,14 @@ def test_a_second_process_compiles_where_nothing_is_kept(
     assert [process.ended for process in _STARTED] == [True] * begun
 
 
-def test_what_both_processes_compile_is_the_same() -> None:
-    compiling.prepare_last_first("pmb")
+def test_what_both_processes_compile_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    turned: list[bool] = []
+    monkeypatch.setattr(compiling, "prepare_turns", lambda: turned.append(True))
+    compiling.prepare("pmb", last_first=True)
     kernel = compiling.last_kernel("pmb")
     before = sum(kernel.stats.cache_misses.values())
     compiling.prepare("pmb")
     assert sum(kernel.stats.cache_misses.values()) == before
     assert len(kernel.overloads) == 1
+    # either compiles the test for knocked cameras, too
+    assert len(turned) == 2

@@ -94,7 +94,7 @@ def test_cameras_and_their_layout(tmp_path: Path) -> None:
     assert found["distances"] == {"nearest": 10.0, "farthest": 10.0}
     assert found["cameras"]["right"]["detector_is_estimated"]
     lines = info_text(found).splitlines()
-    assert lines[-1].startswith("x to the right, z upwards")
+    assert lines[-1].startswith("x to the right, z up the page")
     base = next(line for line in lines if line.startswith("A"))
     assert base.rstrip().endswith("B")
     assert any(line.strip() == "+" for line in lines)
@@ -104,6 +104,19 @@ def test_cameras_and_their_layout(tmp_path: Path) -> None:
         )
     )
     assert "that point is behind left, right" in info_text(info(path))
+
+
+def test_a_pose_that_is_unknown_is_no_pose(tmp_path: Path) -> None:
+    path = tmp_path / "cameras.yaml"
+    path.write_text(
+        CAMERAS.replace("pose: {center: [5.0, 0.0, 0.0], rotation_vector_deg: [0, 10, 0]}", "pose: unknown")
+    )
+    found = info(path)
+    assert (found["cameras"]["right"]["center"], found["cameras"]["right"]["looks_along"]) == (None, None)
+    assert (found["distances"], found["axes_meet_near"]) == (None, None)
+    _, _, left, right = info_text(found).splitlines()
+    assert "(-5, 0, 0)" in left
+    assert right.split()[-3:-1] == ["unknown", "-"]
 
 
 def test_tracks_truth_and_a_folder(tmp_path: Path) -> None:

@@ -102,6 +102,20 @@ def test_cameras_of_which_nothing_is_known_are_calibrated_first(
         assert run(words) == 0
 
 
+def test_noise_follows_from_one_camera_tracks_where_poses_are_unknown(scene: Path, tmp_path: Path) -> None:
+    values = yaml.safe_load((scene / "cameras.yaml").read_text())
+    for camera in values["cameras"].values():
+        del camera["detector"]
+        camera["pose"] = "unknown"
+    guess = tmp_path / "guess.yaml"
+    guess.write_text(yaml.safe_dump(values))
+    report = init(tmp_path / "study", scene / "detections.parquet", guess)
+    for detector in report["detectors"].values():
+        assert detector["sigma_px"] == pytest.approx([1.0, 1.0], rel=0.3)
+        assert "about one-camera tracks" in detector["source"]
+    assert not load_config(tmp_path / "study" / "config.yaml").estimated_cameras
+
+
 def test_what_the_search_for_cameras_does_not_do_is_refused_before_anything_is_written(
     scene: Path, tmp_path: Path
 ) -> None:

@@ -45,7 +45,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 )
 def test_what_the_log_does_not_determine(scene: Path, tmp_path: Path, overrides: tuple[str, ...]) -> None:
     loaded = load_config(CONFIG, (*SMALL, *overrides))
-    report = calibrate(loaded, scene / "detections.parquet", tmp_path / "out", plots=False)
+    report = calibrate(loaded, scene / "detections.parquet", tmp_path / "out", plots=False, jobs=1)
     assert report["status"] == UNDETERMINED
 
 
@@ -58,7 +58,7 @@ def test_what_the_log_does_not_determine(scene: Path, tmp_path: Path, overrides:
 )
 def test_a_calibration_gives_a_result(scene: Path, tmp_path: Path, overrides: tuple[str, ...]) -> None:
     loaded = load_config(CONFIG, (*SMALL, *overrides), cameras_path=scene / "guess.yaml")
-    report = calibrate(loaded, scene / "detections.parquet", tmp_path / "out", plots=False)
+    report = calibrate(loaded, scene / "detections.parquet", tmp_path / "out", plots=False, jobs=1)
     assert report["parameters"]
     values = [value for one in report["parameters"] for value in one.values() if isinstance(value, float)]
     assert np.isfinite(values).all()
@@ -86,5 +86,5 @@ def test_a_calibration_that_does_not_fit_is_refused_before_it_begins(
     loaded = load_config(CONFIG, (*SMALL, *overrides))
     refusal = "detections.parquet: calibration: expected a run that fits into the memory"
     with pytest.raises(InputError, match=refusal):
-        calibrate(loaded, scene / "detections.parquet", tmp_path / "out", plots=False)
+        calibrate(loaded, scene / "detections.parquet", tmp_path / "out", plots=False, jobs=1)
     assert not (tmp_path / "out").exists()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -169,6 +170,18 @@ class TestCameras:
 
     def test_twice_on_the_command_line_are_refused(self, path: Path, cameras: Path) -> None:
         assert "found both" in message(path, f"cameras={cameras}", cameras_path=cameras)
+
+    def test_a_key_whose_place_another_takes(self, cameras: Path) -> None:
+        camera = CAMERA | {"intrinsics": {"focal": "unknown", "fx": 500}}
+        cameras.write_text(yaml.safe_dump({"units": {"length": "cm"}, "cameras": {"left": camera}}))
+        with pytest.raises(InputError, match=r"intrinsics\.fx: expected no fx beside focal, which takes its place"):
+            load_cameras(cameras)
+
+    def test_a_toml_file_that_is_none_is_told_so(self, tmp_path: Path) -> None:
+        path = tmp_path / "calibration.toml"
+        path.write_text('[cam_0]\nname = "a\n')
+        with pytest.raises(InputError, match=rf"^{re.escape(str(path))}: expected TOML, found: .*\(at line 2, column"):
+            load_cameras(path)
 
     def test_load_cameras(self, cameras: Path) -> None:
         assert load_cameras(cameras).units.length == "cm"

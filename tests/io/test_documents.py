@@ -39,16 +39,16 @@ HEAD = b"camn,frame,timestamp,cam_received_timestamp,x,y\n"
 
 def _braidz(info: bytes, table: bytes) -> bytes:
     target = io.BytesIO()
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("cam_info.csv.gz", gzip.compress(info))
-        archive.writestr("data2d_distorted.csv.gz", gzip.compress(HEAD + table))
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        archive.writestr("cam_info.csv.gz", gzip.compress(info, 1))
+        archive.writestr("data2d_distorted.csv.gz", gzip.compress(HEAD + table, 1))
     return target.getvalue()
 
 
 def _npz(shape: tuple[int, ...], data: bytes) -> bytes:
     header, target = io.BytesIO(), io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": shape})
-    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as archive:
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
         archive.writestr("camera_matrix.npy", header.getvalue() + data)
     return target.getvalue()
 

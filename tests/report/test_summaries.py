@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from stereophd.report.summaries import fit_totals
+from stereophd.report.summaries import fit_totals, verdict
 
 
 def test_figures_too_large_for_a_square_are_infinite() -> None:
@@ -14,3 +14,12 @@ def test_figures_too_large_for_a_square_are_infinite() -> None:
     assert (usual.residual_px, usual.ratio) == (3.0, 1.0)
     damaged = fit_totals({"cameras": {"left": {**camera, "residual_rms_px": 1e200, "residual_ratio": 1e200}}})
     assert (damaged.residual_px, damaged.ratio) == (math.inf, math.inf)
+
+
+def test_a_verdict_counts_a_check_that_warns_twice() -> None:
+    names = ["log.pixels", "log.pixels", "geometry.rays"]
+    checks = [{"name": name, "status": "warning"} for name in names]
+    report = {"status": "partly determined", "reason": "why", "checks": checks}
+    assert verdict(report) == (
+        "Cameras are partly determined: why; 3 checks warn: log.pixels (2 times), geometry.rays."
+    )

@@ -23,6 +23,7 @@ from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.filter_settings.common import BirthPrior, FilterSettings
 from stereophd.core.numerics.random_streams import COMPILED_SAMPLES_SEED
 from stereophd.core.numerics.samples import SampleSets, draw_sample_sets
+from stereophd.core.two_views.turns import prepare_turns
 from stereophd.plugins import module_names
 
 SETTINGS = "stereophd.core.multi.filter_settings"
@@ -66,23 +67,23 @@ def last_kernel(kind: str) -> Any:
     return small_filter(kind).last_kernels[-1][0] if kind in filters() else None
 
 
-def prepare(kind: str) -> None:
-    """Compile the kernels of a filter, in the order in which an event needs them."""
+def prepare(kind: str, last_first: bool = False) -> None:
+    """Compile the kernels of a filter, and of the test for knocked cameras.
+
+    They are compiled in the order in which events need them, or first those that an event needs last, without the one
+    that calls them all.
+    """
     multi_filter = small_filter(kind)
     state = multi_filter.init()
-    for time_s in (0.0, 1.0):
-        event = Event(time_s, 0, np.full((1, 2), 100.0), np.eye(2)[None], np.ones(1))
-        state, _, _ = multi_filter.step(state, event)
-    multi_filter.compile_tests()
+    if last_first:
+        for kernel, arguments in multi_filter.last_kernels:
+            # the form for other kernels that call it with such arguments
+            kernel.compile(tuple(map(numba.typeof, arguments)))
+    else:
+        for time_s in (0.0, 1.0):
+            event = Event(time_s, 0, np.full((1, 2), 100.0), np.eye(2)[None], np.ones(1))
+            state, _, _ = multi_filter.step(state, event)
     # for what is reported between events, or after a swap of two tracks
     multi_filter.extract(state)
-
-
-def prepare_last_first(kind: str) -> None:
-    """Compile the same kernels but for the one that calls them all, those that an event needs last first."""
-    multi_filter = small_filter(kind)
-    for kernel, arguments in multi_filter.last_kernels:
-        # the form for other kernels that call it with such arguments
-        kernel.compile(tuple(map(numba.typeof, arguments)))
+    prepare_turns()
     multi_filter.compile_tests()
-    multi_filter.extract(multi_filter.init())

@@ -24,10 +24,10 @@ def homes_of(spaces: Array, space_of: Integers, destination: Array) -> Array:
     """Return the packed home spaces (n + 1, 30) of n components, and after them that of the event."""
     count = len(space_of)
     homes = np.empty((count + 1, PACKED_SIZE))
-    for k in range(count):
-        for a in range(PACKED_SIZE):
+    for a in range(PACKED_SIZE):
+        for k in range(count):
             homes[k, a] = spaces[space_of[k], a]
-    homes[count] = destination
+        homes[count, a] = destination[a]
     return homes
 
 

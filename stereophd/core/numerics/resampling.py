@@ -7,16 +7,24 @@ E. Moulines, "Comparison of resampling schemes for particle filtering", ISPA 200
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
+from stereophd.core.numerics.compilation.compiled import compiled
 
 
+@compiled
 def _picked(weights: Array, points: Array) -> Integers:
-    """Index of the particle that each point, in parts of the sum of the weights, falls on."""
+    """Index of the particle that each of the sorted points, in parts of the sum of the weights, falls on."""
     ends = np.cumsum(weights)
     # rounding of the sums may leave the last points beyond the end: they go to the last that weighs
-    last = int(np.flatnonzero(weights)[-1])
-    return np.asarray(np.minimum(np.searchsorted(ends, points * ends[-1], side="right"), last), dtype=np.int64)
+    last = np.flatnonzero(weights)[-1]
+    picked, index = np.empty(len(points), dtype=np.int64), 0
+    for i in range(len(points)):
+        while index < last and points[i] * ends[-1] >= ends[index]:
+            index += 1
+        picked[i] = index
+    return picked
 
 
+@compiled
 def systematic(weights: Array, uniform: Array, count: int = 0) -> Integers:
     """One uniform number shifts a comb of n teeth. Of `uniform` the first is used; weights (n,) need not sum to 1.
 
@@ -28,6 +36,7 @@ def systematic(weights: Array, uniform: Array, count: int = 0) -> Integers:
     return _picked(weights, (np.arange(count) + uniform[0]) / count)
 
 
+@compiled
 def stratified(weights: Array, uniform: Array) -> Integers:
     """One uniform number (n,) for every tooth."""
     count = len(weights)

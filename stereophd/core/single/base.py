@@ -52,10 +52,6 @@ class SingleInfo:
     log_likelihood: float
 
 
-# Fields of a state with their new values.
-Changes = dict[str, Any]
-
-
 @dataclass(frozen=True)
 class SingleEstimator(ABC, Generic[State]):
     """An estimator of the state of one object."""
@@ -82,22 +78,22 @@ class SingleEstimator(ABC, Generic[State]):
         count = len(event.points)
         if count > 1:
             raise ValueError(f"expected at most one detection an event, found {count} at {instant(event.time_s)} s")
-        log_likelihood, changes = 0.0, Changes()
-        if count:
-            if event.travels is not None:
-                raise ValueError("expected a camera at rest where a rolling shutter sees one object, found it moving")
-            # a rolling shutter reads the row of the detection later than the first
-            time_s = event.time_s + (0.0 if event.delays is None else float(event.delays[0]))
-            changes, log_likelihood = self._detected(state, event, self.rig.space(event.camera, time_s), time_s)
-        after = replace(state, time_s=event.time_s, n_events=state.n_events + 1, **changes)
+        if count == 0:
+            return self._unchanged(state, event), SingleInfo(0.0)
+        if event.travels is not None:
+            raise ValueError("expected a camera at rest where a rolling shutter sees one object, found it moving")
+        # a rolling shutter reads the row of the detection later than the first
+        time_s = event.time_s + (0.0 if event.delays is None else float(event.delays[0]))
+        after, log_likelihood = self._detected(state, event, self.rig.space(event.camera, time_s), time_s)
         return after, SingleInfo(log_likelihood)
 
-    @abstractmethod
-    def _detected(self, state: State, event: Event, space: Array, time_s: float) -> tuple[Changes, float]:
-        """Return what the event's detection at a time changes, and the logarithm of the detection's density.
+    def _unchanged(self, state: State, event: Event) -> State:
+        """Return the state after an event that says nothing of the object."""
+        return replace(state, time_s=event.time_s, n_events=state.n_events + 1)
 
-        `space` (30,) is the packed space of the camera then; `step` sets the fields that count events.
-        """
+    @abstractmethod
+    def _detected(self, state: State, event: Event, space: Array, time_s: float) -> tuple[State, float]:
+        """Return the state after a detection at a time, in the packed space (30,) of then, and its log-density."""
 
     @abstractmethod
     def estimate(self, state: State) -> SingleEstimate | None:

@@ -14,7 +14,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.numerics.linear_algebra import condition
 from stereophd.core.numerics.samples import cubature_points
-from stereophd.core.single.base import Changes, SingleEstimate, SingleEstimator, first_density
+from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
 from stereophd.core.single.gaussian import (
     UNSEEN,
     GaussianState,
@@ -42,12 +42,13 @@ class CartesianEstimator(SingleEstimator[GaussianState]):
         """Return the state before the first detection."""
         return unseen_state()
 
-    def _detected(self, state: GaussianState, event: Event, camera: Array, time_s: float) -> tuple[Changes, float]:
+    def _detected(
+        self, state: GaussianState, event: Event, camera: Array, time_s: float
+    ) -> tuple[GaussianState, float]:
         """Predict, and update by the rule of the settings."""
-        now = Changes(camera=event.camera, home_s=time_s)
+        times = (event.time_s, time_s, state.n_events + 1)
         if state.camera == UNSEEN:
-            mean, covariance = self._first(event, camera)
-            return now | {"mean": mean, "covariance": covariance}, first_density(self.rig, event)
+            return GaussianState(*times, *self._first(event, camera), event.camera), first_density(self.rig, event)
         mean, covariance = self._predicted(state, time_s)
         point, noise = event.points[0], event.covariances[0]
         if self.settings.rule == "extended":
@@ -58,9 +59,10 @@ class CartesianEstimator(SingleEstimator[GaussianState]):
             pixel, matrix, spread = _regression(lambda states: _pixels(camera, states), mean, covariance)
             noise = noise + spread
         if not np.isfinite(matrix).all():
-            return Changes(), 0.0
+            return self._unchanged(state, event), 0.0
         mean, covariance, log_density = linear_update(mean, covariance, matrix, pixel, point, noise)
-        return now | {"mean": mean, "covariance": covariance}, log_density + float(np.log(event.areas[0]))
+        after = GaussianState(*times, mean, covariance, event.camera)
+        return after, log_density + float(np.log(event.areas[0]))
 
     def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:
         """Gaussian in the world of a first detection and the prior."""

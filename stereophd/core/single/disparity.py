@@ -20,7 +20,7 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.layout import CX, CY, HEIGHT, LENS_CODE, LENS_NONE, WIDTH
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SampleSets
-from stereophd.core.single.base import Changes, SingleEstimate, SingleEstimator, first_density
+from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
 from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, state_in_world, unseen_state
 
 IMPORTANT = np.array([True])
@@ -48,7 +48,7 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
         """Return the state before the first detection."""
         return unseen_state()
 
-    def _detected(self, state: GaussianState, event: Event, space: Array, time_s: float) -> tuple[Changes, float]:
+    def _detected(self, state: GaussianState, event: Event, space: Array, time_s: float) -> tuple[GaussianState, float]:
         """Carry the state into the event's disparity space and update it (Algorithm 2).
 
         A detection that no sample of the state can have made starts it anew.
@@ -62,7 +62,8 @@ class DisparityEstimator(SingleEstimator[GaussianState]):
                 moved[0], moved[1], OBSERVATION[self.state_size], moved[0][:2], event.points[0], event.covariances[0]
             )
             log_likelihood = log_density + math.log(event.areas[0])
-        return Changes(home_s=time_s, mean=mean, covariance=covariance, camera=event.camera), log_likelihood
+        after = GaussianState(event.time_s, time_s, state.n_events + 1, mean, covariance, event.camera)
+        return after, log_likelihood
 
     def _moved(self, state: GaussianState, space: Array, camera: int, time_s: float) -> tuple[Array, Array] | None:
         """Mean and covariance in `space`: of the part in view, else of the part in front of the camera."""
@@ -112,25 +113,27 @@ class RectifiedEstimator(DisparityEstimator):
         for name, maps in zip(("matrices", "offsets"), rectified_maps(self.rig), strict=True):
             object.__setattr__(self, name, maps)
 
-    def _detected(self, state: GaussianState, event: Event, space: Array, time_s: float) -> tuple[Changes, float]:
+    def _detected(self, state: GaussianState, event: Event, space: Array, time_s: float) -> tuple[GaussianState, float]:
         """Predict the state in the shared space, and update it (Algorithm 1)."""
-        seen = Changes(home_s=time_s, camera=0)  # the state's home is always the first camera
         size = self.state_size
         if state.camera == UNSEEN:
             means, covariances = self.prior.moments(event.points, event.covariances, space, size)
             back = np.linalg.inv(self.matrices[event.camera])
             whole = np.kron(np.eye(size // 3), back)
             means[0, :3] -= self.offsets[event.camera]
-            seen.update(mean=whole @ means[0], covariance=whole @ covariances[0] @ whole.T)
-            return seen, first_density(self.rig, event)
-        mean, covariance = self._predicted(state, time_s)
-        matrix = np.zeros((2, size))
-        matrix[:, :3] = self.matrices[event.camera][:2]
-        predicted = matrix @ mean + self.offsets[event.camera][:2]
-        mean, covariance, log_density = linear_update(
-            mean, covariance, matrix, predicted, event.points[0], event.covariances[0]
-        )
-        return seen | {"mean": mean, "covariance": covariance}, log_density + math.log(event.areas[0])
+            mean, covariance = whole @ means[0], whole @ covariances[0] @ whole.T
+            log_likelihood = first_density(self.rig, event)
+        else:
+            mean, covariance = self._predicted(state, time_s)
+            matrix = np.zeros((2, size))
+            matrix[:, :3] = self.matrices[event.camera][:2]
+            predicted = matrix @ mean + self.offsets[event.camera][:2]
+            mean, covariance, log_density = linear_update(
+                mean, covariance, matrix, predicted, event.points[0], event.covariances[0]
+            )
+            log_likelihood = log_density + math.log(event.areas[0])
+        # the state's home is always the first camera
+        return GaussianState(event.time_s, time_s, state.n_events + 1, mean, covariance, 0), log_likelihood
 
     def _predicted(self, state: GaussianState, time_s: float) -> tuple[Array, Array]:
         """Particle prediction, whether or not the object is in the first camera's image."""

@@ -18,7 +18,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
-from stereophd.core.single.base import Changes, SingleEstimate, SingleEstimator, first_density
+from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
 from stereophd.core.single.gaussian import (
     UNSEEN,
     GaussianState,
@@ -48,12 +48,14 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         state = unseen_state()
         return InverseDepthState(0.0, 0.0, 0, state.mean, state.covariance, UNSEEN, np.empty(0))
 
-    def _detected(self, state: InverseDepthState, event: Event, camera: Array, time_s: float) -> tuple[Changes, float]:
+    def _detected(
+        self, state: InverseDepthState, event: Event, camera: Array, time_s: float
+    ) -> tuple[InverseDepthState, float]:
         """Predict and update to first order."""
+        times = (event.time_s, time_s, state.n_events + 1)
         if state.camera == UNSEEN:
             mean, covariance = first_gaussian(self.prior, camera, event, self.state_size)
-            first = Changes(mean=mean, covariance=covariance, camera=event.camera, home_s=time_s, anchor=camera)
-            return first, first_density(self.rig, event)
+            return InverseDepthState(*times, mean, covariance, event.camera, camera), first_density(self.rig, event)
         mean, covariance = self._predicted(state, time_s)
         # d (rho times the point in the camera's axes) / d (a, b, rho)
         in_world = np.column_stack([rotation(state.anchor).T[:, :2], center(state.anchor) - center(camera)])
@@ -62,11 +64,12 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         matrix = np.zeros((2, len(mean)))
         matrix[:, :3] = jacobian @ rotation(camera) @ in_world
         if not np.isfinite(pixel).all():
-            return Changes(), 0.0
+            return self._unchanged(state, event), 0.0
         mean, covariance, log_density = linear_update(
             mean, covariance, matrix, pixel, event.points[0], event.covariances[0]
         )
-        return Changes(mean=mean, covariance=covariance, home_s=time_s), log_density + float(np.log(event.areas[0]))
+        after = InverseDepthState(*times, mean, covariance, state.camera, state.anchor)
+        return after, log_density + float(np.log(event.areas[0]))
 
     def _predicted(self, state: InverseDepthState, time_s: float) -> tuple[Array, Array]:
         """First-order prediction: (mean, covariance) at a time."""

@@ -18,7 +18,7 @@ from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.resampling import SCHEMES
-from stereophd.core.single.base import Changes, SingleEstimate, SingleEstimator, SingleState, first_density
+from stereophd.core.single.base import SingleEstimate, SingleEstimator, SingleState, first_density
 from stereophd.core.single.gaussian import states_in_world
 from stereophd.core.single.settings import ParticleSettings
 
@@ -115,7 +115,7 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         """Return the state before the first detection."""
         return ParticleState(0.0, 0.0, 0, np.empty((self.state_size, 0)), np.empty(0), np.empty(0))
 
-    def _detected(self, state: ParticleState, event: Event, space: Array, time_s: float) -> tuple[Changes, float]:
+    def _detected(self, state: ParticleState, event: Event, space: Array, time_s: float) -> tuple[ParticleState, float]:
         """Resample, if due, move the particles to the event's time, and weigh them by its detection."""
         rng = np.random.default_rng((self.seed, state.n_events))
         if len(state.weights) == 0:
@@ -127,7 +127,8 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
             likelihood = log_likelihoods(particles, space, event.points[0], event.covariances[0])
             weights, log_weights, evidence = self._update(weights, log_weights, likelihood)
             log_likelihood = evidence + math.log(event.areas[0])
-        return Changes(home_s=time_s, particles=particles, weights=weights, log_weights=log_weights), log_likelihood
+        after = ParticleState(event.time_s, time_s, state.n_events + 1, particles, weights, log_weights)
+        return after, log_likelihood
 
     def _first(self, event: Event, space: Array, rng: np.random.Generator) -> Array:
         """Particles (d, n) on the ray of the first detection."""

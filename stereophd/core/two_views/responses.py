@@ -156,36 +156,33 @@ def find_change(sums: Array, factor: float) -> PoseChange | None:
     far = math.sqrt(diagonal[:2].sum() / diagonal[3:5].sum())
     unit, one = USUAL * np.array([1.0, 1.0, 1.0, far, far, far]), np.eye(6)
     information = sums[..., :6] * (unit[:, None] * unit)
-    information = information + np.swapaxes(np.tril(information, -1), -1, -2)
+    information = information + np.swapaxes(information * np.tri(6, k=-1), -1, -2)
     gradient = sums[..., 6:] * unit[:, None]
-    factor = max(factor, ROUNDING * information.sum(axis=(0, 1)).max())
+    whole = information.sum(axis=(0, 1))
+    factor = max(factor, ROUNDING * whole.max())
     # what the pose was off by before each of the times at which it may have changed, the latest first
     halves = information[:0:-1].cumsum(axis=0) / factor, gradient[:0:-1].cumsum(axis=0) / factor
     late, pull = halves[0].sum(axis=1), halves[1].sum(axis=1)
-    known = np.linalg.inv(information.sum(axis=(0, 1)) / factor - late + one)
+    known = np.linalg.inv(whole / factor - late + one)
     offset = known @ (gradient.sum(axis=(0, 1)) / factor - pull)
     known = known + TOLERATED**2 * one
-    # in axes in which what is known before is the identity: rounding makes no information negative
-    root = np.linalg.cholesky(known)
-    values, vectors = np.linalg.eigh(np.swapaxes(root, -1, -2) @ late @ root)
-    values, turned = np.maximum(values, 0.0)[..., None], np.swapaxes(vectors, -1, -2)
-    back = turned @ np.linalg.inv(root)
-    found = np.swapaxes(back, -1, -2) @ (values / (1.0 + values) * back)
-    rest = np.swapaxes(back, -1, -2) @ (turned @ np.swapaxes(root, -1, -2) @ (pull - late @ offset) / (1.0 + values))
-    precision = SUPPOSED[:, None, :, None] * one + found
-    change = np.linalg.solve(precision, np.broadcast_to(rest, (len(SUPPOSED), *rest.shape)))
-    lost = np.log(np.linalg.det(precision)) - np.log(SUPPOSED.prod(axis=1))[:, None]
+    # the information about the change is less by this factor, because the pose before is not better known
+    less, excess = one + late @ known, pull - late @ offset
+    rest = np.linalg.solve(less, excess)
+    precision = less * SUPPOSED[:, None, None] + late
+    change = np.linalg.solve(precision, excess)
+    lost = np.log(np.linalg.det(precision) / (np.linalg.det(less) * SUPPOSED.prod(axis=1)[:, None]))
     evidence = 0.5 * ((rest * change).sum(axis=(2, 3)) - lost)
     # neither half of the tracks speaks more than twice as loud as the other
     moved, before = change[:, :, None], offset[:, None]
     each = (moved * (halves[1] - halves[0] @ (before + 0.5 * moved))).sum(axis=(3, 4))
     evidence = np.minimum(evidence, 3.0 * each.min(axis=2)) - math.log(len(SUPPOSED))
     which, best = np.unravel_index(int(evidence.argmax()), evidence.shape)
-    first, excess = information[1].sum(axis=0), gradient[1].sum(axis=0)
-    excess = excess - first @ offset[-1]
+    first = information[1].sum(axis=0)
+    excess = gradient[1].sum(axis=0) - first @ offset[-1]
     # what a block says little about is left out: the pose may be off by `USUAL` there
     spread = first + first @ known[-1] @ first / factor
-    inverse = np.linalg.inv(spread + one)
+    inverse = np.linalg.inv(spread + max(1.0, ROUNDING * spread.max()) * one)
     expected = float((inverse * spread).sum())
     misfit = float(excess[:, 0] @ inverse @ excess[:, 0]) / expected if expected > LEAST_EXPECTED else None
     turns, moves = USUAL * change[which, best, :, 0].reshape(2, 3)

@@ -11,6 +11,7 @@ import numpy as np
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.numerics.compilation.compiled import compiled
+from stereophd.core.numerics.sorting import copy_gaussian
 from stereophd.core.two_views.responses import add_residual, follow_detection, predict_track, square_of
 
 # Sizes of the turns (rad), how many sides each is to, and the standard deviation that a turn lends to each point, as a
@@ -71,8 +72,8 @@ def look_at_frame(
     tracks: tuple[Array, Array, Booleans, float], followed: tuple[Integers, Booleans, Array, float],
     pose: tuple[Array, Array], camera: tuple[float, float, float, float], index: int,
     detections: tuple[Array, Array], noise: tuple[float, float], sums: Array,
-) -> tuple[Array, Array, Array, Booleans, Array, Array, Array]:  # fmt: skip
-    """Return tracks predicted into an image, what detections are about them, and what these say about the poses.
+) -> tuple[Array, Array, Array, Booleans, Array]:  # fmt: skip
+    """Return tracks predicted into an image and what detections are about them; add what these say about the poses.
 
     Parameters
     ----------
@@ -80,7 +81,7 @@ def look_at_frame(
         States (n, 6), covariances (n, 6, 6), which of them are in view (n,), and the time since then, s.
     followed : tuple
         Rows of the tracks that are looked at (t,), -1 for none; which of those count (t,), their responses (t, 6, 6 c)
-        to the poses of all c cameras, and the time since these, s.
+        to the poses of all c cameras, and the time since these, s. The responses become those after the frame.
     pose : tuple of arrays
         Rotation (3, 3) and centre (3,).
     camera : tuple
@@ -92,7 +93,8 @@ def look_at_frame(
     noise : tuple
         Squared residual, in variances, within which a detection is a track's, and the factor of the variances of sums.
     sums : array (2, c, 6, 7)
-        Information about the pose of each camera, and gradient, from every other one of the tracks looked at.
+        Information about the pose of each camera, and gradient, from every other one of the tracks looked at: the frame
+        is added.
 
     Returns
     -------
@@ -104,8 +106,6 @@ def look_at_frame(
         Which detections belong to no other track.
     mean : array (2,)
         Sum of those residuals that are within the limit, in its standard deviations; NaN without any.
-    responses, sums : array (t, 6, 6 c), (2, c, 6, 7)
-        After the frame.
     """
     states, covariances, in_view, since_s = tracks
     rows, counting, responses, passed_s = followed
@@ -113,13 +113,16 @@ def look_at_frame(
     limit, factor = noise
     average = np.zeros((2, 2))
     for j in range(len(points)):
-        average += noises[j] / len(points)
-    responses, sums = responses.copy(), sums.copy()
-    responses[:, :3] += passed_s * responses[:, 3:]
+        for r in range(2):
+            for s in range(2):
+                average[r, s] += noises[j, r, s] / len(points)
     place_of = np.full(len(states), -1)
     for i in range(len(rows)):
         if rows[i] >= 0:
             place_of[rows[i]] = i
+        for r in range(3):
+            for q in range(responses.shape[2]):
+                responses[i, r, q] += passed_s * responses[i, r + 3, q]
     # of the tracks that are looked at, and of one of the others
     places, pixels, seen = np.empty((len(rows) + 1, 3)), np.empty((len(rows) + 1, 2)), np.empty((len(rows) + 1, 2, 3))
     shared, spreads = np.empty((len(rows) + 1, 2, 6)), np.empty((len(rows) + 1, 2, 2))
@@ -132,7 +135,9 @@ def look_at_frame(
         predict_track(
             states[k], covariances[k], since_s, pose, camera, (places[i], pixels[i], seen[i], shared[i], spreads[i])
         )
-        spreads[i] += average
+        for r in range(2):
+            for s in range(2):
+                spreads[i, r, s] += average[r, s]
         for j in range(len(points)):
             square = square_of(points[j, 0] - pixels[i, 0], points[j, 1] - pixels[i, 1], spreads[i])
             owners[j] += square < limit
@@ -140,27 +145,31 @@ def look_at_frame(
                 free[j] &= square >= limit
             elif square < squares[i]:
                 squares[i], nearest[i] = square, j
-    total, variance, count = np.zeros(2), np.zeros((2, 2)), 0
+    total_u, total_v, a, b, c, count = 0.0, 0.0, 0.0, 0.0, 0.0, 0
     for i in range(len(rows)):
         if squares[i] >= limit:
             continue
         j = nearest[i]
         u, v = points[j, 0] - pixels[i, 0], points[j, 1] - pixels[i, 1]
         if counting[i]:
-            total += np.array([u, v])
-            variance += spreads[i]
+            total_u, total_v = total_u + u, total_v + v
+            a, b, c = a + spreads[i, 0, 0], b + spreads[i, 0, 1], c + spreads[i, 1, 1]
             count += 1
         if owners[j] == 1:
             slope = follow_detection(responses[i], (places[i], seen[i], shared[i], spreads[i]), camera[:2], index)
             if counting[i]:
                 add_residual(sums[i % 2], slope, (u, v), spreads[i], factor)
     mean = np.full(2, np.nan)
-    if count:
-        mean[0] = total[0] / math.sqrt(variance[0, 0])
-        rest = variance[1, 1] - variance[0, 1] ** 2 / variance[0, 0]
-        mean[1] = (total[1] - variance[0, 1] / variance[0, 0] * total[0]) / math.sqrt(rest)
-    kept = np.array([i for i in range(len(rows)) if rows[i] >= 0 and counting[i] and in_view[rows[i]]], dtype=np.int64)
-    return pixels[kept], spreads[kept], squares[kept], free, mean, responses, sums
+    if count > 0:
+        mean[0] = total_u / math.sqrt(a)
+        mean[1] = (total_v - b / a * total_u) / math.sqrt(c - b**2 / a)
+    count = 0
+    for i in range(len(rows)):
+        if rows[i] >= 0 and counting[i] and in_view[rows[i]]:
+            squares[count] = squares[i]
+            copy_gaussian(pixels, spreads, i, pixels, spreads, count)
+            count += 1
+    return pixels[:count], spreads[:count], squares[:count], free, mean
 
 
 @compiled

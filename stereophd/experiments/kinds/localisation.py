@@ -22,8 +22,8 @@ from stereophd.experiments.single_object import (
 def check(loaded: LoadedConfig) -> None:
     """Raise `InputError` unless the object is in view of the cameras that observe it, and there is an estimator."""
     single_config(loaded)
-    scenario = _scenario(loaded)
-    for index in dict.fromkeys(scenario.cameras.tolist()):
+    scenario, once = _scenario(loaded), len(scenario_of(loaded.config, LocalisationScenario).sequence)
+    for index in dict.fromkeys(scenario.cameras[:once].tolist()):
         camera, position = scenario.rig.cameras[index], scenario.start[:3]
         if not camera.in_view(position[None])[0]:
             raise InputError(
@@ -61,7 +61,7 @@ def _scenario(loaded: LoadedConfig) -> SingleObjectProblem:
     for name in settings.sequence:
         if name not in names:
             raise InputError(f"{loaded.path}: experiment.scenario.sequence: {unknown_camera(name, names)}")
-    cameras = np.array([names.index(name) for name in settings.sequence] * settings.rounds)
+    cameras = np.tile([names.index(name) for name in settings.sequence], settings.rounds)
     start = np.array([*settings.position, 0.0, 0.0, 0.0])
     return SingleObjectProblem(rig, start, Static(), single_config(loaded).prior, np.zeros(len(cameras)), cameras)
 

@@ -138,7 +138,7 @@ def refuse_unread(options: Options, read: set[str], what: str) -> None:
     """
     for name in options.plain():
         if name not in read:
-            raise InputError(f"`{name}`: expected an option that {what} has a use for, found one that it has not")
+            raise InputError(f"`{name}`: expected an option that has an effect on {what}, found one that has none")
 
 
 def refuse_other_cameras(

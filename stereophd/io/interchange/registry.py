@@ -13,6 +13,7 @@ from stereophd.errors import InputError, did_you_mean
 from stereophd.io.documents import expecting
 from stereophd.io.file_kinds import PARQUET, kind_of_file
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
+from stereophd.io.interchange.documents.toml_cameras import read_toml
 from stereophd.plugins import import_member, module_names
 
 PACKAGE = "stereophd.io.formats"
@@ -120,5 +121,7 @@ def read_foreign_cameras(path: Path, options: ImportOptions | None = None) -> tu
         return None
     name = recognise_cameras(path)
     if name is None:
+        if path.suffix.lower() == ".toml":
+            read_toml(path)  # no native file is TOML: its error is that of TOML
         return None
     return name, read_foreign(name, [path], options or ImportOptions())

@@ -153,6 +153,7 @@ def with_found_cameras(
         replace(config.build(name), pose=Pose(np.eye(3), [float(number), 0.0, 0.0]))
         for number, (name, config) in enumerate(loaded.cameras.items())
     )
+    limit.begin("one-camera tracks are made")
     recording = _read(loaded, cameras, log_path)
     scans = Scans.of(recording, cameras, tracked_frames(recording, MOST_SEARCHED))
     least = section.annealed.min_detections

@@ -256,7 +256,7 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
     if report is None:
         return
     if not report["converged"]:
-        text = f"the estimated detectors still change after {report['passes']} passes"
+        text = f"the estimated detectors still change after {report['passes']} runs of the filter"
         yield Finding("detector.estimate", "warning", text, cause="not_converged")
     for name, estimate in report["cameras"].items():
         correlation, points = estimate["residual_correlation"], "sigma_px" in estimate

@@ -1,17 +1,19 @@
-"""Estimate the detectors of cameras from a log (``detector: estimate``), in a few passes of the filter."""
+"""Estimate the detectors of cameras from a log (``detector: estimate``), in a few runs of the filter."""
+
+from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from dataclasses import replace
-from functools import cache
+from dataclasses import dataclass, replace
 from itertools import islice
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
-from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.pipeline.detectors.statistics import (
@@ -30,17 +32,13 @@ from stereophd.pipeline.tracking.loop import FORGET_EVERY, Estimator, RunState, 
 MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 1500, 12_000
 # Frames of each camera in a stretch, at least: in fewer no track is settled.
 LEAST_FRAMES = 10
-# Passes end when no value changes by more than this share (probabilities of detection: of the misses) or this part
-# of its standard error.
-MOST_PASSES = 5
-CONVERGED = 0.02
-CONVERGED_ERRORS = 0.5
-# Stated error of the noise from rays from which the filter is asked for another, and by how many of them at most.
-LEAST_UNSURE, MOST_ERRORS = 0.2, 2.0
+# Log-likelihood that a change must gain, and runs of the filter at most.
+LEAST_GAIN, MOST_RUNS = 0.5, 100
+# Stated error of the noise from rays from which the filter is asked for another, by how many of them at most, and the
+# smallest change of its logarithm that is tried.
+LEAST_UNSURE, MOST_ERRORS, LEAST_STEP = 0.2, 2.0, 0.15
 # Detections of a tentative object that chance gives.
 CHANCE_PAIR = 2
-# After the last of them, changes below this share are no finding.
-NEARLY_CONVERGED = 0.15
 
 
 LOGGER = logging.getLogger("stereophd")
@@ -99,7 +97,7 @@ class _Watched:
         return self._estimator.init()
 
     def step(self, state: Any, event: Event) -> tuple[Any, Info, Estimates]:
-        """Return the state after an event, which is observed between its prediction and its update."""
+        """Return the state after an event, which is compared with its prediction."""
         sums, settled = self.sums, self._settled
         self.own_noise |= event.own_noise
         state, info, estimates, sighting = self._look(state, event)
@@ -117,24 +115,20 @@ class _Watched:
     def _look(self, state: Any, event: Event) -> tuple[Any, Info, Estimates, Sighting]:
         """Return the state after an event, and what the event shows of the settled tracks."""
         sums, settled, camera = self.sums[event.camera], self._settled.labels(), self.rig.cameras[event.camera]
+        after, info, estimates = self._estimator.step(state, event)
         if isinstance(self._estimator, DisparityFilter):
             prediction = self._estimator.predict(state, event)
-            sighting = observe(
-                sums, prediction, event, camera.at(event.time_s), self.rig.space(event.camera, event.time_s),
-                prediction.births, settled, not event.own_noise,
-            )  # fmt: skip
-            state, info = self._estimator.update(state, prediction, event)
-            state, estimates = self._estimator.extract(state)
-            return state, info, estimates, sighting
+            space = self.rig.space(event.camera, event.time_s)
+            sighting = observe(sums, prediction, event, camera.at(event.time_s), space, settled, not event.own_noise)
+            return after, info, estimates, sighting
         # imported here: what it needs of SciPy is costly to import
         from stereophd.core.bodies.filter import BodyFilter
         from stereophd.pipeline.detectors.bodies import observe_bodies
 
         assert isinstance(self._estimator, BodyFilter)
-        before = self._estimator.predict(state, event)
-        state, info, estimates = self._estimator.step(state, event)
-        sighting = observe_bodies(sums, before, info, event, camera.at(event.time_s), self._estimator.shape, settled)
-        return state, info, estimates, sighting
+        predicted = self._estimator.predict(state, event)
+        sighting = observe_bodies(sums, predicted, info, event, camera.at(event.time_s), self._estimator.shape, settled)
+        return after, info, estimates, sighting
 
     def forecast(self, state: Any, info: Info, time_s: float) -> tuple[Info, Estimates]:
         """Return the objects at a time between two events."""
@@ -161,13 +155,52 @@ def stretches(stream: EventStream) -> list[EventStream]:
     return [EventStream(stream.cameras, frames[start : start + length]) for start in starts.tolist()]
 
 
-def _pass(estimator: Estimator[Any], parts: Iterable[EventStream]) -> tuple[list[DetectorSums], bool]:
-    """Run over stretches of a log once; return the sums of every camera, and whether the log states its own noise."""
-    watched = _Watched(estimator)
-    sums = {camera.name: own for camera, own in zip(estimator.rig.cameras, watched.sums, strict=True)}
+@dataclass(frozen=True)
+class _Trial:
+    """Detectors, and what is known of their noise before tracks, moved by so many of its stated errors."""
+
+    cameras: tuple[Camera, ...]
+    priors: Mapping[str, NoisePrior]
+    errors: Array  # (1 + cameras,): of all cameras together, and of each
+
+    def with_detectors(self, estimates: Mapping[str, DetectorEstimate]) -> _Trial:
+        """Return the trial with estimated detectors."""
+        known = {name: estimate.detector for name, estimate in estimates.items()}
+        cameras = tuple(replace(camera, detector=known.get(camera.name, camera.detector)) for camera in self.cameras)
+        return replace(self, cameras=cameras)
+
+    def moved(self, direction: int, errors: float) -> _Trial:
+        """Return the trial with a noise of so many stated errors more, of all cameras (0) or of one."""
+        cameras, priors, total = list(self.cameras), dict(self.priors), self.errors.copy()
+        total[direction] += errors
+        for k, camera in enumerate(self.cameras):
+            if direction in (0, k + 1) and (prior := priors.get(camera.name)) is not None:
+                factor = float(np.exp(errors * (prior.own_spread if direction else prior.spread)))
+                priors[camera.name] = replace(prior, noise=prior.noise * factor)
+                cameras[k] = replace(camera, detector=prior.put(camera.detector, prior.of(camera.detector) * factor))
+        return _Trial(tuple(cameras), priors, total)
+
+
+@dataclass(frozen=True)
+class _Run:
+    """What a run of the filter over stretches of a log shows of its detectors."""
+
+    trial: _Trial
+    estimates: dict[str, DetectorEstimate]  # What its tracks show
+    evidence: float  # Log-likelihood of the log, less that the noise was moved
+    own_noise: bool  # Whether the log states its own noise
+
+
+def _run(
+    build_filter: Callable[[tuple[Camera, ...]], Estimator[Any]], parts: Iterable[EventStream], trial: _Trial
+) -> _Run:
+    """Run over stretches of a log once."""
+    watched, likelihood = _Watched(build_filter(trial.cameras)), 0.0
+    sums = {camera.name: own for camera, own in zip(trial.cameras, watched.sums, strict=True)}
     for part in parts:
         run = RunState(watched.init())
-        for record in run_estimator(watched, part, run=run):
+        for record in run_estimator(watched, part.with_cameras(trial.cameras), run=run):
+            likelihood += record.info.log_likelihood
             sums[record.camera].frames += 1
             sums[record.camera].detections += record.n_detections
             sums[record.camera].outside += record.outside
@@ -177,7 +210,12 @@ def _pass(estimator: Estimator[Any], parts: Iterable[EventStream]) -> tuple[list
         for counts in run.attribution.pending.values():
             for name, count in counts.items():
                 sums[name].undecided += count if sum(counts.values()) > CHANCE_PAIR else 0
-    return watched.sums, watched.own_noise
+    estimates = {}
+    for camera in trial.cameras:
+        if (prior := trial.priors.get(camera.name)) is not None:
+            shown = sums[camera.name].with_noise_of(watched.sums) if prior.boxes else sums[camera.name]
+            estimates[camera.name] = estimate_detector(shown, camera.detector, prior)
+    return _Run(trial, estimates, likelihood - 0.5 * float((trial.errors**2).sum()), watched.own_noise)
 
 
 def estimate_detectors(
@@ -188,7 +226,9 @@ def estimate_detectors(
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
     """Estimate noise, probability of detection and clutter of cameras from a log.
 
-    What tracks do not confirm goes back to what was known before them.
+    The filter runs with what the tracks of the best run so far show, and, where the noise is hardly known before, with
+    one that is larger or smaller, of all cameras or of one. What makes the log more probable is kept, and a noise that
+    its tracks do not confirm goes back to what was known before them, moved as the likelihood has it.
 
     Parameters
     ----------
@@ -209,95 +249,45 @@ def estimate_detectors(
         For ``report.json``: by camera the values, their standard errors and the numbers behind them, and whether the
         log states the noise of its detections.
     """
-    cameras, priors = _most_probable(cameras, priors, build_filter, parts)
-    started = cameras
-    estimates: dict[str, DetectorEstimate] = {}
-    passes, converged, nearly, own_noise = 0, False, False, False
-    while passes < MOST_PASSES and not converged:
-        passes += 1
-        sums, own_noise = _pass(build_filter(cameras), [part.with_cameras(cameras) for part in parts])
-        converged = nearly = True
-        for camera, mine in zip(cameras, sums, strict=True):
-            if camera.name in priors:
-                prior = priors[camera.name]
-                mine = mine.with_noise_of(sums) if prior.boxes else mine
-                estimate = estimates[camera.name] = estimate_detector(mine, camera.detector, prior)
-                converged = converged and _agree(camera.detector, estimate, prior, CONVERGED)
-                nearly = nearly and _agree(camera.detector, estimate, prior, NEARLY_CONVERGED)
-        cameras = _with_detectors(cameras, {name: estimate.detector for name, estimate in estimates.items()})
-        texts = [_text(name, estimate) for name, estimate in estimates.items()]
-        LOGGER.info("detectors, pass %d: %s", passes, "; ".join(texts))
-    for camera in started:
-        if camera.name in priors and not (estimates[camera.name].confirmed or own_noise):
-            last = estimates[camera.name].detector
-            prior = priors[camera.name]
-            back = prior.put(last, prior.noise)
-            estimates[camera.name] = replace(estimates[camera.name], detector=back, noise=prior.noise)
-    estimates = {name: estimate.lasting(priors[name]) for name, estimate in estimates.items()}
-    cameras = _with_detectors(cameras, {name: estimate.detector for name, estimate in estimates.items()})
-    report = {name: _report(estimate, priors[name]) for name, estimate in estimates.items()}
-    return cameras, {"passes": passes, "converged": nearly, "noise_in_log": own_noise, "cameras": report}
+    own = [priors[camera.name].own_spread if camera.name in priors else 0.0 for camera in cameras]
+    spreads = [max((prior.spread for prior in priors.values()), default=0.0), *own]
+    best, runs = _run(build_filter, parts, _Trial(cameras, priors, np.zeros(len(spreads)))), 1
 
+    def improves(trial: _Trial) -> bool:
+        """Run with other detectors, and keep them if they make the log more probable."""
+        nonlocal best, runs
+        if runs >= MOST_RUNS or np.abs(trial.errors).max() > MOST_ERRORS:
+            return False
+        tried, runs = _run(build_filter, parts, trial), runs + 1
+        LOGGER.info("detectors, run %d: log-likelihood %.1f, less that of the prior", runs, tried.evidence)
+        better = tried.evidence > best.evidence + LEAST_GAIN
+        best = tried if better else best
+        return better
 
-def _most_probable(
-    cameras: tuple[Camera, ...],
-    priors: Mapping[str, NoisePrior],
-    build_filter: Callable[[tuple[Camera, ...]], Estimator[Any]],
-    parts: Sequence[EventStream],
-) -> tuple[tuple[Camera, ...], Mapping[str, NoisePrior]]:
-    """Return cameras and priors with the noise at which the filter finds the log most probable, so many errors away.
-
-    Where rays hardly know the noise, no tracks begin with a wrong one that could correct it.
-    """
-    if max((prior.spread for prior in priors.values()), default=0.0) < LEAST_UNSURE:
-        return cameras, priors
-
-    @cache
-    def moved(errors: float) -> tuple[float, tuple[Camera, ...], Mapping[str, NoisePrior]]:
-        """Return the evidence for so many errors more, and what it is for."""
-        away = {name: replace(one, noise=one.noise * np.exp(errors * one.spread)) for name, one in priors.items()}
-        noisy = {
-            one.name: away[one.name].put(one.detector, away[one.name].noise) for one in cameras if one.name in away
-        }
-        used = _with_detectors(cameras, noisy)
-        records = (record for part in parts for record in run_estimator(build_filter(used), part.with_cameras(used)))
-        return sum(record.info.log_likelihood for record in records) - 0.5 * errors**2, used, away
-
-    errors = 0.0
-    for step in (1.0, -1.0):
-        while abs(errors + step) <= MOST_ERRORS and moved(errors + step)[0] > moved(errors)[0]:
-            errors += step
-    return moved(errors)[1:]
-
-
-def _with_detectors(cameras: tuple[Camera, ...], detectors: Mapping[str, Detector]) -> tuple[Camera, ...]:
-    """Return cameras with other detectors."""
-    return tuple(replace(camera, detector=detectors.get(camera.name, camera.detector)) for camera in cameras)
-
-
-def _agree(present: Detector, estimate: DetectorEstimate, prior: NoisePrior, share: float) -> bool:
-    """Whether a pass has changed nothing that matters."""
-    new = estimate.detector
-
-    def close(old: float, value: float, scale: float, error: float | None) -> bool:
-        return error is None or abs(old - value) <= max(share * scale, CONVERGED_ERRORS * error)
-
-    noise = estimate.noise.tolist()
-    sigmas = zip(prior.of(present).tolist(), noise, noise, estimate.noise_error.tolist(), strict=True)
-    clutter = new.clutter_per_frame
-    return (
-        all(close(*sigma) for sigma in sigmas)
-        and close(present.p_detect, new.p_detect, 1.0 - new.p_detect, estimate.p_detect_error)
-        and close(present.clutter_per_frame, clutter, clutter, estimate.clutter_error)
-    )
-
-
-def _text(name: str, estimate: DetectorEstimate) -> str:
-    detector = estimate.detector
-    return (
-        f"{name} noise {', '.join(f'{value:.3g}' for value in estimate.noise.tolist())}, "
-        f"p_detect {detector.p_detect:.3f}, clutter {detector.clutter_per_frame:.3g} per frame"
-    )
+    step = 1.0
+    while True:
+        while improves(best.trial.with_detectors(best.estimates)):
+            pass
+        if spreads[0] < LEAST_UNSURE or step * spreads[0] < LEAST_STEP:
+            break
+        for direction, spread in enumerate(spreads):
+            for way in (step, -step) if step * spread >= LEAST_STEP else ():
+                before = best
+                while improves(best.trial.moved(direction, way)):
+                    pass
+                if best is not before:
+                    break
+        step /= 2.0
+    final = {}
+    for camera in best.trial.cameras:
+        if (prior := best.trial.priors.get(camera.name)) is not None:
+            estimate = best.estimates[camera.name]
+            noise = prior.of(camera.detector) if estimate.confirmed or best.own_noise else prior.noise
+            estimate = replace(estimate, detector=prior.put(camera.detector, noise), noise=noise)
+            final[camera.name] = estimate.lasting(prior)
+    report = {name: _report(estimate, best.trial.priors[name]) for name, estimate in final.items()}
+    found = {"passes": runs, "converged": runs < MOST_RUNS, "noise_in_log": best.own_noise, "cameras": report}
+    return best.trial.with_detectors(final).cameras, found
 
 
 def _report(estimate: DetectorEstimate, prior: NoisePrior) -> dict[str, Any]:

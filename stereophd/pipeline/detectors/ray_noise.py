@@ -42,10 +42,10 @@ from stereophd.pipeline.checks.geometry.rays import (
     signed_of_rays,
 )
 from stereophd.pipeline.checks.log.sample import CameraSample
-from stereophd.pipeline.detectors.statistics import USUAL_P_DETECT, NoisePrior
+from stereophd.pipeline.detectors.statistics import BETWEEN_CAMERAS, USUAL_P_DETECT, NoisePrior
 
-# The prior: the noise of one detector, px, the spread of its logarithm, and that between the cameras of one log.
-USUAL_NOISE_PX, NOISE_SPREAD, BETWEEN_CAMERAS = 1.7, 1.5, 0.4
+# The prior: the noise of one detector, px, and the spread of its logarithm.
+USUAL_NOISE_PX, NOISE_SPREAD = 1.7, 1.5
 # False detections of a frame to begin with: no detector is free of them, and births need some to compete with.
 LEAST_CLUTTER = 0.02
 # Frames of each camera that are looked at.
@@ -147,11 +147,12 @@ def _draws(likelihoods: dict[tuple[int, int], Array], count: int) -> Array:
 
 
 def starting_detectors(
-    cameras: Sequence[Camera], estimated: Collection[str], samples: Sequence[CameraSample]
+    cameras: Sequence[Camera], estimated: Collection[str], samples: Sequence[CameraSample], is_placed: bool = True
 ) -> tuple[tuple[Camera, ...], dict[str, NoisePrior]]:
     """Return cameras with detectors to begin a first tracking run with, and what is known of their noise by then.
 
-    Where the rays cannot be compared (one camera, cameras that move), the noise is as the detectors have it.
+    Where the rays cannot be compared (one camera, cameras that move or are not placed), the noise is as the detectors
+    have it.
 
     Parameters
     ----------
@@ -160,8 +161,10 @@ def starting_detectors(
         Names of the cameras whose detectors are estimated.
     samples : sequence of CameraSample
         Frames of all cameras.
+    is_placed : bool
+        Whether the poses are known.
     """
-    resting = len(cameras) > 1 and all(camera.pose.is_static for camera in cameras)
+    resting = is_placed and len(cameras) > 1 and all(camera.pose.is_static for camera in cameras)
     noise = noise_from_rays(samples) if resting else RayNoise(np.empty(0), np.empty(0), 0.0)
     used, priors = [], {}
     for k, camera in enumerate(cameras):

@@ -57,8 +57,9 @@ FEWEST_RESIDUALS = 50.0
 USUAL_P_DETECT, PRIOR_FRAMES = 0.9, 5.0
 # Smallest noise of a box, as a part of its height, and the largest correlation of its errors.
 LEAST_PART, MOST_LASTING = 1e-3, 0.9
-# Spread of the logarithm of the noise between the axes of a camera, or the values of a box.
-BETWEEN_AXES = 0.25
+# Spread of the logarithm of the noise between the axes of a camera, or the values of a box, and between the cameras of
+# one log.
+BETWEEN_AXES, BETWEEN_CAMERAS = 0.25, 0.4
 # Residuals over stated noise between which tracks confirm it (to within so many standard errors), the fewest of them
 # that can, and the spread of what is known from the rays from which it needs no more of them.
 CONFIRMED, CONFIRMED_ERRORS, FEWEST_TO_CONFIRM, KNOWN_SPREAD = (0.7, 1.4), 2.0, 8.0, 0.25
@@ -136,6 +137,11 @@ class NoisePrior:
         """Whether it is that of boxes."""
         return len(self.noise) == len(BOX_NOISE)
 
+    @property
+    def own_spread(self) -> float:
+        """By how much the logarithm may differ from that of the other cameras."""
+        return 0.0 if self.boxes else min(self.spread, BETWEEN_CAMERAS)
+
     def of(self, detector: Detector) -> Array:
         """Return the noise of a detector that this is the prior of."""
         return np.asarray(detector.box_noise if self.boxes else detector.sigma)
@@ -202,7 +208,6 @@ def observe(
     event: Event,
     camera: Camera,
     space: Array,
-    births_per_frame: float,
     settled: Integers,
     with_noise: bool = True,
 ) -> Sighting:
@@ -219,7 +224,6 @@ def observe(
         At the time of the event, with the present detector.
     space : array (30,)
         Its packed disparity space.
-    births_per_frame : float
     settled : array of int
         Labels of tracks that are confirmed and were seen by at least two cameras.
     with_noise : bool
@@ -235,7 +239,7 @@ def observe(
     )  # fmt: skip
     detector = camera.detector
     expected = detector.p_detect * existence
-    background = (detector.clutter_per_frame + detector.p_detect * births_per_frame) / (camera.width * camera.height)
+    background = (detector.clutter_per_frame + detector.p_detect * prediction.births) / (camera.width * camera.height)
     missed = np.maximum(1.0 - expected, 1e-9)
     odds = expected[owners] * densities / (missed[owners] * max(background, 1e-300))
     share, untouched, _, _ = association_marginals(owners, targets, odds, len(chosen), len(event.points))

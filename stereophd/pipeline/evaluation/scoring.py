@@ -225,7 +225,7 @@ def registration_of(
         with np.errstate(over="ignore", invalid="ignore"):  # a motion that is none is refused
             found = register(estimates.take(used), truth, max_gap_s, freedom)
     except ValueError as error:
-        raise InputError(f"{path}: `align`: {error}") from None
+        raise InputError(f"{path}: `align`: {error}; stereophd align `to` the truth finds any offset") from None
     LOGGER.info("tracks aligned with the truth: %s", registration_report(found.registration))
     if found.misfit > MOST_MISFIT:
         LOGGER.warning(

@@ -62,23 +62,24 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     samples = sample_log(reader, cameras, SAMPLE_FRAMES)
     draft, unknown = _with_known_detectors(draft, samples)
     draft = _with_frame_rates(draft, samples)
-    if draft.must_be_calibrated:  # everything else follows from rays, which need poses
-        return draft
-    only_boxes = all(sample.box_height_px is not None for sample in samples)
-    bodies = _with_bodies(draft, cameras, unknown, log_path) if only_boxes else None
+    only_boxes, is_placed = all(sample.box_height_px is not None for sample in samples), not draft.must_be_calibrated
+    bodies = _with_bodies(draft, cameras, unknown, log_path) if only_boxes and is_placed else None
     if bodies is not None:
         return replace(bodies, calibration=tuple(_calibration(bodies)))
-    cameras, priors = starting_detectors(cameras, unknown, samples)
+    cameras, priors = starting_detectors(cameras, unknown, samples, is_placed)
     samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
     sharp = [sample.with_measured_noise if sample.camera.name in unknown else sample for sample in samples]
     measured = {new.camera.name for new, old in zip(sharp, samples, strict=True) if new is not old}
-    if (cause := _mistake(draft, sharp)) is not None:
+    cause = _mistake(draft, sharp) if is_placed else "their poses are unknown"
+    if cause is not None:
         # rays that miss each other for this reason say nothing of the noise
         samples = sharp
         cameras = tuple(sample.camera for sample in samples)
-        why = f"detector: the noise about one-camera tracks; rays miss each other for another reason: {cause}"
+        why = f"detector: the noise about one-camera tracks; rays show none: {cause}"
         notes = {name: (*draft.camera_notes.get(name, ()), why) for name in measured}
         draft = replace(draft, camera_notes=draft.camera_notes | notes)
+    if not is_placed:  # everything else follows from rays
+        return _with_cameras(draft, cameras, measured)
     draft = _with_cameras(draft, cameras, unknown)
     rough = _rough(draft, samples)
     if rough is not None:

@@ -20,10 +20,11 @@ WIDTH, HEIGHT = 60, 18
 
 
 def summarise_cameras(cameras: Mapping[str, CameraConfig], length_unit: str) -> dict[str, Any]:
-    """Return a row for each camera, the distances between them, and the point that they look at."""
+    """Return a row for each camera; the distances between those of known pose, and the point that they look at."""
     rows = {name: _row(name, config) for name, config in cameras.items()}
-    centers = np.array([row["center"] for row in rows.values()])
-    axes = np.array([row["looks_along"] for row in rows.values()])
+    known = {name: row for name, row in rows.items() if row["center"] is not None}
+    centers = np.array([row["center"] for row in known.values()]).reshape(-1, 3)
+    axes = np.array([row["looks_along"] for row in known.values()]).reshape(-1, 3)
     distances = np.linalg.norm(centers[:, None] - centers[None], axis=2)[np.triu_indices(len(centers), 1)]
     nearest = nearest_points(axes, centers, np.zeros(len(axes), dtype=np.int64), 1, PARALLEL)[0]
     target = nearest if np.isfinite(nearest).all() else None
@@ -38,7 +39,7 @@ def summarise_cameras(cameras: Mapping[str, CameraConfig], length_unit: str) -> 
         "axes_distance_rms": None if target is None else float(np.sqrt(np.mean(np.sum(across**2, axis=1)))),
         "axes_meet_behind": []
         if target is None
-        else [name for name, center, axis in zip(rows, centers, axes, strict=True) if (target - center) @ axis < 0],
+        else [name for name, center, axis in zip(known, centers, axes, strict=True) if (target - center) @ axis < 0],
         "cameras": rows,
     }
 
@@ -54,8 +55,8 @@ def _row(name: str, config: CameraConfig) -> dict[str, Any]:
             math.degrees(2 * math.atan(camera.height / 2 / camera.fy)),
         ],
         "lens": camera.lens.model,
-        "center": camera.pose.center.tolist(),
-        "looks_along": camera.pose.rotation[2].tolist(),
+        "center": None if config.pose.unknown else camera.pose.center.tolist(),
+        "looks_along": None if config.pose.unknown else camera.pose.rotation[2].tolist(),
         "pose_is_unknown": config.pose.unknown,
         "moves": not camera.pose.is_static,
         "trajectory": _trajectory(camera.pose),
@@ -85,14 +86,14 @@ def _trajectory(pose: Pose) -> dict[str, Any] | None:
 
 
 def sketch(summary: Mapping[str, Any]) -> list[str]:
-    """Draw the layout of cameras in text: each as a letter, with dots along the direction in which it looks.
+    """Draw the layout of cameras of known pose in text: each a letter, with dots along the direction that it looks in.
 
     The two world axes along which the cameras (and what they look at) spread most are drawn; ``+`` is where the optical
     axes meet.
     """
-    rows = list(summary["cameras"].values())
-    centers = np.array([row["center"] for row in rows])
-    axes = np.array([row["looks_along"] for row in rows])
+    rows = {name: row for name, row in summary["cameras"].items() if row["center"] is not None}
+    centers = np.array([row["center"] for row in rows.values()])
+    axes = np.array([row["looks_along"] for row in rows.values()])
     target = summary["axes_meet_near"]
     reach = _reach(centers, target)
     points = np.concatenate([centers, centers + reach * axes, *([] if target is None else [np.array([target])])])
@@ -116,13 +117,11 @@ def sketch(summary: Mapping[str, Any]) -> list[str]:
         put(np.array(target), "+")
     for index, center in enumerate(centers):
         put(center, ascii_uppercase[index % 26])
-    names = ", ".join(f"{ascii_uppercase[k % 26]} {name}" for k, name in enumerate(summary["cameras"]))
+    names = ", ".join(f"{ascii_uppercase[k % 26]} {name}" for k, name in enumerate(rows))
     drawn = ["".join(line).rstrip() for line in lines]
     used = [k for k, line in enumerate(drawn) if line]
-    direction = "xyz"[across], "xyz"[up]
-    note = (
-        f"{direction[0]} to the right, {direction[1]} upwards, {scale:.3g} {summary['length_unit']} a column: {names}"
-    )
+    right, top = "xyz"[across], "xyz"[up]
+    note = f"{right} to the right, {top} up the page, {scale:.3g} {summary['length_unit']} a column: {names}"
     return [*drawn[used[0] : used[-1] + 1], note]
 
 

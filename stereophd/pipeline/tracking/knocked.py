@@ -43,8 +43,9 @@ GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 # Pairs of a track and a detection of a look: in a crowd fewer of the other tracks are predicted.
 MOST_PAIRS = 20_000
 # Residuals are summed over blocks of so long, s; a change is looked for in the last one, two, ... so many of them,
-# against all before, whose sums shrink by a factor of e in so many blocks.
-BLOCK_S, BLOCKS, REMEMBERED = 1.0, 5, 20
+# against all before, whose sums shrink by a factor of e in so many blocks. In slow logs it is looked for after so many
+# looks at the camera, before the change is older than the blocks.
+BLOCK_S, BLOCKS, REMEMBERED, LOOKS_A_QUESTION = 1.0, 5, 20, 4
 # Age from which a track counts, s: a new one may be wrong.
 LEAST_AGE_S = 1.0
 # After so long without a look the sums begin anew, s.
@@ -98,6 +99,7 @@ class CameraLooks:
     # Mean squared misfit of a block to those before, in what the model expects, and of how many blocks it is
     scatter: float = 1.0
     blocks: int = 0
+    asked: int = 0  # Looks when a change was looked for last
 
 
 @dataclass(frozen=True)
@@ -144,29 +146,30 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
         in_view[predicted:] &= np.isin(before.track_ids[predicted:], responses.track_ids)
     pixels = camera.fx, camera.fy, camera.cx, camera.cy
     # what belongs to a track that is not looked at speaks for no turn of the others
-    points, noise, nearest, is_free, alone, values, sums_of_block = look_at_frame(
+    values, sums_of_block = responses.values.copy(), responses.blocks[-1].copy()
+    points, noise, nearest, is_free, alone = look_at_frame(
         (before.states, before.covariances, in_view, elapsed_s),
         (
-            responses.rows, responses.since_s <= event.time_s - LEAST_AGE_S,
-            responses.values, event.time_s - responses.time_s,
+            responses.rows, responses.since_s <= event.time_s - LEAST_AGE_S, values, event.time_s - responses.time_s,
         ),
         (camera.pose.rotation, camera.pose.center), pixels, event.camera, (event.points, event.covariances),
-        (TAKEN * known.spread, known.spread), responses.blocks[-1],
+        (TAKEN * known.spread, known.spread), sums_of_block,
     )  # fmt: skip
     responses = replace(responses, time_s=event.time_s, values=values, blocks=(*responses.blocks[:-1], sums_of_block))
-    test = replace(test, responses=responses)
-    if known.looked_s < responses.began_s and len(responses.blocks) > BLOCKS + 1:
+    is_due = known.looked_s < responses.began_s and known.looks >= known.asked + LOOKS_A_QUESTION
+    if is_due and len(responses.blocks) > BLOCKS + 1:
+        known = replace(known, asked=known.looks)
         change = _change(responses, event.camera, known)
         if change is not None:
             if known.blocks > BLOCKS and change.evidence > _least_evidence(len(cameras)):
-                return KnockTest(is_over=True), _changed(test, responses, cameras, event.time_s)
+                return KnockTest(is_over=True), _changed(test.cameras, responses, cameras, event.time_s)
             if change.misfit is not None:
                 blocks = known.blocks + 1
                 scatter = known.scatter + (change.misfit - known.scatter) / min(blocks, REMEMBERED)
                 known = replace(known, scatter=scatter, blocks=blocks)
     squares: list[float] = nearest.tolist()
     if not squares:
-        return replace(test, cameras={**test.cameras, name: replace(known, looked_s=event.time_s)}), None
+        return KnockTest({**test.cameras, name: replace(known, looked_s=event.time_s)}, responses), None
     sums, rising_s = (None, None) if event.time_s > known.looked_s + FORGET_S else (known.sums, known.since_s)
     if known.looks >= FIRST_LOOKS and (sums is not None or median(squares) > CALM * known.spread):
         turns, p_detect = all_turns(), camera.detector.p_detect
@@ -185,17 +188,18 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
         together = [float(lasting @ lasting)]
     coherence = _followed(known.coherence, together, MEDIAN, known.looks)
     looks = CameraLooks(
-        event.time_s, known.looks + 1, spread, lasting, coherence, sums, rising_s, known.scatter, known.blocks
-    )
-    test = replace(test, cameras={**test.cameras, name: looks})
-    knock = _turned(test, cameras, event.camera, event.time_s)
+        event.time_s, known.looks + 1, spread, lasting, coherence, sums, rising_s, known.scatter, known.blocks,
+        known.asked
+    )  # fmt: skip
+    test = KnockTest({**test.cameras, name: looks}, responses)
+    knock = _turned(test.cameras, cameras, event.camera, event.time_s)
     return (test, None) if knock is None else (KnockTest(is_over=True), knock)
 
 
-def _turned(test: KnockTest, cameras: tuple[Camera, ...], index: int, time_s: float) -> Knock | None:
+def _turned(looks: dict[str, CameraLooks], cameras: tuple[Camera, ...], index: int, time_s: float) -> Knock | None:
     """Return the knock if a camera has turned, unless tracks would by now have followed such a turn."""
     camera = cameras[index]
-    known = test.cameras[camera.name]
+    known = looks[camera.name]
     if known.sums is None or known.since_s is None or known.sums.max() < _threshold():
         return None
     turn = int(known.sums.argmax())
@@ -204,7 +208,7 @@ def _turned(test: KnockTest, cameras: tuple[Camera, ...], index: int, time_s: fl
     if is_small and time_s > since_s + CLEAR_S:
         return None
     u, v = (all_turns().shifts[turn] * (camera.fx, camera.fy)).tolist()
-    largest = {name: each.sums.max() for name, each in test.cameras.items() if each.sums is not None}
+    largest = {name: each.sums.max() for name, each in looks.items() if each.sums is not None}
     others = tuple(
         each.name for each in cameras if each is not camera and largest.get(each.name, 0.0) > SUSPICIOUS * _threshold()
     )
@@ -240,12 +244,12 @@ def _change(responses: Responses, camera: int, known: CameraLooks) -> PoseChange
     return find_change(np.stack(responses.blocks[:-1])[:, :, camera], max(known.scatter, 1.0))
 
 
-def _changed(test: KnockTest, responses: Responses, cameras: tuple[Camera, ...], time_s: float) -> Knock:
+def _changed(looks: dict[str, CameraLooks], responses: Responses, cameras: tuple[Camera, ...], time_s: float) -> Knock:
     """Return the camera whose pose has changed most clearly, and those for which the evidence is not much less."""
     changes = [
         (camera, change)
         for index, camera in enumerate(cameras)
-        if camera.name in test.cameras and (change := _change(responses, index, test.cameras[camera.name])) is not None
+        if camera.name in looks and (change := _change(responses, index, looks[camera.name])) is not None
     ]
     (camera, first), *others = sorted(changes, key=lambda each: -each[1].evidence)
     names = tuple(c.name for c, change in others if change.evidence > SUSPICIOUS * first.evidence)

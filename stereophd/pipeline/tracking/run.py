@@ -37,7 +37,6 @@ from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.run_figures import LastingTracks, RunFigures
 from stereophd.pipeline.tracking.single import SingleTracker, at_most_one, build_single
-from stereophd.pipeline.tracking.smoothed import smoothed_records
 from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 from stereophd.wording import instant
 
@@ -148,6 +147,8 @@ def reported_records(
     else:
         records = kept.records(events, times, smooth is not None)
     if smooth is not None:
+        from stereophd.pipeline.tracking.smoothed import smoothed_records  # only here: other runs begin sooner
+
         records = smoothed_records(records, estimator.rig.cameras, motion, smooth, reach_back, report.max_position_std)
         if (inside := times.region) is not None:
             records = (replace(record, estimates=record.estimates.inside(inside)) for record in records)

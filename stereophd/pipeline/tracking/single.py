@@ -16,7 +16,6 @@ from stereophd.core.multi.association.attribution import Claims
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.numerics.random_streams import SINGLE_ESTIMATOR
 from stereophd.core.single.base import AnyEstimator, SingleEstimate, SingleState
-from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import (
     DisparityChoice,
     DisparitySettings,
@@ -55,6 +54,8 @@ def build_single(config: Config, motion: Motion, cameras: tuple[Camera, ...], pa
         raise InputError(f"{path}: filter.prior: expected velocity_std, found none (motion.model is not static)")
     rig = make_rig(cameras, config.disparity.baseline, config.disparity.rectification)
     rng = np.random.default_rng(SINGLE_ESTIMATOR.seed(config.seed))
+    from stereophd.core.single.build import build_estimator  # only here: filters for many objects need none of it
+
     try:
         return build_estimator(estimator_settings(config), rig, motion, prior, rng)
     except ValueError as error:

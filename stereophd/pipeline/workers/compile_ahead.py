@@ -58,7 +58,7 @@ def main(kind: str, parent: int) -> None:
     """Compile the kernels of a filter, last ones first; end when the process `parent` is gone."""
     import signal
 
-    from stereophd.core.multi.build import prepare_last_first
+    from stereophd.core.multi.build import prepare
     from stereophd.pipeline.workers.worker_process import end_with
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # a terminal sends it to both, and the run ends this process
@@ -69,7 +69,7 @@ def main(kind: str, parent: int) -> None:
     with contextlib.suppress(OSError, InputError):  # InputError: another process has the lock
         if make_folder(place):
             lock_file(place / f"compiling-{kind}.lock", f"kernels of {kind}", "wait")
-            prepare_last_first(kind)
+            prepare(kind, last_first=True)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from stereophd.io.outputs.json_text import plain
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.data import run_data
 from stereophd.report.summaries import fit_totals, run_tables, share, tracking_part, verdict
-from stereophd.report.tables import SummaryTable
+from stereophd.report.tables import CHECKS, SummaryTable
 from stereophd.wording import number
 
 # Tracks that the page lists, a page of the table at a time.
@@ -125,8 +125,8 @@ def _details(run: Run, index: int) -> str:
     origin = [
         ("made by", f"stereophd {record.get('version')} {record.get('command')}"),
         ("seed", str(record.get("seed"))),
-        ("configuration, SHA-256", str(record.get("config_sha256"))),
-        *((f"{role}, SHA-256", digest) for role, digest in record["inputs"].items()),
+        ("configuration, resolved, SHA-256", str(record.get("config_sha256"))),
+        *((f"input file, {role}, SHA-256", digest) for role, digest in record["inputs"].items()),
     ]
     return (
         f"<div class='details' data-run='{index}'><h3>{escape(run.name)}</h3>{tables}"
@@ -143,7 +143,8 @@ def _html(table: SummaryTable) -> str:
     )
     body = f"<table><thead><tr>{head}</tr></thead><tbody>{rows}</tbody></table>" if rows else ""
     notes = "".join(f"<p class='note'>{escape(note)}</p>" for note in table.notes)
-    return f"<section class='table'><h4>{escape(table.title)}</h4><div class='wide'>{body}</div>{notes}</section>"
+    kind = " words" if table.title == CHECKS else ""
+    return f"<section class='table{kind}'><h4>{escape(table.title)}</h4><div class='wide'>{body}</div>{notes}</section>"
 
 
 def _tag(column: int) -> str:

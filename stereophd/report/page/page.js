@@ -38,6 +38,7 @@
     title: { text: title, font: { size: 12 } }, gridcolor: css("--line"), linecolor: css("--line"),
     zerolinecolor: css("--line"), automargin: true, ...more,
   });
+  const LOG = { type: "log", tickformat: "~g" };  // 0.05 and 0.1, not 5 and a power of ten
   const layout = (title, x, y, more) => ({
     title: { text: title, font: { size: 14 }, x: 0.02, xanchor: "left" }, margin: { l: 60, r: 16, t: 40, b: 44 },
     paper_bgcolor: css("--paper"), plot_bgcolor: css("--paper"),
@@ -292,7 +293,7 @@
     const many = t.length > 30000 && state.screen === null;  // WebGL does not print
     draw("values", [...groups.values()].map((g) => ({
       type: many ? "scattergl" : "scatter", mode: "lines", x: g.x, y: g.y, text: g.text, hoverinfo: "text+x+y", showlegend: false, line: { width: 1.5, color: colour(g.k), dash: dash(g.k) },
-    })), layout(QUANTITIES[name][0], "time [s]", `${QUANTITIES[name][0]}${QUANTITIES[name][1](r.unit || "length")}`, { shapes: cursor(), yaxis: axis(`${name.replace("_", " ")}${QUANTITIES[name][1](r.unit || "length")}`, name === "position_std" ? { type: "log" } : {}) }));
+    })), layout(QUANTITIES[name][0], "time [s]", `${QUANTITIES[name][0]}${QUANTITIES[name][1](r.unit || "length")}`, { shapes: cursor(), yaxis: axis(`${name.replace("_", " ")}${QUANTITIES[name][1](r.unit || "length")}`, name === "position_std" ? LOG : {}) }));
   };
   const of = (u) => ` [${u}]`;
   const QUANTITIES = {
@@ -344,9 +345,9 @@
     if (!e) return;
     const t = numbers(e.t);
     const spiky = (y) => { const s = Array.from(y).filter((q) => q > 0).sort((p, q) => p - q); return s.length > 4 && s[s.length - 1] > 10 * s[s.length >> 1]; };
-    const scale = (name) => (spiky(numbers(e[name])) ? { type: "log", exponentformat: "power" } : { rangemode: "tozero" });
+    const scale = (name) => (spiky(numbers(e[name])) ? LOG : { rangemode: "tozero" });
     draw("ospa", [line(r, t, numbers(e.ospa), "OSPA", css("--ink")), line(r, t, numbers(e.ospa_localisation), "localisation", COLOURS[0]), line(r, t, numbers(e.ospa_cardinality), "cardinality", COLOURS[5])],
-      layout(`OSPA (order ${e.order}, cutoff ${e.cutoff})`, "time [s]", `OSPA${unit}`, { yaxis: axis(`OSPA${unit}`, scale("ospa")), shapes: cursor() }));
+      layout(`OSPA (order ${e.order}, cutoff ${e.cutoff}${unit.replace(/[[\]]/g, "")})`, "time [s]", `OSPA${unit}`, { yaxis: axis(`OSPA${unit}`, scale("ospa")), shapes: cursor() }));
     draw("gospa", [line(r, t, numbers(e.gospa), "GOSPA", css("--ink")), line(r, t, numbers(e.gospa_localisation), "localisation", COLOURS[0]), line(r, t, numbers(e.gospa_missed), "missed objects", COLOURS[5]), line(r, t, numbers(e.gospa_false), "false tracks", COLOURS[3], { dash: "dot" })],
       layout("GOSPA and its parts", "time [s]", `GOSPA${unit}`, { yaxis: axis(`GOSPA${unit}`, scale("gospa")), shapes: cursor() }));
   };
@@ -364,7 +365,7 @@
     ], layout("Parameters, in standard deviations of their priors", "offset from the prior mean [prior std]", "", { margin: { l: 150, r: 16, t: 40, b: 44 }, yaxis: axis("", { autorange: "reversed" }) }));
     draw("directions", [{ type: "bar", orientation: "h", x: c.directions.map((d) => d.ratio), y: c.directions.map((_, k) => k + 1), text: c.directions.map((d) => d.text), textposition: "auto", hoverinfo: "x+text",
       marker: { color: c.directions.map((d) => (d.ratio <= 0.5 ? css("--accent") : css("--doubt"))) } }],
-      layout("Observability: what the data determine", "posterior std / prior std", "direction", { xaxis: axis("posterior std / prior std", { type: "log" }), yaxis: axis("direction", { autorange: "reversed", dtick: 1 }) }));
+      layout("Observability: what the data determine", "posterior std / prior std", "direction", { xaxis: axis("posterior std / prior std", LOG), yaxis: axis("direction", { autorange: "reversed", dtick: 1 }) }));
     const k = +by("parameter").value || 0, j = +by("against").value || 0, label = (n) => `${p[n].name} [${p[n].unit}]`;
     if (c.history) {
       const t = since(r, numbers(c.history.t)), m = Array.from(numbers(c.history.mean[k])), s = Array.from(numbers(c.history.std[k]));
@@ -391,7 +392,7 @@
       if (r.evaluation) scores.push(line(r, numbers(r.evaluation.t), numbers(r.evaluation.ospa), r.name, colour(k), style));
     });
     if (counts.length) draw("compare-count", counts, layout("Number of objects reported", "time [s]", "objects")); else clear("compare-count");
-    if (scores.length) draw("compare-ospa", scores, layout("OSPA", "time [s]", "OSPA", { yaxis: axis("OSPA", { type: "log" }) })); else clear("compare-ospa");
+    if (scores.length) draw("compare-ospa", scores, layout("OSPA", "time [s]", "OSPA", { yaxis: axis("OSPA", LOG) })); else clear("compare-ospa");
   };
 
   // ---- what is there, and controls

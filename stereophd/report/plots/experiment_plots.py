@@ -4,6 +4,7 @@ Of an experiment of kind move it shows the Gaussians of the methods over that of
 Needs the extra ``plot``. The same results give the same files.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -103,7 +104,9 @@ def _draw(results: Results) -> Figure:
             unit = _panel(axes, results, quantity, cells, over, ratio)
             if column == 0:
                 bracketed = f" [{unit}]" if unit not in ("", "1") else ""
-                axes.set_ylabel("ratio to the bound" if ratio else quantity.replace("_", " ") + bracketed)
+                words = re.sub(r"_([pc])(?=\d)", r", \1 ", quantity).replace("_", " ").replace("center", "centre")
+                words = re.sub("ospa|rmse|nees", lambda short: short[0].upper(), words)
+                axes.set_ylabel("ratio to the bound" if ratio else words + bracketed)
             if row == 0 and group:
                 axes.set_title(group, fontsize=10)
             if row == shape[0] - 1:

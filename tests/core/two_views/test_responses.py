@@ -99,3 +99,17 @@ def test_nothing_is_found_where_nothing_is_known() -> None:
     change = find_change(sums, 1.0)
     assert change is not None
     assert change.misfit is None
+
+
+def test_objects_next_to_a_camera_end_no_run() -> None:
+    """The pixels of an object at a camera change by any amount with its pose: sums are huge, and of low rank."""
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        sums = np.zeros((6, 2, 6, 7))
+        for block in sums.reshape(12, 6, 7):
+            slope = rng.normal(size=(rng.integers(1, 4), 6)) * 10.0 ** rng.uniform(0.0, 9.0)
+            block[:, :6] = np.tril(slope.T @ slope)
+            block[:, 6] = slope.T @ rng.normal(size=len(slope))
+        change = find_change(sums, 1.0)
+        assert change is not None
+        assert change.misfit is None or change.misfit >= 0.0

@@ -198,8 +198,19 @@ def test_native_points_in_space_go_with_every_format(tmp_path: Path, imported: I
     _, out = imported("mot", source, truth=truth, rates=25.0)
     assert pq.read_table(out / "truth.parquet").to_pylist() == TRUTH_ROWS
     truth.write_text("time_s,name,x,y,z\n0,4,1,2,3\n")
-    with pytest.raises(InputError, match="`truth`: expected an option that a source of format mot has a use for"):
+    with pytest.raises(InputError, match="`truth`: expected an option that has an effect on a source of format mot"):
         imported("mot", source, truth=truth, rates=25.0)
+
+
+def test_native_cameras_state_their_own_detector(tmp_path: Path, imported: Import) -> None:
+    source, cameras = tmp_path / "a.csv", tmp_path / "cameras.yaml"
+    source.write_text("frame,x,y\n0,5,5\n1,6,6\n")
+    cameras.write_text(
+        "units: {length: m}\ncameras:\n  a: {image_size_px: [100, 100], intrinsics: {focal: unknown}, pose: unknown}\n"
+    )
+    detector = {"sigma_px": [1.0, 1.0], "p_detect": 0.9, "clutter_per_frame": 1.0}
+    with pytest.raises(InputError, match=r"`detector`: .* with .*cameras\.yaml \(native cameras state size"):
+        imported("csv", source, rates=25.0, detector=detector, cameras=cameras)
 
 
 def test_a_truth_that_is_native_already_needs_no_import(tmp_path: Path, imported: Import) -> None:

@@ -63,14 +63,14 @@ def test_logs_of_unknown_clocks_that_show_nothing_are_undetermined(tmp_path: Pat
     tree["cameras"]["right"]["clock"] = {"offset_s": "unknown"}
     path.write_text(yaml.safe_dump(tree))
     loaded = load_config(PAPER, ("calibration.priors={}",), None, path)
-    report = calibrate(loaded, tmp_path / "log.parquet", tmp_path / "out", plots=False)
+    report = calibrate(loaded, tmp_path / "log.parquet", tmp_path / "out", plots=False, jobs=1)
     assert report["status"] == "undetermined"
     assert "no object can be followed" in report["reason"]
 
 
 def test_an_unknown_pose_is_refused_where_one_is_needed(tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match=r"cameras\.left\.pose: expected a known one, found unknown; `calibrate` finds"
+        InputError, match=r"cameras\.left\.pose: expected a value, found unknown: run `calibrate` first"
     ):
         stated(tmp_path).build_cameras()
 

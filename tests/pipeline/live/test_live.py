@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -301,13 +302,18 @@ def test_the_end_of_the_stream_says_what_became_of_a_knocked_camera(
     def look(test: Any, cameras: Any, event: Any, *rest: Any) -> Any:
         return (KnockTest(is_over=True), knock) if event.time_s >= at_s and not test.is_over else (test, None)
 
-    def work(self: Aside, work: Any) -> None:  # ends after the stream, or never
-        time.sleep(0.3 if ending in outcomes else 5.0)
-        self._outcome = outcomes.get(ending)
+    def work(self: Aside, work: Any) -> None:  # ends after the stream, or when its process is killed
+        if ending in outcomes:
+            time.sleep(0.3)
+            self._outcome = outcomes[ending]
+        else:
+            killed = threading.Event()
+            self._worker = SimpleNamespace(kill=killed.set)  # type: ignore[assignment]
+            killed.wait()
 
     monkeypatch.setattr(loop, "look", look)
     monkeypatch.setattr(Aside, "_do", work)
-    monkeypatch.setattr(commands, "PATIENCE_S", 2.0)
+    monkeypatch.setattr(commands, "PATIENCE_S", 10.0 if ending in outcomes else 0.2)
     monkeypatch.setattr(recalibrate, "TRIES_S", (1e6,) if ending == "no try began" else (0.0,))
     recalibrating = load_config(
         loaded.path, ["report.times=events", "live.recalibrate=true"], cameras_path=HALL / "hall" / "cameras.yaml"

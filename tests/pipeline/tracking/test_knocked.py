@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,12 +17,13 @@ from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.core.two_views import turns
+from stereophd.core.two_views.responses import find_change
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run_figures import check_knocks
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.tracking import knocked as test_of_knocks
-from stereophd.pipeline.tracking.knocked import Knock
+from stereophd.pipeline.tracking.knocked import LOOKS_A_QUESTION, Knock
 from stereophd.pipeline.tracking.loop import run_estimator
 from stereophd.pipeline.tracking.run_figures import RunFigures
 
@@ -31,9 +33,9 @@ KNOCK_S = 5.0
 FORWARD = (0.0, 0.0, 0.08)
 
 
-def of_objects(count: int, duration_s: float = 8.0) -> LoadedConfig:
+def of_objects(count: int, duration_s: float = 8.0, changes: Sequence[str] = ()) -> LoadedConfig:
     alone = [f"simulate.objects.{each}" for each in (f"count={count}", "births_per_s=0", "mean_lifetime_s=null")]
-    return load_config(CONFIG, [f"simulate.duration_s={duration_s}", *alone])
+    return load_config(CONFIG, [f"simulate.duration_s={duration_s}", *alone, *changes])
 
 
 @pytest.fixture(scope="module")
@@ -111,6 +113,19 @@ def test_a_knock_that_tracks_follow_is_noticed_and_named(
     assert 15.0 <= knock.time_s < 20.0
     assert knock.since_s == pytest.approx(15.0, abs=1.1)
     assert knock.turn_deg == pytest.approx(0.5, abs=0.2)
+
+
+def test_a_slow_camera_is_asked_about_by_its_frames(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At one frame a second every block has one: a question after each would cost as much as the filter."""
+    questions = []
+    monkeypatch.setattr(test_of_knocks, "find_change", lambda *given: questions.append(given) or find_change(*given))
+    slow = of_objects(6, 45.0, [f"cameras.{name}.frame_rate_hz=1" for name in ("left", "right", "middle")])
+    of_scene = events(slow, "right", (0.0, 0.5, 0.0), (0.0, 0.0, 0.0), 30.0)
+    (knock,), _ = knocks(slow, of_scene)
+    assert knock.camera == "right"
+    assert knock.time_s <= 35.0
+    # those for the sake of the one that was knocked are of all cameras
+    assert 0 < len(questions) <= sum(event.time_s <= knock.time_s for event in of_scene) / LOOKS_A_QUESTION + 3
 
 
 def test_cameras_that_stay_raise_no_alarm(loaded: LoadedConfig) -> None:

@@ -14,6 +14,9 @@ from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking import smoothed
 from stereophd.pipeline.tracking.run import build_tracking
+from tests.conftest import leave_out_checks
+
+pytestmark = pytest.mark.usefixtures("without_checks")
 
 CONFIG = "configs/board_calibration.yaml"
 SHORT = ["simulate.duration_s=2.0", "report.associations=true"]
@@ -31,7 +34,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> dict[bool, tuple[dict[str,
     for anew in (False, True):
         tracks = folder / f"tracks{anew}"
         changes = [*SHORT, f"report.smooth={{reassociate: {str(anew).lower()}}}"]
-        report = track(load_config(CONFIG, changes), scene / "detections.parquet", tracks)
+        with pytest.MonkeyPatch.context() as patch:
+            leave_out_checks(patch)
+            report = track(load_config(CONFIG, changes), scene / "detections.parquet", tracks)
         out[anew] = report, pd.read_parquet(tracks / "associations.parquet").merge(truth, on=KEY)
     return out
 

@@ -37,6 +37,7 @@ from stereophd.core.calibration.annealing.starts import (
     NOISE_AS_STATED,
     agreeing_with_best,
     best_of,
+    disagreement,
     rival_of,
     squared_residuals,
 )
@@ -146,9 +147,9 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     assert best is not None
     assert best.fit is not None
     doubt, remarks = doubt_of_starts(task, starts, best, choices.is_sampled)
-    task, fit, remark = at_known_scale(task, best.fit, choices.known)
+    task, fit, remark = at_known_scale(task.with_noise(best.noise), best.fit, choices.known)
     remarks += remark
-    believed = believe(task, fit, choices)
+    believed = believe(task, fit, choices, best.noise)
     task, answer = believed.task, believed.answer
     remarks += (*motion_remarks(answer), *believed.remarks)
     if not choices.is_sampled:
@@ -166,6 +167,9 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     values = fit.adjustment.values
     early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
     doubt = doubt or early
+    if best.noise > 1.0:  # the start was not held to the noise that is stated: its answer is
+        noise = float(np.sqrt((believed.noise**2).mean()))
+        doubt = doubt or disagreement(task, answer.fit, noise=noise) or ""
     if (against := task.parameters.prior_disagreement(values)) is not None:
         by = known.kind if known is not None else "baseline" if task.scale is not None else ""
         doubt = f"with the known {by} {against}" if by else against
@@ -192,7 +196,7 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
                 Remark("starts", f"{why}; narrower priors or more starts (calibration.annealed.starts) show it"),
             )
     assert best.fit is not None
-    if (squares := float(squared_residuals(best.fit).mean())) > NOISE_AS_STATED:
+    if (squares := best.noise**2 * float(squared_residuals(best.fit).mean())) > NOISE_AS_STATED:
         text = (
             f"residuals were {np.sqrt(squares):.1f} times the stated noise before it was estimated: detector.sigma_px "
             "is too small, or lenses, clocks or motion do not fit"
@@ -245,14 +249,17 @@ def selected(task: Task, fit: Fit, choices: Choices) -> tuple[Fit, Comparison | 
     return (fit if free.all() else restricted_fit(task, fit, free)), comparison
 
 
-def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
-    """State the answer, and state it anew with the noise of the residuals and without what the data contradict."""
+def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -> Believed:
+    """State the answer, and state it anew with the noise of the residuals and without what the data contradict.
+
+    `noise_of_fit` is the noise of the task over what is stated.
+    """
     count = len(task.parameters.cameras)
-    noise, freed, given_up = np.ones(count), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
+    noise, freed, given_up = np.full(count, noise_of_fit), tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
     loosened, suspicions, held = np.zeros(count, dtype=np.int64), list[Suspicion](), tuple[Remark, ...]()
     for number in range(MOST_ROUNDS):
-        if not task.limit.begin(f"the answer is stated and doubted, round {number + 1} of at most {MOST_ROUNDS}"):
-            text = "the time was over before the answer was found and doubted: these cameras are the best so far"
+        if not task.limit.begin(f"what the answer assumes is tested, round {number + 1} of at most {MOST_ROUNDS}"):
+            text = "the time was over before the answer was found and tested: these cameras are the best so far"
             answer, suspicions, held = Answer(fit, 1.0, None), [], (Remark("time", text, is_reservation=True),)
             break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
@@ -362,8 +369,8 @@ def motion_remarks(answer: Answer) -> tuple[Remark, ...]:
     if abs(np.log(answer.noise_factor)) <= np.log(MOTION_FACTOR):
         return ()
     text = (
-        f"the motion of the objects shows {answer.noise_factor:.2g} times the noise that the configuration states, "
-        "which was used: motion.acceleration_std is wrong, or objects move together (corners of a board: state their "
+        f"the objects accelerate {answer.noise_factor:.2g} times as much as motion.acceleration_std states; what they "
+        "show was used: motion.acceleration_std is wrong, or objects move together (corners of a board: state their "
         "known distance, calibration.scale.kind: length)"
     )
     return (Remark("motion", text),)
@@ -408,8 +415,8 @@ def held_remarks(enlarged: EnlargedSet, suspicions: list[Suspicion]) -> tuple[Re
     largest = max(suspicions, key=lambda s: s.expected_move, default=None)
     if contradicted is None and largest is not None and largest.expected_move > LARGEST_MOVE:
         text = (
-            f"the answer depends on what is stated: {fitting(enlarged, largest)} fits as well, and moves tracks by "
-            f"{largest.expected_move:.1f} times what is stated"
+            f"the answer depends on what is stated: the data allow {fitting(enlarged, largest)} too, which moves "
+            f"tracks by {largest.expected_move:.1f} of their stated standard deviations"
         )
         remarks.append(Remark("sensitivity", text, is_reservation=True))
     return tuple(remarks)

@@ -9,6 +9,8 @@ A start succeeds only if the trajectories that two cameras share explain the det
 sum of evidence (PMB filter at the true noise) and log-prior.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from stereophd.core.arrays import Array
@@ -69,50 +71,63 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
 
 
 def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> Start:
-    """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes."""
-    history: list[Array] = []
+    """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes.
 
-    def failed(why: str, fit: Fit | None = None, part: float = 0.0) -> Start:
-        return Start(number, why, start, np.array(history).reshape(-1, len(start)), fit, np.nan, np.nan, part, origin)
-
+    One that does not agree with the data at the stated noise is judged at those of its passes, the smallest first: the
+    noise may be stated too small, or something else wrong, which the doubted answer shows.
+    """
+    begun = Start(number, "", start, np.empty((0, len(start))), None, np.nan, np.nan, 0.0, origin)
     values, inflations = start, task.settings.inflation
     if fit is not None:
-        values = fit.adjustment.values
-        history.append(values)
+        begun, values = begun.with_pass(fit), fit.adjustment.values
         inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
-    count = len(inflations) + FITTED_PASSES
     about = f"start {number + 1} of at most {task.most_starts}, from {origin}: pass"
+    tracked: list[tuple[float, Start]] = []
     for number_of_pass, inflation in enumerate(inflations):
-        if not task.limit.begin(f"{about} {number_of_pass + 1} of {count}, {inflation:g} times the noise"):
-            return failed(TIME_OVER)
+        step = f"{number_of_pass + 1} of {len(inflations) + FITTED_PASSES}, {inflation:g} times the noise"
+        if not task.limit.begin(f"{about} {step}"):
+            return replace(begun, fit=None, outcome=TIME_OVER)
         ratio = 1.0 if fit is None else depth_ratio(task, fit, KEPT_WITHIN)
         fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio)
         if fit is None:
-            return failed(f"no track is shared by two cameras at {inflation:g} times the noise")
-        values = fit.adjustment.values
-        history.append(values)
-    assert fit is not None
+            why = f"no track is shared by two cameras at {inflation:g} times the noise"
+            judged = replace(begun, fit=None, outcome=why)
+            break
+        begun, values = begun.with_pass(fit), fit.adjustment.values
+        tracked.append((inflation, begun))
+    else:
+        judged = _judged(task, begun, about, len(inflations))
+    for noise, wider in reversed(tracked):
+        if judged.succeeded or task.limit.is_over:
+            break
+        if noise > 1.0:
+            again = _judged(task.with_noise(noise), replace(wider, noise=noise), about, len(inflations))
+            judged = again if again.succeeded else judged
+    return judged
+
+
+def _judged(task: Task, start: Start, about: str, done: int) -> Start:
+    """Let the fitted trajectories of a start choose their detections themselves, and judge the fit."""
     for number_of_pass in range(FITTED_PASSES):
-        if not task.limit.begin(f"{about} {count - FITTED_PASSES + number_of_pass + 1} of {count}") and number_of_pass:
+        if not task.limit.begin(f"{about} {done + number_of_pass + 1} of {done + FITTED_PASSES}") and number_of_pass:
             break  # judged as it is
-        again = refitted(task, fit, tracked=number_of_pass == 0, last=number_of_pass == FITTED_PASSES - 1)
+        assert start.fit is not None
+        last = number_of_pass == FITTED_PASSES - 1
+        again = refitted(task, start.fit, tracked=number_of_pass == 0, last=last)
         if again is None:
-            return failed("the fitted trajectories are not shared by two cameras", fit)
-        fit = again
-        history.append(fit.adjustment.values)
-    values = fit.adjustment.values
-    part = explained(task, fit)
-    why = disagreement(task, fit)
-    if why is not None and task.parameters.prior_disagreement(values) is not None:
+            return replace(start, outcome="the fitted trajectories are not shared by two cameras")
+        start = start.with_pass(again)
+    fit = start.fit
+    assert fit is not None
+    part, why = explained(task, fit), disagreement(task, fit)
+    if why is not None and task.parameters.prior_disagreement(fit.adjustment.values) is not None:
         # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
         fit = with_stated_motion(task, stated_fit(task, fit)[0])
-        values = fit.adjustment.values
-        history.append(values)
-        why = disagreement(task, fit)
+        start, why = start.with_pass(fit), disagreement(task, fit)
     if why is not None:
-        return failed(why, fit, part)
-    prior = float(task.parameters.log_prior(values))
-    return Start(number, SUCCEEDED, start, np.array(history), fit, evidence(task, fit), prior, part, origin)
+        return replace(start, outcome=why, explained=part)
+    prior = float(task.parameters.log_prior(fit.adjustment.values))
+    return replace(start, outcome=SUCCEEDED, log_evidence=evidence(task, fit), log_prior=prior, explained=part)
 
 
 def evidence(task: Task, fit: Fit) -> float:
@@ -156,12 +171,15 @@ def squared_residuals(fit: Fit) -> Array:
     return np.asarray(np.minimum(fit.adjustment.distances, LEFT_OUT) / 2.0)
 
 
-def disagreement(task: Task, fit: Fit, most_residual: float = MOST_RESIDUAL) -> str | None:
-    """Why a fit does not agree with the data or the prior; None if it does."""
+def disagreement(task: Task, fit: Fit, most_residual: float = MOST_RESIDUAL, noise: float = 1.0) -> str | None:
+    """Why a fit does not agree with the data or the prior; None if it does.
+
+    `noise` is the noise of the task over that to which the residuals are compared.
+    """
     part = explained(task, fit)
     if part < task.settings.min_tracked:
         return f"shared tracks explain only {percent(part)} of the detections that are not expected to be false"
-    residual = float(squared_residuals(fit).mean())
+    residual = noise**2 * float(squared_residuals(fit).mean())
     if residual > most_residual:
         return f"residuals are {np.sqrt(residual):.1f} times the detector's noise"
     values = fit.adjustment.values

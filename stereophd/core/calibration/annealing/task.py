@@ -92,8 +92,9 @@ class Task:
             clocks, stages or default_stages(parameters),
         )  # fmt: skip
 
-    def with_noise(self, factors: Array) -> Task:
-        """Return the task with the noise of each camera's detections times a factor (c,)."""
+    def with_noise(self, factors: Array | float) -> Task:
+        """Return the task with the noise of each camera's detections times a factor (c,), or all times one."""
+        factors = np.broadcast_to(np.asarray(factors, dtype=np.float64), len(self.parameters.cameras))
         recording, cameras = self.recording.with_noise(factors), self.parameters.cameras
         scans = Scans.of(recording, cameras)
         tracking = scans if self.tracking is self.scans else Scans.of(recording, cameras, self.frames)
@@ -147,6 +148,7 @@ class Start:
     log_prior: float
     explained: float  # Detections of shared trajectories, in parts of those not expected to be false
     origin: str  # Where the passes began: `PAIRING` and its number, or `WIDE`
+    noise: float = 1.0  # Noise of the detections at which it agrees with the data, over what is stated
 
     @property
     def succeeded(self) -> bool:
@@ -157,3 +159,7 @@ class Start:
     def score(self) -> float:
         """Evidence plus log-prior."""
         return self.log_evidence + self.log_prior
+
+    def with_pass(self, fit: Fit) -> Start:
+        """Return the start after a further pass."""
+        return replace(self, passes=np.vstack([self.passes, fit.adjustment.values]), fit=fit)

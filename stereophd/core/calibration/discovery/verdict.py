@@ -70,7 +70,7 @@ def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[str]:
         doubts.append(_second_optimum(pair, two))
     if pair.agreeing <= pair.opposed:
         doubts.append(
-            f"{pair.opposed} other pairs of cameras do not agree with {two}: record more objects that all cameras see"
+            f"the pose of {two} contradicts other pairs of cameras ({pair.opposed}): record more objects that all see"
         )
     if pair.agreeing == 1 and (fit.rotation_std > MOST_ROTATION or fit.direction_std > MOST_DIRECTION):
         kind = "; the objects move in one plane" if _is_plane(fit) else ""

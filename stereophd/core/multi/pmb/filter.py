@@ -50,7 +50,7 @@ from stereophd.core.multi.swaps.history import ClaimedDetections, DeferredPairs,
 from stereophd.core.multi.swaps.swap_test import SwapTest
 from stereophd.core.numerics.compilation.compiled import compiled
 
-NO_HISTORY = History()
+NO_HISTORY, NO_PAIRS = History(), np.empty((0, 2), dtype=np.int64)
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ class PmbFilter(DisparityFilter):
         self.swap_test.compile()
 
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
-        """Update with the detections of an event (Williams 2015, section IV), then reduction."""
+        """Update with the detections of an event (Williams 2015, section IV), then reduction; no tracks are swapped."""
         peak = 0.0 if state.undetected is None else float(state.undetected.peaks[event.camera])
         reduced, *updated = _update(
             prediction.mixture, prediction.moved, *self.detections(event),
@@ -105,7 +105,7 @@ class PmbFilter(DisparityFilter):
             self.reduction, self.claims,
         )  # fmt: skip
         counters = state.next_label + len(event.points), state.next_track
-        return self._after(state, event, reduced, None, updated, counters, prediction.undetected, prediction.burst)
+        return self._after(state, event, reduced, NO_PAIRS, updated, counters, prediction.undetected, prediction.burst)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update and extract for one event, in one compiled call."""
@@ -133,12 +133,12 @@ class PmbFilter(DisparityFilter):
         return math.isfinite(self.settings.exchange_above)
 
     def _after(
-        self, state: FilterState, event: Event, mixture: GaussianMixture, pairs: Integers | None,
+        self, state: FilterState, event: Event, mixture: GaussianMixture, pairs: Integers,
         updated: Sequence[Any], counters: tuple[int, int], undetected: Undetected, burst: int,
     ) -> tuple[FilterState, Info]:  # fmt: skip
         """Return the state after an event of which `_update` returns what it `updated`, and its diagnostics.
 
-        The `pairs` of tracks are tested for a swap; None: they are still to be found.
+        The `pairs` of tracks are tested for a swap.
         """
         log_likelihood, expected, labels, detections, claims, fewer = updated
         history, place = None, (event.camera, event.time_s)
@@ -146,10 +146,7 @@ class PmbFilter(DisparityFilter):
             readings = event.readings(self.rig.space(*place))
             claimed = ClaimedDetections(*place, labels, detections, event.points, event.covariances, readings)
             history = (state.history or NO_HISTORY).add(claimed)
-            if pairs is None:
-                mixture, history = self.swap_test.put_right(mixture, history, *place, state.n_events)
-            else:
-                mixture, history = self.swap_test.swap(mixture, history, pairs, *place, state.n_events)
+            mixture, history = self.swap_test.swap(mixture, history, pairs, *place, state.n_events)
         left_out, room = 0, self.reduction.max_components - len(event.points)
         if state.mixture.size > room:
             tracks = np.unique(state.mixture.labels)

@@ -36,7 +36,7 @@ from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.state.mixture import GaussianMixture
-from stereophd.core.multi.swaps.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, Past, swap_candidates
+from stereophd.core.multi.swaps.epipolar_pairs import COPLANAR_SIGMAS, NewObjects, Past
 from stereophd.core.multi.swaps.explanations import ExplainedRows, explain_rows, make_paths, room_for_explained
 from stereophd.core.multi.swaps.history import ClaimedRows, History
 
@@ -104,16 +104,6 @@ class SwapTest:
             for count in (RECENT, RECENT - 1)
         )
         return (cameras, views, prior, tolerance, past, history.deferred, event, MOST_TESTS), longer
-
-    def put_right(
-        self, mixture: GaussianMixture, history: History, camera: int, time_s: float, event: int
-    ) -> tuple[GaussianMixture, History]:
-        """Return a mixture after an event of a camera, and the history, with swaps of tracks paired crosswise."""
-        if camera == 0:
-            return mixture, history
-        rows, homes = np.arange(mixture.size), self.rig.spaces(mixture.cameras, mixture.times)
-        pairs = swap_candidates(mixture, rows, homes, *self.search(history, camera, time_s, event)[0])
-        return self.swap(mixture, history, pairs, camera, time_s, event)
 
     def swap(
         self, mixture: GaussianMixture, history: History, pairs: Integers, camera: int, time_s: float, event: int

@@ -31,6 +31,7 @@ class Kernel(CPUDispatcher):  # type: ignore[misc]
         options = {**(targetoptions or {}), "no_cpython_wrapper": True}
         super().__init__(py_func, locals or {}, options, pipeline_class or KernelCompiler)
         self._cache = KernelCache(py_func, for_python=False)
+        register(self)
 
     @cached_property
     def for_python(self) -> CPUDispatcher:
@@ -63,7 +64,7 @@ def compiled(function: Function) -> Function:
 
     Returns the compiled dispatcher, with the type of `function`.
     """
-    return cast("Function", _registered(Kernel(function, targetoptions=_OPTIONS)))
+    return cast("Function", Kernel(function, targetoptions=_OPTIONS))
 
 
 def compiled_fast(function: Function) -> Function:
@@ -74,9 +75,4 @@ def compiled_fast(function: Function) -> Function:
     and on the copy that a process finds first, so that a run that compiles and a run that finds compiled code would
     differ.
     """
-    return cast("Function", _registered(Kernel(function, targetoptions={**_OPTIONS, "fastmath": FASTMATH})))
-
-
-def _registered(kernel: Kernel) -> Kernel:
-    register(kernel)
-    return kernel
+    return cast("Function", Kernel(function, targetoptions={**_OPTIONS, "fastmath": FASTMATH}))

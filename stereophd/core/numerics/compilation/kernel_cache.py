@@ -60,15 +60,10 @@ def _candidates() -> list[Path]:
         parents.append(Path(user))
     elif home and Path(home).is_dir():
         parents.append(Path(home) / ".cache")
-    return [*(parent / FOLDER_NAME for parent in parents), *_temporary_folder()]
-
-
-def _temporary_folder() -> list[Path]:
-    """Return this user's folder in the temporary folder, or an empty list if the system has no temporary folder."""
-    try:
-        return [Path(tempfile.gettempdir()) / f"{FOLDER_NAME}-{os.getuid() if _HAS_USERS else 'user'}"]
-    except OSError:
-        return []
+    folders = [parent / FOLDER_NAME for parent in parents]
+    with contextlib.suppress(OSError):  # the system has no temporary folder
+        folders.append(Path(tempfile.gettempdir()) / f"{FOLDER_NAME}-{os.getuid() if _HAS_USERS else 'user'}")
+    return folders
 
 
 @cache
@@ -215,9 +210,11 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
             try:
                 data = self._file_in(folder).load(key)
                 if data is not None:
-                    apart, units, reduced = data
+                    apart, units, names, reduced = data
                     if not kernel_units.load_units(units, target_context):
                         continue
+                    # numba learns them from the code for callers, which a kept form may not hold
+                    target_context.codegen()._engine._defined_symbols.update(names)
                     form = self._impl.rebuild(target_context, reduced)
                     kernel_units.set_apart(form, self._py_func, units, apart)
                     _mark_used(self.folder_in(folder))
@@ -229,14 +226,14 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a form in the first folder that can be written to."""
-        units, apart = kernel_units.units_of(data), kernel_units.is_large(data)
+        units, names = kernel_units.units_of(data), [each.name for each in data.library.get_defined_functions()]
+        # callers see the form without its code, which takes a while to read; those in Python never do
+        apart = self._for_python or kernel_units.is_large(data)
+        kernel_units.set_apart(data, self._py_func, units, apart)
         if not self._impl.check_cachable(data):
-            kernel_units.set_apart(data, self._py_func, units, apart)
             return
         key = self._index_key(sig, data.codegen)
-        reduced = apart, units, self._impl.reduce(data)
-        # callers see the form without its code from here on; what is kept holds it
-        kernel_units.set_apart(data, self._py_func, units, apart)
+        reduced = apart, units, names, self._impl.reduce(data)
         for folder in kernel_folders():
             if folder not in _FAILED and self._save(folder, key, reduced):
                 _prune(folder)

@@ -105,7 +105,8 @@ def _pixels(sample: CameraSample) -> Iterator[Finding]:
         )  # fmt: skip
         return
     filled = high / size
-    clutter = camera.detector.clutter_per_frame * len(sample.times)
+    # false detections that are stated and seen lie anywhere in the image; objects may keep to a part of it
+    clutter = min(camera.detector.clutter_per_frame, sample.isolated_per_frame) * len(sample.times)
     if clutter >= CORNER_COUNT and (filled < CORNER_SHARE).all():
         yield Finding(
             "log.pixels", "warning",
@@ -140,8 +141,7 @@ def _places(sample: CameraSample) -> Iterator[Finding]:
         "log.places", "warning",
         f"{name}: the same places detect again and again: {shown} of {len(sample.times)} frames{more}: dead pixels, "
         "lamps, or objects at rest", len(places), 0, name,
-        "leave them out if they are no objects (input.leave_out)", "lasting_places",
-        f"input.leave_out.{name}=[{areas}]",
+        f"if they are no objects, leave them out: input.leave_out.{name}=[{areas}]", "lasting_places",
     )  # fmt: skip
 
 

@@ -141,6 +141,20 @@ def test_a_noise_that_is_stated_too_small_lets_a_start_succeed(made: MadeUp, tas
     assert evidence(small, fit) == pytest.approx(evidence(task, fit), abs=30.0)
 
 
+def test_a_start_that_fails_at_the_stated_noise_is_judged_at_a_larger_one(made: MadeUp, task: Task) -> None:
+    small = task.with_noise(0.2)
+    start = run_start(small, 0, task.parameters.prior_mean, np.random.SeedSequence(1))
+    assert start.succeeded
+    assert start.noise == 3.5  # the largest that is tried where tracks were paired; the noise is 5 times what is stated
+    assert start.fit is not None
+    assert start.log_evidence == evidence(small.with_noise(3.5), start.fit)
+    # the answer is found, and held to what is stated
+    result = calibrated(replace(small, settings=AnnealedSettings(starts=1)), [start], Choices())
+    check_near_truth(made, result.fit)
+    np.testing.assert_allclose(result.believed.noise, 5.0, rtol=0.2)
+    assert result.doubt.endswith("times the detector's noise")
+
+
 def test_noise_that_is_stated_wrong_is_replaced(made: MadeUp, task: Task) -> None:
     stated = task.with_noise(np.array([3.0, 3.0]))
     starts = [run_start(stated, 0, task.parameters.prior_mean, np.random.SeedSequence(1))]

@@ -63,7 +63,7 @@ def test_a_clock_that_differs_is_another_pose() -> None:
     doubts, pair, _ = joined(results)
     assert (pair.agreeing, pair.opposed) == (1, 1)
     assert "+1.00 s away" in doubts[0]
-    assert "1 other pairs of cameras do not agree" in doubts[1]
+    assert "contradicts other pairs of cameras (1)" in doubts[1]
 
 
 def test_optima_of_the_pairs_that_agree_move_the_camera_otherwise() -> None:

@@ -12,13 +12,13 @@ from stereophd.core.disparity.events import Event, make_event, make_rig
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.geometry.region import box_half_spaces, pack_region
 from stereophd.core.motion.static import Static
-from stereophd.core.multi.base import DisparityFilter, FilterState
+from stereophd.core.multi.base import FilterState
 from stereophd.core.multi.pmb.filter import PmbFilter
 from stereophd.core.multi.state.estimates import Estimates, Info
 from tests.core.disparity.cases import make_camera
 from tests.core.multi.pmb.test_pmb import made_up_frames, make_pmb, run
 from tests.core.multi.scenes import make_mixture
-from tests.core.multi.swaps.test_swap_test import PLACES, VELOCITIES, crosswise, fitting, frames_of
+from tests.core.multi.swaps.test_swap_test import PLACES, VELOCITIES, crosswise, fitting, frames_of, put_right
 
 Outcome = tuple[FilterState, Info, Estimates]
 
@@ -54,8 +54,15 @@ def filter_of(case: str) -> PmbFilter:
 
 
 def stages(multi_filter: PmbFilter, state: FilterState, event: Event) -> Outcome:
-    """`DisparityFilter.step`: prediction, update and extraction, each a call."""
-    return DisparityFilter.step(multi_filter, state, event)
+    """Prediction, update, swaps and extraction, each a call."""
+    after, info = multi_filter.update(state, multi_filter.predict(state, event), event)
+    if after.history is not None:
+        mixture, history = put_right(
+            multi_filter.swap_test, after.mixture, after.history, event.camera, event.time_s, state.n_events
+        )
+        after = replace(after, mixture=mixture, history=history)
+    after, estimates = multi_filter.extract(after)
+    return after, info, estimates
 
 
 @pytest.mark.parametrize(

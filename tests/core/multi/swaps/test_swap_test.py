@@ -16,6 +16,7 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.multi.pmb.filter import PmbFilter
+from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.core.multi.swaps import swap_test as swap_module
 from stereophd.core.multi.swaps.epipolar_pairs import NewObjects, Past, swap_candidates
 from stereophd.core.multi.swaps.history import (
@@ -147,6 +148,17 @@ def _event(multi_filter: PmbFilter, rows: ClaimedRows) -> Event:
     return replace(event, covariances=rows.noises[:1])
 
 
+def put_right(
+    test: SwapTest, mixture: GaussianMixture, history: History, camera: int, time_s: float, event: int
+) -> tuple[GaussianMixture, History]:
+    """Return a mixture after an event of a camera, and the history, with the swaps that `PmbFilter.step` makes."""
+    if camera == 0:
+        return mixture, history
+    rows, homes = np.arange(mixture.size), test.rig.spaces(mixture.cameras, mixture.times)
+    pairs = swap_candidates(mixture, rows, homes, *test.search(history, camera, time_s, event)[0])
+    return test.swap(mixture, history, pairs, camera, time_s, event)
+
+
 def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
     """Tracks on the two ghosts are back on the objects, under their labels, and the next test waits."""
     multi_filter = make_pmb()
@@ -159,9 +171,9 @@ def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
         [one.camera for one in ghosts], [one.time_s for one in ghosts], [first, second], [0, 1], [True, True],
     )  # fmt: skip
     assert state.time_s is not None
-    before, _ = test.put_right(mixture, state.history or History(), 1, state.time_s, 100)
+    before, _ = put_right(test, mixture, state.history or History(), 1, state.time_s, 100)
     np.testing.assert_array_equal(before.means, mixture.means)
-    after, history = test.put_right(mixture, wrong, 1, state.time_s, 100)
+    after, history = put_right(test, mixture, wrong, 1, state.time_s, 100)
     np.testing.assert_array_equal(after.labels, mixture.labels)
     np.testing.assert_array_equal(after.weights, mixture.weights)
     _, estimates = multi_filter.extract(replace(state, mixture=after))
@@ -179,7 +191,7 @@ def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
     assert errors.min(axis=1).max() < 2.0
     assert set(errors.argmin(axis=1).tolist()) == {0, 1}
     assert len(history.deferred.due) == 1
-    again, same = test.put_right(after, history, 1, state.time_s, 101)
+    again, same = put_right(test, after, history, 1, state.time_s, 101)
     np.testing.assert_array_equal(again.means, after.means)
     assert len(same.deferred.due) == 1
 

@@ -64,7 +64,8 @@ def folders(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[list[Pa
     found: list[Path] = []
     (tmp_path / "tmp").mkdir()
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
-    monkeypatch.setattr(kernel_cache, "_candidates", lambda: [*found, *kernel_cache._temporary_folder()])
+    *_, last = kernel_cache._candidates()
+    monkeypatch.setattr(kernel_cache, "_candidates", lambda: [*found, last])
     kernel_cache.kernel_folders.cache_clear()
     yield found
     kernel_cache.kernel_folders.cache_clear()
