@@ -39,7 +39,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Clock
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.metrics.truth.interpolation import Truth
-from stereophd.core.metrics.truth.registration import Freedom, Registration, register
+from stereophd.core.metrics.truth.registration import Freedom, Registration, TrackedPlaces, register
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.pipeline.calibration.unknowns import with_quantities
 
@@ -123,9 +123,11 @@ def write_log(folder: Path, path: Path, seed: int, wrong: float, shifts: dict[st
 def clock_of_tracks(out: Path, times: Array, path: Array, scale: bool) -> Registration:
     """How the frame, its scale and the clock of the tracks compare with RTK (positions (n, 3) at times (n,))."""
     table = pq.read_table(out / "tracks.parquet").to_pandas().sort_values("time_s", kind="stable")
+    covariances = np.stack(table["covariance"].to_list()).reshape(-1, 6, 6)[:, :3, :3]
     points = table[["x", "y", "z"]].to_numpy()
+    estimates = TrackedPlaces(table["time_s"].to_numpy(), points, covariances, table["track_id"].to_numpy())
     start, freedom = aligned(tracks_at(out, times), path, scale), Freedom(clock=True, scale=scale)
-    return register(table["time_s"].to_numpy(), points, of_rtk(times, path), LONGEST_STEP_S, freedom, start)
+    return register(estimates, of_rtk(times, path), LONGEST_STEP_S, freedom, start).registration
 
 
 def of_rtk(times: Array, path: Array) -> Truth:
@@ -197,7 +199,9 @@ def scores(folder: Path, out: Path, shifts: dict[str, float], scale: bool) -> di
         points = tracks_at(out, at)
         known = np.isfinite(points[:, 0])
         start_from, only = aligned(points, path, scale), Freedom(scale=scale)
-        best = register(times[known], points[known], of_rtk(times, path), LONGEST_STEP_S, only, start_from)
+        alike, one = np.tile(np.eye(3), (len(times), 1, 1)), np.zeros(len(times), dtype=np.int64)
+        estimates = TrackedPlaces(times, points, alike, one).take(known)
+        best = register(estimates, of_rtk(times, path), LONGEST_STEP_S, only, start_from).registration
         distance = np.linalg.norm(best.positions(points) - path, axis=1)
         for part, rows in (("all", known), ("seen_by_two", known & two)):
             quantiles = np.quantile(distance[rows], [0.5, 0.9])

@@ -12,9 +12,9 @@ from stereophd.config.loading import load_cameras
 from stereophd.core.alignment.cameras import moved_camera
 from stereophd.core.alignment.frames import GRAVITY, camera_frame, floor_frame, gravity_frame
 from stereophd.core.alignment.to_points import ControlPoints, align_to_points
-from stereophd.core.alignment.to_track import Alignment, align_to_track
+from stereophd.core.alignment.to_track import align_to_track
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.metrics.truth.registration import Freedom, Registration
+from stereophd.core.metrics.truth.registration import Alignment, Freedom, Registration
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.cameras.models import CamerasFile
 from stereophd.io.cameras.writing import plain_cameras, write_cameras
@@ -29,6 +29,7 @@ from stereophd.pipeline.calibration.unknowns import with_quantities
 from stereophd.pipeline.cameras_covariance import in_world, rows_of, stated_uncertainty
 from stereophd.pipeline.control import Control, alignment_report, points_report, read_control
 from stereophd.pipeline.evaluation.inputs import read_tracks
+from stereophd.pipeline.evaluation.scoring import warn_of_rate
 from stereophd.validated import METRES, NO_LENGTH
 from stereophd.wording import LOGGER
 
@@ -136,15 +137,15 @@ def _alignment(
     tracks = read_tracks(tracks_path)
     if tracks.length_unit not in (None, unit):
         raise InputError(f"{tracks_path}: expected lengths in {unit} as in {path}, found {tracks.length_unit}")
-    time_s, rows = tracks.confirmed_rows()
-    position, pose = tracks.position[rows], built[forward].pose
+    estimates, pose = tracks.confirmed_estimates(), built[forward].pose
     try:
         if control is None and str(to) == FLOOR:
-            return floor_frame(position, pose), unit, None
+            return floor_frame(estimates.position, pose), unit, None
         if control is None:
-            return gravity_frame(time_s, position, tracks.track_id[rows], pose, GRAVITY / METRES[target]), target, None
+            return gravity_frame(estimates, pose, GRAVITY / METRES[target]), target, None
         freedom = Freedom(True, not options.same_scale, not options.same_clock)
-        found = align_to_track(time_s, position, tracks.track_id[rows], control.track, freedom)
+        found = align_to_track(estimates, control.track, freedom)
+        warn_of_rate(tracks_path, found.registration)
         return found, target, control.origin
     except ValueError as error:
         raise InputError(f"{tracks_path}: `to` {to}: {error}") from None

@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow as pa
 
 from stereophd.core.alignment.to_points import ControlPoints, reprojection_errors
-from stereophd.core.alignment.to_track import Alignment
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.interpolation import Truth
+from stereophd.core.metrics.truth.registration import Alignment
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.outputs.provenance import length_unit
 from stereophd.io.tables.native_tables import column_names, read_native_table

@@ -16,7 +16,7 @@ from stereophd.core.alignment.to_points import ControlPoints, align_to_points
 from stereophd.core.alignment.to_track import align_to_track
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.core.metrics.truth.interpolation import Truth
-from stereophd.core.metrics.truth.registration import Freedom
+from stereophd.core.metrics.truth.registration import Freedom, TrackedPlaces
 from stereophd.io.outputs.provenance import to_metadata
 from stereophd.io.tables.schemas import TRACKS
 from stereophd.io.tables.writing import TableWriter
@@ -45,19 +45,20 @@ def control_of(path: np.ndarray, times: np.ndarray, noise: float = 0.05) -> Trut
     return Truth(RATE * times + SHIFT, np.zeros(len(times), dtype=np.int64), in_world(path) + errors)
 
 
-def tracks_of(*paths: np.ndarray, noise: float = 0.02) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return times, noisy positions and identities of several objects, in order of time."""
+def tracks_of(*paths: np.ndarray, noise: float = 0.02) -> TrackedPlaces:
+    """Return noisy positions of several objects, in order of time."""
     rng = np.random.default_rng(8)
     noisy = np.stack(paths, axis=1)
     ids = np.tile(np.arange(len(paths)), len(TIMES))
-    return np.repeat(TIMES, len(paths)), (noisy + rng.normal(0.0, noise, noisy.shape)).reshape(-1, 3), ids
+    places = (noisy + rng.normal(0.0, noise, noisy.shape)).reshape(-1, 3)
+    return TrackedPlaces(np.repeat(TIMES, len(paths)), places, np.tile(noise**2 * np.eye(3), (len(places), 1, 1)), ids)
 
 
 def test_the_track_the_similarity_and_the_clock_are_found() -> None:
-    times, places, ids = tracks_of(*(wander(seed, TIMES) for seed in range(4)))
-    ids[(ids == 2) & (times > 35.0)] = 7  # the object was lost once
+    tracks = tracks_of(*(wander(seed, TIMES) for seed in range(4)))
+    tracks.track_id[(tracks.track_id == 2) & (tracks.time_s > 35.0)] = 7  # the object was lost once
     at = np.arange(5.0, 50.0, 0.2)
-    found = align_to_track(times, places, ids, control_of(wander(2, at), at), Freedom(scale=True, clock=True))
+    found = align_to_track(tracks, control_of(wander(2, at), at), Freedom(scale=True, clock=True))
     assert found.members.tolist() == [2, 7]
     errors = np.array(
         [
@@ -69,6 +70,19 @@ def test_the_track_the_similarity_and_the_clock_are_found() -> None:
     )
     assert (np.abs(errors) < 4.0 * found.std[[0, 1, 2, 6, 7, 8]]).all()
     assert (found.std[[0, 1, 2, 6, 7, 8]] < [2e-3, 2e-3, 2e-3, 1e-3, 5e-3, 2e-4]).all()
+
+
+def test_places_that_one_camera_saw_hide_no_motion() -> None:
+    tracks = tracks_of(wander(2, TIMES))
+    lost = (tracks.time_s > 20.0) & (tracks.time_s < 32.0)  # far off in depth, and known to be so
+    tracks.position[lost, 2] += 40.0
+    tracks.covariance[lost, 2, 2] = 25.0
+    kept = tracks.take((tracks.time_s < 32.0) | (tracks.time_s > 40.0))
+    kept.track_id[kept.time_s > 40.0] = 1
+    found = align_to_track(kept, control_of(wander(2, TIMES), TIMES), Freedom(scale=True, clock=True))
+    assert found.members.tolist() == [0, 1]
+    assert abs(np.log(found.registration.scale / SCALE)) < min(5.0 * found.std[6], 5e-3)
+    assert abs(found.registration.rate - RATE) < min(5.0 * found.std[8], 1e-3)
 
 
 STILL = np.zeros((len(TIMES), 3))
@@ -89,7 +103,7 @@ CIRCLE = 5.0 * np.column_stack([np.cos(TIMES / 4.0), np.sin(TIMES / 4.0), 0.0 * 
 )
 def test_what_the_motion_leaves_open_is_refused(paths: list[np.ndarray], control: np.ndarray, expected: str) -> None:
     with pytest.raises(ValueError, match=expected):
-        align_to_track(*tracks_of(*paths), control_of(control, TIMES), Freedom(scale=True, clock=True))
+        align_to_track(tracks_of(*paths), control_of(control, TIMES), Freedom(scale=True, clock=True))
 
 
 @pytest.fixture
@@ -102,18 +116,21 @@ def run(tmp_path: Path) -> Path:
     ]  # fmt: skip
     (tmp_path / "run").mkdir()
     write_cameras(tmp_path / "run" / "cameras.yaml", cameras, "baseline")
-    write_tracks(tmp_path / "run", *tracks_of(wander(0, TIMES), wander(1, TIMES)))
+    write_tracks(tmp_path / "run", tracks_of(wander(0, TIMES), wander(1, TIMES)))
     return tmp_path / "run"
 
 
-def write_tracks(folder: Path, times: np.ndarray, places: np.ndarray, ids: np.ndarray) -> None:
+def write_tracks(folder: Path, tracks: TrackedPlaces) -> None:
+    times, covariance = tracks.time_s, np.zeros((len(tracks.time_s), 6, 6))
+    covariance[:, :3, :3], covariance[:, 3:, 3:] = tracks.covariance, 4e-4 * np.eye(3)
     metadata = to_metadata({"units": {"length": "baseline"}})
     with TableWriter(folder / "tracks.parquet", TRACKS, metadata) as table:
         table.append(
             {
-                "time_s": times, "camera": "a", "frame": np.round(10.0 * times).astype(int), "track_id": ids,
-                **dict(zip("xyz", places.T, strict=True)), "vx": 1.0, "vy": 0.0, "vz": 0.0,
-                "covariance": np.tile(4e-4 * np.eye(6), (len(times), 1, 1)), "existence": 1.0, "status": "confirmed",
+                "time_s": times, "camera": "a", "frame": np.round(10.0 * times).astype(int),
+                "track_id": tracks.track_id, **dict(zip("xyz", tracks.position.T, strict=True)),
+                "vx": 1.0, "vy": 0.0, "vz": 0.0,
+                "covariance": covariance, "existence": 1.0, "status": "confirmed",
             }
         )  # fmt: skip
 
@@ -150,7 +167,7 @@ def test_cameras_and_tables_are_moved(run: Path, tmp_path: Path) -> None:
     np.testing.assert_allclose(np.diag(first)[3:], 4e-4 * SCALE**2, rtol=2e-3)
 
 
-def floor_and_balls(kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def floor_and_balls(kind: str) -> TrackedPlaces:
     """Return objects on an inclined floor, or that are thrown over and over, in a frame where down is not y."""
     tilt = rotation_from_vector([0.2, 0.0, 0.15])
     paths = []
@@ -169,7 +186,7 @@ def floor_and_balls(kind: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 )
 def test_frames_without_a_control_track(run: Path, tmp_path: Path, to: str, expected: str, scale: float) -> None:
     if to != "b":
-        write_tracks(run, *floor_and_balls(to))
+        write_tracks(run, floor_and_balls(to))
     (report,) = align([run / "cameras.yaml"], to, tmp_path / "out")["runs"]
     first, second = read_cameras(tmp_path / "out" / "cameras.yaml")
     assert report["scale"] == pytest.approx(scale, rel=0.02)

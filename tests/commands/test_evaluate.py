@@ -679,11 +679,11 @@ def test_real_truth_and_log(tmp_path):
     assert report["position_error"]["n"] == report["scans"]["scored"] == expected
 
 
-def test_tracks_are_aligned_when_asked_for(tmp_path):
+def test_tracks_are_aligned_when_asked_for(tmp_path, caplog):
     # The truth runs along x at 1/s; the tracks lag by 0.5 and their clock is 0.25 s late at the middle, and slow.
     truth = write_truth(tmp_path / "truth.parquet", [(t, 3, t**2 / 20) for t in range(20)])
     times = np.linspace(3.0, 16.0, 40)
-    real = 9.5 + 0.25 + 1.01 * (times - 9.5)
+    real = 9.5 + 0.25 + 1.001 * (times - 9.5)
     rows = [
         (float(t), "a", k, 8, 0.5 + float(np.interp(r, np.arange(20), np.arange(20) ** 2 / 20)))
         for k, (t, r) in enumerate(zip(times, real, strict=True))
@@ -694,10 +694,15 @@ def test_tracks_are_aligned_when_asked_for(tmp_path):
     aligned = evaluate(tracks, truth, align="rigid", align_clock=True)
     found = aligned["alignment"]["found"]
     assert found["clock"]["shift_s"] == pytest.approx(0.25, abs=1e-3)
-    assert found["clock"]["rate"] == pytest.approx(1.01, abs=1e-4)
+    assert found["clock"]["rate"] == pytest.approx(1.001, abs=1e-4)
     assert found["translation"][0] == pytest.approx(-0.5, abs=1e-3)
     assert aligned["position_error"]["p90"] < 1e-3 < 0.5 < plain["position_error"]["p90"]
     assert evaluate(tracks, truth, align="rigid")["position_error"]["p90"] > 0.05
+    assert not caplog.text
+    # the clock of tracks that state 1 mm is 5 % fast, which no clock is
+    fast = [(t, *rest, np.interp(9.5 + 1.05 * (t - 9.5), range(20), np.arange(20) ** 2 / 20)) for t, *rest, _ in rows]
+    evaluate(write_tracks(tmp_path / "tracks.parquet", fast, std=1e-3), truth, align="rigid", align_clock=True)
+    assert "after alignment the tracks are off by" in caplog.text or "off in rate" in caplog.text
     with pytest.raises(InputError, match="`align`: expected none or rigid or similarity, found affine"):
         evaluate(tracks, truth, align="affine")
     with pytest.raises(InputError, match="`align`: expected 6 or more estimates"):

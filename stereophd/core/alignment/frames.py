@@ -6,10 +6,9 @@ its centre, and forward is where that camera looks.
 
 import numpy as np
 
-from stereophd.core.alignment.to_track import Alignment, exactly
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.metrics.truth.registration import Registration
+from stereophd.core.metrics.truth.registration import Alignment, Registration, TrackedPlaces
 
 # The objects are on a floor if their scatter about it is at most this part of their second extent.
 MOST_SCATTER = 0.2
@@ -24,7 +23,7 @@ GRAVITY = 9.80665
 
 def camera_frame(pose: Pose) -> Alignment:
     """Return the frame of a camera: its centre is the origin, its axes are the world's."""
-    return exactly(_registration(pose.rotation, pose.center))
+    return Alignment(_registration(pose.rotation, pose.center))
 
 
 def floor_frame(position: Array, pose: Pose) -> Alignment:
@@ -50,15 +49,14 @@ def floor_frame(position: Array, pose: Pose) -> Alignment:
     return _upright(down, foot, pose, 1.0, np.array([scatter / extent, 0.0]) / np.sqrt(len(position)), heights)
 
 
-def gravity_frame(time_s: Array, position: Array, track_ids: Integers, pose: Pose, gravity: float) -> Alignment:
+def gravity_frame(tracks: TrackedPlaces, pose: Pose, gravity: float) -> Alignment:
     """Return the frame of a camera's centre in which objects in free flight fall along y with the acceleration given.
 
-    Times (n,), s, in order, positions (n, 3) and identities (n,) of all tracks. Raises ValueError where stretches of
-    tracks do not share one acceleration.
+    Raises ValueError where stretches of tracks do not share one acceleration.
     """
     best: tuple[float, Array] | None = None
     for count in STRETCHES:
-        found = _accelerations(time_s, position, track_ids, count)
+        found = _accelerations(tracks, count)
         if len(found) < LEAST_STRETCHES:
             continue
         sizes = np.linalg.norm(found, axis=1)
@@ -77,15 +75,15 @@ def gravity_frame(time_s: Array, position: Array, track_ids: Integers, pose: Pos
     return _upright(mean / size, pose.center, pose, gravity / size, np.full(2, best[0]), np.zeros(0))
 
 
-def _accelerations(time_s: Array, position: Array, track_ids: Integers, count: int) -> Array:
+def _accelerations(tracks: TrackedPlaces, count: int) -> Array:
     """Accelerations (k, 3) of successive stretches of `count` estimates of each track."""
     out = [np.zeros((0, 3))]
-    for name in np.unique(track_ids):
-        rows = np.flatnonzero(track_ids == name)
+    for name in np.unique(tracks.track_id):
+        rows = np.flatnonzero(tracks.track_id == name)
         for stretch in rows[: len(rows) // count * count].reshape(-1, count):
-            elapsed = time_s[stretch] - time_s[stretch].mean()
+            elapsed = tracks.time_s[stretch] - tracks.time_s[stretch].mean()
             if np.ptp(elapsed) > 0.0:
-                out.append(2.0 * np.polyfit(elapsed, position[stretch], 2)[:1])
+                out.append(2.0 * np.polyfit(elapsed, tracks.position[stretch], 2)[:1])
     return np.concatenate(out)
 
 
@@ -97,7 +95,7 @@ def _upright(down: Array, origin: Array, pose: Pose, scale: float, stds: Array, 
     covariance = np.zeros((9, 9))
     covariance[[0, 2, 6], [0, 2, 6]] = stds[[0, 0, 1]] ** 2
     registration = _registration(np.stack([np.cross(down, forward), down, forward]), origin, scale)
-    return Alignment(registration, np.zeros(3), covariance, np.zeros(0, dtype=np.int64), np.abs(left))
+    return Alignment(registration, covariance=covariance, distances=np.abs(left))
 
 
 def _registration(rotation: Array, origin: Array, scale: float = 1.0) -> Registration:

@@ -2,9 +2,10 @@
 
 Of every track and every offset of the clocks the best similarity has a closed form (S. Umeyama, "Least-squares
 estimation of transformation parameters between two point patterns", PAMI 1991), which needs no more than sums over the
-common times. These are correlations, found for all offsets at once by Fourier transforms. With the part u of the
-variance of the control that a similarity leaves, over a common time of T seconds, the gain is T log(1 / u): a short
-piece that fits by chance has a smaller gain than a long one that fits.
+common times, weighted by what is known of the places. These are correlations, found for all offsets at once by Fourier
+transforms. With the part u of the variance of the control that a similarity leaves, over a common time of T seconds
+(the cells times the number that weights w are worth, sum(w)^2 / sum(w^2)), the gain is T log(1 / u): a short piece that
+fits by chance has a smaller gain than a long one that fits.
 """
 
 from dataclasses import dataclass
@@ -19,6 +20,8 @@ from stereophd.core.metrics.truth.registration import Freedom, Registration
 MOST_CELLS, LEAST_CELLS = 16_384, 12
 # Least part of the shorter of the two that is common: short pieces fit by chance.
 LEAST_COMMON = 0.5
+# Common weight, in parts of the largest, below which it is rounding.
+LEAST_WEIGHT = 1e-9
 # Least part of the variance that is left: rounding of the transforms.
 LEAST_UNEXPLAINED = 1e-10
 # Another offset or curve fits nearly as well with more than this part of the gain, and less than this many times the
@@ -33,14 +36,17 @@ class Curve:
 
     time_s: Array  # (n,), increasing
     position: Array  # (n, 3)
+    weight: Array  # (n,): Of each place, by what is known of it
 
-    def on_grid(self, start: float, step: float, count: int, max_gap_s: float) -> tuple[Array, Booleans]:
-        """Positions (count, 3) at equal steps of time, interpolated linearly, and where they are known."""
+    def on_grid(self, start: float, step: float, count: int, max_gap_s: float) -> tuple[Array, Array]:
+        """Positions (count, 3) at equal steps of time, interpolated linearly, and their weights; 0 where not known."""
         grid = start + step * np.arange(count)
-        values = np.column_stack([np.interp(grid, self.time_s, axis) for axis in self.position.T])
+        table = np.column_stack([self.position, self.weight])
+        values = np.column_stack([np.interp(grid, self.time_s, column) for column in table.T])
         right = np.searchsorted(self.time_s, grid).clip(1, len(self.time_s) - 1)
         near = self.time_s[right] - self.time_s[right - 1] <= max(max_gap_s, 2.0 * step)
-        return values, near & (grid >= self.time_s[0]) & (grid <= self.time_s[-1])
+        known = near & (grid >= self.time_s[0]) & (grid <= self.time_s[-1])
+        return values[:, :3], values[:, 3] * known
 
 
 @dataclass(frozen=True)
@@ -87,7 +93,7 @@ def fits_to(curves: list[Curve], control: Truth, max_gap_s: float, freedom: Free
 
     Where the clock is not free, the only offset is 0.
     """
-    target = Curve(control.time_s, control.position)
+    target = Curve(control.time_s, control.position, np.ones(len(control.time_s)))
     out = []
     for number, curve in enumerate(curves):
         spans = [float(np.ptp(one.time_s)) for one in (curve, target)]
@@ -121,30 +127,36 @@ def turns_between(products: Array) -> tuple[Array, Array, Array]:
 
 def _fit(
     number: int,
-    a: tuple[Array, Booleans],
-    b: tuple[Array, Booleans],
+    a: tuple[Array, Array],
+    b: tuple[Array, Array],
     offsets: Array,
     used: Booleans,
     step: float,
     any_scale: bool,
 ) -> CurveFit | None:
-    """Fit positions (p, 3) to (q, 3), each with a mask, at all p + q - 1 offsets; None if no offset will do."""
-    middles = [values[known].mean(axis=0) if known.any() else np.zeros(3) for values, known in (a, b)]
+    """Fit positions (p, 3) to (q, 3), each with weights, at all p + q - 1 offsets; None if no offset will do.
+
+    The weights of the second are 0 or 1.
+    """
+    if not (a[1].any() and b[1].any()):
+        return None
+    middles = [np.average(values, axis=0, weights=weights) for values, weights in (a, b)]
     length = len(a[0]) + len(b[0]) - 1
     spectra = []
-    for (values, known), middle in zip((a, b), middles, strict=True):
+    for (values, weights), middle in zip((a, b), middles, strict=True):
         moved = values - middle
-        features = np.column_stack([np.ones(len(moved)), moved, (moved**2).sum(axis=1)]) * known[:, None]
+        features = np.column_stack([np.ones(len(moved)), moved, (moved**2).sum(axis=1), weights]) * weights[:, None]
         spectra.append(np.fft.rfft(features, length, axis=0))
     # sums over the common times of products of both features, with the offsets in increasing order
     sums = np.fft.irfft(np.conj(spectra[0])[:, :, None] * spectra[1][:, None, :], length, axis=0)
     sums = np.roll(sums, len(a[0]) - 1, axis=0)
-    count = np.round(sums[:, 0, 0])
-    safe = np.maximum(count, 1.0)
+    total, least = sums[:, 0, 0], LEAST_WEIGHT * sums[:, 0, 0].max()
+    safe = np.maximum(total, least)
+    count = np.where(total > least, total**2 / np.maximum(sums[:, 5, 0], least**2), 0.0)
     cross = sums[:, 1:4, 1:4] - sums[:, 1:4, 0, None] * sums[:, 0, None, 1:4] / safe[:, None, None]
     spread_a = sums[:, 4, 0] - (sums[:, 1:4, 0] ** 2).sum(axis=1) / safe
     spread_b = sums[:, 0, 4] - (sums[:, 0, 1:4] ** 2).sum(axis=1) / safe
-    shorter = min(int(a[1].sum()), int(b[1].sum()))
+    shorter = min(float(weights.sum() ** 2 / (weights**2).sum()) for _, weights in (a, b))
     used = used & (count >= max(LEAST_CELLS, LEAST_COMMON * shorter)) & (np.minimum(spread_a, spread_b) > 0.0)
     if not used.any():
         return None
@@ -160,8 +172,8 @@ def _fit(
         return None
     place = np.flatnonzero(used)[best]
     mean_a, mean_b = (
-        middle + total / count[place]
-        for middle, total in zip(middles, (sums[place, 1:4, 0], sums[place, 0, 1:4]), strict=True)
+        middle + moment / total[place]
+        for middle, moment in zip(middles, (sums[place, 1:4, 0], sums[place, 0, 1:4]), strict=True)
     )
     shift = float(offsets[place])
     found = Registration(rotation, mean_b - scale * rotation @ mean_a, scale, 0.0, shift, 1.0, int(count[place]))

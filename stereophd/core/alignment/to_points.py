@@ -12,11 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.alignment.start import turns_between
-from stereophd.core.alignment.to_track import MOST_ROTATION, MOST_SCALE, Alignment
+from stereophd.core.alignment.to_track import MOST_ROTATION, MOST_SCALE
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import nearest_points
-from stereophd.core.metrics.truth.registration import Registration, derivatives, stepped
+from stereophd.core.metrics.truth.registration import Alignment, Registration, derivatives, stepped
 
 # Steps at most, the squared length of the last one in standard deviations, and the step of a numerical derivative in
 # parts of a standard deviation of a value, or of the distance of a point.
@@ -107,8 +107,7 @@ def adjust_to_points(
     covariance = np.zeros((size + 9, size + 9))
     covariance[np.ix_(free, free)] = worse * np.linalg.inv(matrix[np.ix_(free, free)])
     missed = np.linalg.norm(found.positions(_triangulated(build(values), points)) - points.places, axis=1)
-    none = np.zeros(0, dtype=np.int64)
-    alignment = Alignment(found, center, covariance[size:, size:], none, missed[np.isfinite(missed)])
+    alignment = Alignment(found, center, covariance[size:, size:], distances=missed[np.isfinite(missed)])
     _refuse_unlike(alignment, points.extent)
     return values, alignment, covariance
 

@@ -14,6 +14,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.events import EventKeys, event_keys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import Events, Truth
+from stereophd.core.metrics.truth.registration import TrackedPlaces
 from stereophd.core.metrics.truth.scored import Sightings
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
@@ -54,11 +55,12 @@ class Tracks:
     length_unit: str | None  # Unit that the file names
     cameras_part: Array | None = None  # (n, 3, 3) array: The part of the covariance that comes from uncertain cameras
 
-    def confirmed_rows(self) -> tuple[Array, Integers]:
-        """Return times (k,), in order, and rows (k,) of the confirmed estimates."""
+    def confirmed_estimates(self) -> TrackedPlaces:
+        """Return the confirmed estimates, in order of time."""
         rows, starts = rows_of(self.events)
-        used = self.confirmed[rows]
-        return np.repeat(self.events.time_s, np.diff(starts))[used], rows[used]
+        times = np.repeat(self.events.time_s, np.diff(starts))
+        every = TrackedPlaces(times, self.position[rows], self.covariance[rows], self.track_id[rows])
+        return every.take(self.confirmed[rows])
 
 
 def rows_of(events: Events) -> tuple[Integers, Integers]:

@@ -27,7 +27,7 @@ from stereophd.core.metrics.truth.interpolation import (
     in_window,
     last_event_of_each_time,
 )
-from stereophd.core.metrics.truth.registration import Freedom, Registration, register
+from stereophd.core.metrics.truth.registration import RATE_STD, Freedom, Registration, register
 from stereophd.core.metrics.truth.scored import (
     Sightings,
     cameras_that_saw,
@@ -41,6 +41,10 @@ from stereophd.pipeline.evaluation.inputs import Tracks, rows_of
 from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.scale import warn_of_wrong_matches
 from stereophd.wording import LOGGER, instant
+
+# Errors after alignment beyond this many times what the tracks state, and rates of a clock beyond this many standard
+# deviations, are warned of.
+MOST_MISFIT, MOST_RATE_STDS = 3.0, 3.0
 
 
 @dataclass(frozen=True)
@@ -215,15 +219,33 @@ def registration_of(
     freedom = Freedom(options.align != "none", options.align == "similarity", options.align_clock)
     if not len(freedom.columns):
         return None
-    time_s, rows = tracks.confirmed_rows()
-    used = in_window(time_s, options.from_s, options.to_s)
+    estimates = tracks.confirmed_estimates()
+    used = in_window(estimates.time_s, options.from_s, options.to_s)
     try:
         with np.errstate(over="ignore", invalid="ignore"):  # a motion that is none is refused
-            found = register(time_s[used], tracks.position[rows[used]], truth, max_gap_s, freedom)
+            found = register(estimates.take(used), truth, max_gap_s, freedom)
     except ValueError as error:
         raise InputError(f"{path}: `align`: {error}; stereophd align `to` the truth finds any offset") from None
-    LOGGER.info("tracks aligned with the truth: %s", registration_report(found))
-    return found
+    LOGGER.info("tracks aligned with the truth: %s", registration_report(found.registration))
+    if found.misfit > MOST_MISFIT:
+        LOGGER.warning(
+            "%s: `align`: after alignment the tracks are off by %.2g times what they state (median): the tracks are "
+            "wrong, or the alignment is, because frames or clocks are too far apart to begin with, or a clock runs at "
+            "another rate; score a part that two cameras see (`from_s`, `to_s`), and look at the frame rates",
+            path, found.misfit,
+        )  # fmt: skip
+    warn_of_rate(path, found.registration)
+    return found.registration
+
+
+def warn_of_rate(path: Path, found: Registration) -> None:
+    """Warn where the rate that an alignment found is none of a clock."""
+    if abs(found.rate - 1.0) > MOST_RATE_STDS * RATE_STD:
+        LOGGER.warning(
+            "%s: by the alignment the clock of the tracks is %.2g %% off in rate, and clocks differ by some %.1g %%: "
+            "is a frame rate wrong? Otherwise errors of another kind, such as a wrong scale, pass for the clock's",
+            path, 100.0 * abs(found.rate - 1.0), 100.0 * RATE_STD,
+        )  # fmt: skip
 
 
 def registered_tracks(tracks: Tracks, found: Registration) -> Tracks:

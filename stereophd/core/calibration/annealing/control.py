@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stereophd.core.alignment.to_points import ControlPoints, adjust_to_points, align_to_points
-from stereophd.core.alignment.to_track import Alignment, align_to_track
+from stereophd.core.alignment.to_track import align_to_track
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import true_times
@@ -27,13 +27,13 @@ from stereophd.core.calibration.annealing.fits import FITTED_LOSS, problem_of
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.unknowns.scale import can_be_enlarged, enlarged, scale_is_free
 from stereophd.core.metrics.truth.interpolation import Truth
-from stereophd.core.metrics.truth.registration import MOST_ESTIMATES, Freedom
+from stereophd.core.metrics.truth.registration import MEDIAN_DISTANCE, MOST_ESTIMATES, Alignment, Freedom, TrackedPlaces
 
 # The world is known beforehand to this many deviations of the alignment, at most as well as the least ones: rad,
 # length and log scale as parts, s, 1. A scale that is not free is held.
 WIDER, HELD = 30.0, 1e-9
-# Median distance of normal errors of unit variance along three axes; rounds in which the control's noise is found.
-MEDIAN_DISTANCE, ROUNDS = 1.538, 3
+# Rounds in which the control's noise is found.
+ROUNDS = 3
 # Steps at most, and the squared length, in standard deviations, of the last one.
 MOST_STEPS, SETTLED = 20, 1e-4
 
@@ -106,8 +106,9 @@ def _aligned(fit: Fit, track: Truth, any_scale: bool) -> Alignment:
     ids = np.repeat(np.arange(len(spans)), [len(one) for one in times])
     every = np.concatenate(times)
     places = positions(fit.adjustment.states, *interpolation(fit.knots, ids, every))
-    order = np.argsort(every, kind="stable")
-    return align_to_track(every[order], places[order], ids[order], track, Freedom(True, any_scale, True))
+    alike = np.tile(np.eye(3), (len(every), 1, 1))
+    trajectories = TrackedPlaces(every, places, alike, ids).take(np.argsort(every, kind="stable"))
+    return align_to_track(trajectories, track, Freedom(True, any_scale, True))
 
 
 def _adjusted(task: Task, answer: Fit, fit: Fit, control: WorldControl, found: Alignment) -> tuple[Fit, World]:

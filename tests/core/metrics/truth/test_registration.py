@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from stereophd.core.geometry.pose import rotation_from_vector
+from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.core.metrics.truth.interpolation import Truth
-from stereophd.core.metrics.truth.registration import Freedom, register
+from stereophd.core.metrics.truth.registration import Freedom, TrackedPlaces, register
 
 
 def two_objects():
@@ -18,6 +18,14 @@ def two_objects():
 
 def as_truth(times, paths):
     return Truth(np.tile(times, 2), np.repeat([4, 7], len(times)), paths.reshape(-1, 3))
+
+
+def estimates(times, positions, covariance=None, track_id=0):
+    """Estimates of unit covariance, unless it is given."""
+    return TrackedPlaces(
+        times, positions, np.tile(np.eye(3), (len(times), 1, 1)) if covariance is None else covariance,
+        np.broadcast_to(track_id, len(times)),
+    )  # fmt: skip
 
 
 def interpolated(times, paths, at):
@@ -35,9 +43,8 @@ def test_frame_scale_and_clock_are_found(clock, scale):
     tracks = (seen - move) @ turn / scale
     rng = np.random.default_rng(0)
     tracks[rng.random((700, 2)) < 0.1] += rng.normal(scale=1.5, size=3)
-    found = register(
-        np.repeat(at, 2), tracks.reshape(-1, 3), as_truth(times, paths), 0.1, Freedom(True, scale != 1.0, clock)
-    )
+    seen = estimates(np.repeat(at, 2), tracks.reshape(-1, 3), track_id=np.tile([0, 1], 700))
+    found = register(seen, as_truth(times, paths), 0.1, Freedom(True, scale != 1.0, clock)).registration
     np.testing.assert_allclose(found.rotation, turn, atol=2e-4)
     np.testing.assert_allclose(found.translation, move, atol=2e-3)
     assert found.scale == pytest.approx(scale, abs=1e-4)
@@ -46,19 +53,52 @@ def test_frame_scale_and_clock_are_found(clock, scale):
     np.testing.assert_allclose(found.track_times(found.times(at)), at, atol=1e-9)
 
 
+def test_places_that_one_camera_saw_hardly_count():
+    # two fifths of the track miss the object by 30 in depth, and state a standard deviation of 5 along it
+    times, paths = two_objects()
+    rng = np.random.default_rng(1)
+    tracks = paths[0] + rng.normal(scale=0.02, size=(len(times), 3))
+    lost = (times > 112.0) & (times < 124.0)
+    tracks[lost, 2] += 30.0
+    covariance = np.tile(4e-4 * np.eye(3), (len(times), 1, 1))
+    covariance[lost, 2, 2] = 25.0
+    truth = Truth(times, np.zeros(len(times), dtype=np.int64), paths[0])
+    found = register(estimates(times, tracks, covariance), truth, 0.1, Freedom(True, True, True))
+    errors = [*rotation_to_vector(found.registration.rotation), found.registration.scale - 1.0]
+    errors += [found.registration.shift_s, found.registration.rate - 1.0]
+    assert (np.abs(errors) < 5.0 * found.std[[0, 1, 2, 6, 7, 8]]).all()
+    assert (np.abs(errors) < [5e-3, 5e-3, 5e-3, 5e-3, 5e-3, 5e-4]).all()
+
+
+def test_an_error_of_the_scale_does_not_pass_for_one_of_the_clock():
+    # objects that go away from the cameras: places 3 % too far off look like a clock that is 3 % fast
+    times = np.linspace(0.0, 60.0, 301)
+    starts, speeds = np.array([[5.0, 0.0, 20.0], [-5.0, 1.0, 25.0]]), np.array([[0.2, 0.0, 1.0], [-0.2, 0.1, 1.2]])
+    paths = starts[:, None] + speeds[:, None] * times[:, None]
+    paths += 0.3 * np.sin(times[:, None] * [0.3, 0.5, 0.7])
+    truth = Truth(np.tile(times, 2), np.repeat([0, 1], len(times)), paths.reshape(-1, 3))
+    places = np.swapaxes(1.03 * paths, 0, 1).reshape(-1, 3)
+    covariance = 1e-4 * np.eye(3) + 0.03**2 * places[:, :, None] * places[:, None]
+    seen = estimates(np.repeat(times, 2), places, covariance, np.tile([0, 1], len(times)))
+    found = register(seen, truth, 0.5, Freedom(True, False, True)).registration
+    assert found.rate == pytest.approx(1.0, abs=3e-3)
+    assert found.shift_s == pytest.approx(0.0, abs=0.2)
+
+
 def test_one_object_needs_no_start():
     times, paths = two_objects()
     turn = rotation_from_vector(np.array([0.5, 1.2, -0.3]))
     tracks = (paths[0] - [40.0, -10.0, 5.0]) @ turn
     truth = Truth(times, np.zeros(len(times), dtype=np.int64), paths[0])
-    found = register(times, tracks, truth, 0.1, Freedom())
+    found = register(estimates(times, tracks), truth, 0.1, Freedom()).registration
     np.testing.assert_allclose(found.positions(tracks), paths[0], atol=1e-6)
 
 
 def test_what_a_straight_line_leaves_open_stays():
     times = np.linspace(0.0, 10.0, 101)
     path = times[:, None] * [1.0, 0.0, 0.0]
-    found = register(times, path + [0.0, 0.3, 0.0], Truth(times, np.zeros(101, dtype=np.int64), path), 0.2, Freedom())
+    truth = Truth(times, np.zeros(101, dtype=np.int64), path)
+    found = register(estimates(times, path + [0.0, 0.3, 0.0]), truth, 0.2, Freedom()).registration
     np.testing.assert_allclose(found.rotation, np.eye(3), atol=1e-9)
     np.testing.assert_allclose(found.translation, [0.0, -0.3, 0.0], atol=1e-9)
 
@@ -67,7 +107,7 @@ def test_covariances_and_velocities_turn_and_scale():
     times, paths = two_objects()
     turn = rotation_from_vector(np.array([0.0, 0.0, 0.3]))
     truth = Truth(times, np.zeros(len(times), dtype=np.int64), paths[0])
-    found = register(times, paths[0] @ turn / 2.0, truth, 0.1, Freedom(True, True))
+    found = register(estimates(times, paths[0] @ turn / 2.0), truth, 0.1, Freedom(True, True)).registration
     velocity, covariance = np.array([[1.0, 2.0, 3.0]]), np.diag([1.0, 4.0, 9.0])[None]
     np.testing.assert_allclose(found.velocities(velocity), 2.0 * velocity @ turn.T, atol=1e-6)
     np.testing.assert_allclose(found.covariances(covariance)[0], 4.0 * turn @ covariance[0] @ turn.T, atol=1e-5)
@@ -76,4 +116,4 @@ def test_covariances_and_velocities_turn_and_scale():
 def test_too_few_estimates():
     times, paths = two_objects()
     with pytest.raises(ValueError, match="6 or more estimates at times of the truth, found 0"):
-        register(times - 500.0, paths[0], as_truth(times, paths), 0.1, Freedom())
+        register(estimates(times - 500.0, paths[0]), as_truth(times, paths), 0.1, Freedom())
