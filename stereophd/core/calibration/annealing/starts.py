@@ -55,61 +55,78 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
     """Follow one start through all passes: from the pairings found, the best first, then from its own values (m,).
 
     A pairing nearly as good as the best is followed too, and the one of the greater evidence counts. Further pairings,
-    and the start's own values at the widest noise, are tried only where none has succeeded so far. The number is for
-    the record; the seed is that of the further draws among which one-camera tracks are paired.
+    and the start's own values at the widest noise, are tried only where none has succeeded so far, and larger noise
+    than what is stated where none does. The number is for the record; the seed is that of the further draws among which
+    one-camera tracks are paired.
     """
     tried: list[Start] = []
+    passes: list[list[Start]] = []
     is_timely = task.limit.begin(f"start {number + 1} of at most {task.most_starts}: one-camera tracks are paired")
     pairings = pairings_of(task, values, seed)[:MOST_PAIRINGS] if is_timely else []
     for place, pairing in enumerate(pairings):
         if best_of(tried) is not None and pairing.gain < AMBIGUOUS * pairings[0].gain:
             break
-        tried.append(_follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing)))
+        passes.append(_follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing)))
+        tried.append(passes[-1][-1])
     if best_of(tried) is None:
-        tried.append(_follow(task, number, WIDE, values, None))
-    return best_of(tried) or max(tried, key=lambda one: one.explained)
+        passes.append(_follow(task, number, WIDE, values, None))
+        tried.append(passes[-1][-1])
+    if (best := best_of(tried)) is not None or task.limit.is_over:
+        return best or max(tried, key=lambda one: one.explained)
+    return _at_larger_noise(task, max(passes, key=lambda one: one[-1].explained))
 
 
-def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> Start:
+def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> list[Start]:
     """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes.
 
-    One that does not agree with the data at the stated noise is judged at those of its passes, the smallest first: the
-    noise may be stated too small, or something else wrong, which the doubted answer shows.
+    Returns it after each pass with the filter, at the noise of that, and last as it is judged.
     """
     begun = Start(number, "", start, np.empty((0, len(start))), None, np.nan, np.nan, 0.0, origin)
     values, inflations = start, task.settings.inflation
     if fit is not None:
         begun, values = begun.with_pass(fit), fit.adjustment.values
         inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
-    about = f"start {number + 1} of at most {task.most_starts}, from {origin}: pass"
-    tracked: list[tuple[float, Start]] = []
+    out: list[Start] = []
     for number_of_pass, inflation in enumerate(inflations):
-        step = f"{number_of_pass + 1} of {len(inflations) + FITTED_PASSES}, {inflation:g} times the noise"
-        if not task.limit.begin(f"{about} {step}"):
-            return replace(begun, fit=None, outcome=TIME_OVER)
+        step = f"pass {number_of_pass + 1} of {len(inflations) + FITTED_PASSES}, {inflation:g} times the noise"
+        if not task.limit.begin(f"{_name_of(task, begun)}: {step}"):
+            return [*out, replace(begun, fit=None, outcome=TIME_OVER)]
         ratio = 1.0 if fit is None else depth_ratio(task, fit, KEPT_WITHIN)
         fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio)
         if fit is None:
             why = f"no track is shared by two cameras at {inflation:g} times the noise"
-            judged = replace(begun, fit=None, outcome=why)
-            break
+            return [*out, replace(begun, fit=None, outcome=why)]
         begun, values = begun.with_pass(fit), fit.adjustment.values
-        tracked.append((inflation, begun))
-    else:
-        judged = _judged(task, begun, about, len(inflations))
-    for noise, wider in reversed(tracked):
-        if judged.succeeded or task.limit.is_over:
+        out.append(replace(begun, noise=inflation))
+    return [*out, _judged(task, begun, len(inflations))]
+
+
+def _at_larger_noise(task: Task, passes: list[Start]) -> Start:
+    """Judge a start that disagrees with the data at the stated noise at that of its passes, the largest first.
+
+    The noise may be stated too small, or a lens or a clock wrong: the answer, which is doubted, shows which. The
+    smallest noise counts down to which the start agrees; a start that does not at the largest is as it was judged.
+    """
+    *tracked, judged = passes
+    for begun in tracked:
+        again = _judged(task.with_noise(begun.noise), begun, len(tracked)) if begun.noise > 1.0 else judged
+        if not again.succeeded:
             break
-        if noise > 1.0:
-            again = _judged(task.with_noise(noise), replace(wider, noise=noise), about, len(inflations))
-            judged = again if again.succeeded else judged
+        judged = again
     return judged
 
 
-def _judged(task: Task, start: Start, about: str, done: int) -> Start:
+def _name_of(task: Task, start: Start) -> str:
+    """Return what progress calls a start."""
+    at = f" at {start.noise:g} times the noise" if start.noise > 1.0 else ""
+    return f"start {start.number + 1} of at most {task.most_starts}, from {start.origin}{at}"
+
+
+def _judged(task: Task, start: Start, done: int) -> Start:
     """Let the fitted trajectories of a start choose their detections themselves, and judge the fit."""
     for number_of_pass in range(FITTED_PASSES):
-        if not task.limit.begin(f"{about} {done + number_of_pass + 1} of {done + FITTED_PASSES}") and number_of_pass:
+        step = f"pass {done + number_of_pass + 1} of {done + FITTED_PASSES}"
+        if not task.limit.begin(f"{_name_of(task, start)}: {step}") and number_of_pass:
             break  # judged as it is
         assert start.fit is not None
         last = number_of_pass == FITTED_PASSES - 1
