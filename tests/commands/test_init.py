@@ -113,7 +113,9 @@ def test_noise_follows_from_one_camera_tracks_where_poses_are_unknown(scene: Pat
     for detector in report["detectors"].values():
         assert detector["sigma_px"] == pytest.approx([1.0, 1.0], rel=0.3)
         assert "about one-camera tracks" in detector["source"]
-    assert not load_config(tmp_path / "study" / "config.yaml").estimated_cameras
+    # misses and false detections are the usual ones, until there are tracks
+    loaded = load_config(tmp_path / "study" / "config.yaml")
+    assert loaded.estimated_cameras == list(loaded.cameras)
 
 
 def test_what_the_search_for_cameras_does_not_do_is_refused_before_anything_is_written(

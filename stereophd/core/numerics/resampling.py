@@ -15,7 +15,9 @@ def _picked(weights: Array, points: Array) -> Integers:
     """Index of the particle that each of the sorted points, in parts of the sum of the weights, falls on."""
     ends = np.cumsum(weights)
     # rounding of the sums may leave the last points beyond the end: they go to the last that weighs
-    last = np.flatnonzero(weights)[-1]
+    last = len(weights) - 1
+    while last > 0 and weights[last] == 0.0:
+        last -= 1
     picked, index = np.empty(len(points), dtype=np.int64), 0
     for i in range(len(points)):
         while index < last and points[i] * ends[-1] >= ends[index]:

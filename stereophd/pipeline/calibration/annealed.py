@@ -37,6 +37,7 @@ from stereophd.pipeline.workers.places import on_processes
 
 # Draws that represent a Laplace posterior.
 LAPLACE_DRAWS = 1000
+AT_LARGER_NOISE = "the cameras agree with the data at larger noise than what is stated alone"
 
 
 def annealed_outcome(run: CalibrationRun) -> Outcome:
@@ -45,6 +46,8 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     run.limit.begin("one-camera tracks are made")
     task = replace(annealed_task(run.loaded, section, problem), limit=run.limit)
     starts = _all_starts(run, task)
+    if section.posterior == "smc":  # particles are weighed at the stated noise
+        starts = [one if one.noise == 1.0 else replace(one, outcome=AT_LARGER_NOISE) for one in starts]
     best = best_of(starts)
     details: dict[str, Any] = {
         "starts": [_start_report(task, start, best) for start in starts],
@@ -145,6 +148,7 @@ def _start_report(task: Task, start: Start, best: Start | None) -> dict[str, Any
     return {
         "start": start.number,
         "began_from": start.origin,
+        "noise": start.noise,
         "outcome": start.outcome,
         "best": start is best,
         "passes": len(start.passes),

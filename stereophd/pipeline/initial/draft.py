@@ -70,16 +70,21 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
     sharp = [sample.with_measured_noise if sample.camera.name in unknown else sample for sample in samples]
     measured = {new.camera.name for new, old in zip(sharp, samples, strict=True) if new is not old}
-    cause = _mistake(draft, sharp) if is_placed else "their poses are unknown"
+    cause = _mistake(draft, sharp) if is_placed else "the poses are unknown"
     if cause is not None:
         # rays that miss each other for this reason say nothing of the noise
         samples = sharp
         cameras = tuple(sample.camera for sample in samples)
-        why = f"detector: the noise about one-camera tracks; rays show none: {cause}"
+        why = f"detector: the noise about one-camera tracks, because rays show none: {cause}"
         notes = {name: (*draft.camera_notes.get(name, ()), why) for name in measured}
         draft = replace(draft, camera_notes=draft.camera_notes | notes)
-    if not is_placed:  # everything else follows from rays
-        return _with_cameras(draft, cameras, measured)
+    if not is_placed:  # everything else follows from rays; tracks estimate the detectors once there are any
+        draft = _with_cameras(draft, cameras, measured)
+        described = dict(draft.cameras)
+        for name in measured:
+            detector = described[name].detector.model_copy(update={"estimate": True})
+            described[name] = described[name].model_copy(update={"detector": detector})
+        return replace(draft, cameras=described)
     draft = _with_cameras(draft, cameras, unknown)
     rough = _rough(draft, samples)
     if rough is not None:

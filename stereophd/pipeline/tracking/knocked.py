@@ -43,8 +43,8 @@ GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 # Pairs of a track and a detection of a look: in a crowd fewer of the other tracks are predicted.
 MOST_PAIRS = 20_000
 # Residuals are summed over blocks of so long, s; a change is looked for in the last one, two, ... so many of them,
-# against all before, whose sums shrink by a factor of e in so many blocks. In slow logs it is looked for after so many
-# looks at the camera, before the change is older than the blocks.
+# against all before, whose sums shrink by a factor of e in so many blocks. Once the noise is known it is looked for in
+# slow logs after so many looks at the camera, or before a change is older than the blocks.
 BLOCK_S, BLOCKS, REMEMBERED, LOOKS_A_QUESTION = 1.0, 5, 20, 4
 # Age from which a track counts, s: a new one may be wrong.
 LEAST_AGE_S = 1.0
@@ -99,7 +99,8 @@ class CameraLooks:
     # Mean squared misfit of a block to those before, in what the model expects, and of how many blocks it is
     scatter: float = 1.0
     blocks: int = 0
-    asked: int = 0  # Looks when a change was looked for last
+    asked: int = 0  # Looks when a change was looked for last, and when that was, s
+    asked_s: float = -math.inf
 
 
 @dataclass(frozen=True)
@@ -156,9 +157,10 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
         (TAKEN * known.spread, known.spread), sums_of_block,
     )  # fmt: skip
     responses = replace(responses, time_s=event.time_s, values=values, blocks=(*responses.blocks[:-1], sums_of_block))
-    is_due = known.looked_s < responses.began_s and known.looks >= known.asked + LOOKS_A_QUESTION
+    waits = known.blocks > BLOCKS and event.time_s < known.asked_s + (BLOCKS - 1) * BLOCK_S
+    is_due = known.looked_s < responses.began_s and not (waits and known.looks < known.asked + LOOKS_A_QUESTION)
     if is_due and len(responses.blocks) > BLOCKS + 1:
-        known = replace(known, asked=known.looks)
+        known = replace(known, asked=known.looks, asked_s=event.time_s)
         change = _change(responses, event.camera, known)
         if change is not None:
             if known.blocks > BLOCKS and change.evidence > _least_evidence(len(cameras)):
@@ -189,7 +191,7 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     coherence = _followed(known.coherence, together, MEDIAN, known.looks)
     looks = CameraLooks(
         event.time_s, known.looks + 1, spread, lasting, coherence, sums, rising_s, known.scatter, known.blocks,
-        known.asked
+        known.asked, known.asked_s,
     )  # fmt: skip
     test = KnockTest({**test.cameras, name: looks}, responses)
     knock = _turned(test.cameras, cameras, event.camera, event.time_s)

@@ -41,6 +41,7 @@ from stereophd.core.calibration.annealing.starts import (
     disagreement,
     rival_of,
     squared_residuals,
+    wanted,
 )
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
 from stereophd.core.calibration.unknowns.held import EnlargedSet, enlarge, free_of
@@ -186,9 +187,9 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
     although others were run may be a wrong one that happens to explain the log. With further unknowns optima are flat,
     and this is a remark only. The full posterior decides by itself.
     """
-    agreeing, wanted = agreeing_with_best(starts), min(task.settings.agreeing_starts, task.most_starts)
+    agreeing, least = agreeing_with_best(starts), wanted(starts, task.settings.agreeing_starts)
     doubt, remarks = "", tuple[Remark, ...]()
-    if agreeing < wanted:
+    if agreeing < min(least, task.most_starts):
         why = f"only {agreeing} of {len(starts)} starts found these cameras: another optimum may be the right one"
         if not is_sampled and task.parameters.only_moves:
             doubt = f"{why}; narrower priors show it, or more starts (calibration.annealed.starts)"
@@ -197,7 +198,8 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
                 Remark("starts", f"{why}; narrower priors or more starts (calibration.annealed.starts) show it"),
             )
     assert best.fit is not None
-    if (squares := best.noise**2 * float(squared_residuals(best.fit).mean())) > NOISE_AS_STATED:
+    squares = best.noise**2 * float(squared_residuals(best.fit).mean())
+    if best.noise > 1.0 or squares > NOISE_AS_STATED:
         text = (
             f"residuals were {np.sqrt(squares):.1f} times the stated noise before it was estimated: detector.sigma_px "
             "is too small, or lenses, clocks or motion do not fit"

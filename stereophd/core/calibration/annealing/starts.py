@@ -5,8 +5,9 @@ noise, so that detections of one object are associated although the cameras are 
 trajectories to those detections, which improves the cameras. The inflation falls from pass to pass; in the last passes
 the fitted trajectories choose their detections themselves. See docs/explanation/calibration.md.
 
-A start succeeds only if the trajectories that two cameras share explain the detections. The best start has the greatest
-sum of evidence (PMB filter at the true noise) and log-prior.
+A start succeeds only if the trajectories that two cameras share explain the detections, at the stated noise or, where
+none of its ways does, at a larger one. The best start has the greatest sum of evidence (PMB filter at the noise of the
+start) and log-prior.
 """
 
 from dataclasses import replace
@@ -109,10 +110,11 @@ def _at_larger_noise(task: Task, passes: list[Start]) -> Start:
     """
     *tracked, judged = passes
     for begun in tracked:
-        again = _judged(task.with_noise(begun.noise), begun, len(tracked)) if begun.noise > 1.0 else judged
-        if not again.succeeded:
-            break
-        judged = again
+        if 1.0 < begun.noise <= PAIRED_INFLATION:
+            again = _judged(task.with_noise(begun.noise), begun, len(tracked))
+            if not again.succeeded:
+                break
+            judged = again
     return judged
 
 
@@ -223,7 +225,13 @@ def best_of(starts: list[Start]) -> Start | None:
 
 def enough(starts: list[Start], agreeing: int) -> bool:
     """Whether enough starts agree with the best one."""
-    return agreeing_with_best(starts) >= agreeing
+    return agreeing_with_best(starts) >= wanted(starts, agreeing)
+
+
+def wanted(starts: list[Start], agreeing: int) -> int:
+    """How many starts are to agree with the best: twice as many where it agrees with the data at larger noise alone."""
+    best = best_of(starts)
+    return agreeing if best is None or best.noise == 1.0 else 2 * agreeing
 
 
 def agreeing_with_best(starts: list[Start]) -> int:
