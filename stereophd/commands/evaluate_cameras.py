@@ -62,9 +62,10 @@ def evaluate_calibration(
 
     With the ``posterior.parquet`` of `calibrate` beside the estimate, NEES and coverage of the posterior are reported
     too; with `loaded`, a scenario (``simulate``) and priors (``calibration``), the Cramer-Rao bound, its cameras the
-    true ones. Cameras of one file alone are left out, with a warning. Returns the report. Raises InputError if a file
-    is not usable, or the two have fewer than two cameras in common;
-    GateError, which carries the report, if a figure is beyond its limit: everything has been written then.
+    true ones. Cameras of one file alone are left out, with a warning, and so is the posterior if it has others than
+    those in common. Returns the report. Raises InputError if a file is not usable, or the two have fewer than two
+    cameras in common; GateError, which carries the report, if a figure is beyond its limit: everything has been written
+    then.
     """
     estimated, true, unit = _read_pair(cameras_path, true_path)
     posterior = _posterior_of(Path(cameras_path), [camera.name for camera in true])

@@ -225,7 +225,8 @@ def registration_of(
         with np.errstate(over="ignore", invalid="ignore"):  # a motion that is none is refused
             found = register(estimates.take(used), truth, max_gap_s, freedom)
     except ValueError as error:
-        raise InputError(f"{path}: `align`: {error}; stereophd align `to` the truth finds any offset") from None
+        other = "; stereophd align `to` the truth finds any offset" if options.align_clock else ""
+        raise InputError(f"{path}: `align`: {error}{other}") from None
     LOGGER.info("tracks aligned with the truth: %s", registration_report(found.registration))
     if found.misfit > MOST_MISFIT:
         LOGGER.warning(

@@ -108,7 +108,7 @@ class PmbFilter(DisparityFilter):
         return self._after(state, event, reduced, NO_PAIRS, updated, counters, prediction.undetected, prediction.burst)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
-        """Predict, update and extract for one event, in one compiled call."""
+        """Predict, update, exchange swapped tracks and extract for one event, in one compiled call."""
         camera = event.camera if self._exchanges else 0
         (between, _, new, tolerance, past, deferred, *numbers), added = self.swap_test.search(
             state.history or NO_HISTORY, camera, event.time_s, state.n_events
