@@ -83,14 +83,14 @@ REFUSED = [
     (["import", "csv", "TABLE", "--out", "c"], ["--p-detect", "0.5"], "--p-detect: expected only with --sigma-px"),
     (["import", "csv", "TABLE", "--out", "c"], ["--clutter", "0.5"], "--clutter: expected only with --sigma-px"),
     *(
-        (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, f"{words[0]}: expected an option that a")
+        (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, f"{words[0]}: expected an option that has an")
         for words in (
             ["--box-point", "bottom"], ["--length-unit", "cm"], ["--pixels-undistorted"], ["--image-size", "9x9"],
             ["--sigma-px", "1"], ["--time-unit", "ms"], ["--min-score", "0.5"],
         )
     ),
     *(
-        (["import", "opencv", "CAMERAS", "--out", "OUT"], words, f"{words[0]}: expected an option that a source of")
+        (["import", "opencv", "CAMERAS", "--out", "OUT"], words, f"{words[0]}: expected an option that has an effect")
         for words in (
             ["--column", "u_px=x"], ["--fps", "9"], ["--offset", "1"], ["--recorded-frames", "0:9"],
             ["--pixel-origin", "corner"], ["--rows-from", "bottom"], ["--truth", "."],
@@ -116,7 +116,7 @@ REFUSED = [
         (["export", "opencv", "NATIVE", "--out", "OUT"], words, f"{words[0]}: expected only for tracks, found cameras")
         for words in (["--track", "1"], ["--rate", "9"], ["--tentative"])
     ),
-    (["export", "csv", "TRACKS", "--out", "OUT"], ["--rate", "9"], "--rate: expected an option that a file of format"),
+    (["export", "csv", "TRACKS", "--out", "OUT"], ["--rate", "9"], "--rate: expected an option that has an effect on a file of format"),
 ]  # fmt: skip
 
 # The two commands that score.
