@@ -83,7 +83,7 @@ REFUSED = [
     (["import", "csv", "TABLE", "--out", "c"], ["--p-detect", "0.5"], "--p-detect: expected only with --sigma-px"),
     (["import", "csv", "TABLE", "--out", "c"], ["--clutter", "0.5"], "--clutter: expected only with --sigma-px"),
     *(
-        (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, f"{words[0]}: expected an option that has an")
+        (["import", "csv", "TABLE", "--fps", "10", "--out", "OUT"], words, f"{words[0]}: expected an option that has")
         for words in (
             ["--box-point", "bottom"], ["--length-unit", "cm"], ["--pixels-undistorted"], ["--image-size", "9x9"],
             ["--sigma-px", "1"], ["--time-unit", "ms"], ["--min-score", "0.5"],
@@ -116,7 +116,7 @@ REFUSED = [
         (["export", "opencv", "NATIVE", "--out", "OUT"], words, f"{words[0]}: expected only for tracks, found cameras")
         for words in (["--track", "1"], ["--rate", "9"], ["--tentative"])
     ),
-    (["export", "csv", "TRACKS", "--out", "OUT"], ["--rate", "9"], "--rate: expected an option that has an effect on a file of format"),
+    (["export", "csv", "TRACKS", "--out", "OUT"], ["--rate", "9"], "--rate: expected an option that has an effect"),
 ]  # fmt: skip
 
 # The two commands that score.
