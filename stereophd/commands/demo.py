@@ -46,7 +46,7 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
         temporary.write_text(config_text(), encoding="utf-8")
     begin(0, "the scene is simulated")
     simulate(load_config(config), simulated, force=force)
-    begin(1, "the objects are tracked (kernels are compiled first, if this is the first run)")
+    begin(1, "kernels are compiled in a first run, and the objects are tracked")
     settings = load_config(config, ["report.associations=true"], cameras_path=simulated / "cameras.yaml")
     tracks = track(settings, simulated / "detections.parquet", tracked, force=force)
     begin(2, "the tracks are scored")

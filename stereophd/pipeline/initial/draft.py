@@ -79,12 +79,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
         notes = {name: (*draft.camera_notes.get(name, ()), why) for name in measured}
         draft = replace(draft, camera_notes=draft.camera_notes | notes)
     if not is_placed:  # everything else follows from rays; tracks estimate the detectors once there are any
-        draft = _with_cameras(draft, cameras, measured)
-        described = dict(draft.cameras)
-        for name in measured:
-            detector = described[name].detector.model_copy(update={"estimate": True})
-            described[name] = described[name].model_copy(update={"detector": detector})
-        return replace(draft, cameras=described)
+        return _with_cameras(draft, cameras, measured, estimate=True)
     draft = _with_cameras(draft, cameras, unknown)
     rough = _rough(draft, samples)
     if rough is not None:
@@ -170,8 +165,8 @@ def _calibration(draft: Draft) -> Iterator[str]:
     )
 
 
-def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str]) -> Draft:
-    """Return the draft with the detectors that were unknown as these cameras have them."""
+def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str], estimate: bool = False) -> Draft:
+    """Return the draft with unknown detectors as these cameras have them; whether `track` is to `estimate` them."""
     described = dict(draft.cameras)
     for name, camera in with_detectors(draft.cameras, [c for c in cameras if c.name in unknown]).items():
         values = camera.detector.model_dump()
@@ -180,6 +175,7 @@ def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection
             "sigma_px": (rounded(sigma_u, 3), rounded(sigma_v, 3)),
             "p_detect": rounded(min(max(values["p_detect"], 0.05), 0.995), 3),
             "clutter_per_frame": rounded(max(values["clutter_per_frame"], 1e-3), 3),
+            "estimate": estimate,
         }
         if values["box_noise"] is not None:
             values["box_noise"] = tuple(rounded(part) for part in values["box_noise"])

@@ -124,7 +124,7 @@ class Alignment:
 class Residuals:
     """Distances of the estimates that `register` uses from the truth, and their derivatives."""
 
-    rows: Integers  # (r,): TrackedPlaces that have a true object at their time
+    rows: Integers  # (r,): Estimates that have a true object at their time
     center: Array  # (3,): Middle of the moved estimates, about which they are turned and scaled
     errors: Array  # (r, 3): True position less the moved estimate
     jacobian: Array  # (r, 3, 9): Of the moved estimates less the truth, in the order of `Freedom.columns`
