@@ -35,10 +35,13 @@ the normal equations. That of the volume is exact (`adjustment.volume`): how the
 derivatives of the cost, as what one camera alone sees lies in a valley so flat and curved that the normal equations do
 not tell it.
 
-**Minimum.** Quasi-Newton steps (limited memory BFGS: J. Nocedal and S. Wright, "Numerical Optimization", 2006,
-algorithm 7.4) on the curvature of the normal equations at each point, which lacks that of the volume. A mode of the
-motion of unit variance that is seen with the information b is estimated with w = b / (1 + b) of its variance, so that
-the normal equations find w^2 for u in the mean; the information of z ~ N(0, 1 + b) about u is 2 w^2.
+**Minimum.** Newton steps by the exact gradient, on the curvature of the normal equations. That lacks the curvature of
+the volume, and of the noise half: a mode of the motion of unit variance that is seen with the information b is
+estimated with w = b / (1 + b) of its variance, so that the normal equations find w^2 for u in the mean, while the
+information of z ~ N(0, 1 + b) about u is 2 w^2. What they find for u beside the knots is therefore counted twice.
+Valleys are curved: cameras that turn together leave them with the fourth power of the step. The longest step is
+therefore what the valley allowed last, and grows again where it allows more. Quasi-Newton steps remember differences of
+the gradient from other bends of the valley, and took four times as many steps.
 
 **Covariance.** The normal equations lack second derivatives of the residuals, too. Where objects turn within the time
 in which they move by some noises of their detections, other velocities compensate for a later clock: by residuals
@@ -72,13 +75,14 @@ from stereophd.core.numerics.random_streams import BENDS_SEED
 # Prior standard deviation of the logarithm of the noise of the motion over what is stated, beside that of the scale.
 NOISE_STD = 0.5
 # Length at which the steps settle, longest step, and longest step left of a search that has converged, all in posterior
-# standard deviations; most steps, and how many of them the quasi-Newton steps remember.
-SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS, REMEMBERED = 0.05, 20.0, 1.0, 200, 6
-# A search has settled as well where as many steps as are remembered lower the objective by less than this together: no
-# detection tells their points apart. It follows curved valleys of scenes that hold little, step by small step.
-STALLED = 0.5
-# A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says.
-DECREASE, LEAST_SHARE = 1e-4, 1.0 / 64.0
+# standard deviations; most steps.
+SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS = 0.05, 20.0, 1.0, 200
+# A search has settled as well where so many steps lower the objective by less than this together: no detection tells
+# their points apart. It follows curved valleys of scenes that hold little, step by small step.
+STALLED_STEPS, STALLED = 6, 0.5
+# A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says. The
+# next one may be as long as what was taken, and longer by this factor where that was the whole.
+DECREASE, LEAST_SHARE, LONGER = 1e-4, 1.0 / 64.0, 2.0
 # Squared distance from which a detection is left out by the loss.
 LEFT_OUT = 50.0
 # Most times that the weights of detections are taken anew, and their change at which they are the same.
@@ -330,8 +334,18 @@ class MarginalPosterior:
         return out
 
     def covariance(self, at: Point) -> Array:
-        """Covariance (size, size) of the unknowns by the normal equations of a point."""
-        return within_prior(at.eliminated[1], self.prior_std)
+        """Covariance (size, size) of the unknowns by the normal equations of a point, with all they know of the noise.
+
+        What they know of the noise is half of what there is, as the head of this module says.
+        """
+        covariance = within_prior(at.eliminated[1], self.prior_std)
+        if not self.links:
+            return covariance
+        of_knots = at.equations.coupling[:, -1]
+        seen = float(of_knots @ cho_solve_banded((at.factor, True), of_knots, check_finite=False))
+        known = max(float(at.equations.matrix[-1, -1]) - self.prior_std[-1] ** -2 - seen, 0.0)
+        with_noise = covariance[:, -1]
+        return np.asarray(covariance - known / (1.0 + known * with_noise[-1]) * np.outer(with_noise, with_noise))
 
     def root(self, at: Point) -> Array:
         """Root D (size, size) of the covariance D D^T of the unknowns."""
@@ -364,31 +378,25 @@ def _short(bands: Array, direction: Array) -> float:
 
 def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
     """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
-    length, pairs, objectives = 0.0, list[tuple[Array, Array]](), [at.objective]
-    gradient = posterior.gradient(at)
+    length, longest, objectives = 0.0, LONGEST_STEP, [at.objective]
     for _ in range(MOST_STEPS):
-        root = posterior.root(at)
-        step = -_times_inverse(gradient, root, pairs)
-        length = float(np.linalg.norm(solve_triangular(root, step, lower=True)))
+        root, gradient = posterior.root(at), posterior.gradient(at)
+        downhill = -root.T @ gradient
+        length = float(np.linalg.norm(downhill))
         if length <= SETTLED:
             break
-        step *= min(1.0, LONGEST_STEP / length)
+        taken = min(length, longest)
+        step = taken / length * root @ downhill
         slope = float(gradient @ step)
         tried = _tried(posterior, at, step)
-        found = next((p for share, p in tried if p.objective <= at.objective + DECREASE * share * slope), None)
-        if found is None and not pairs:
-            break
+        found = next(((s, p) for s, p in tried if p.objective <= at.objective + DECREASE * s * slope), None)
         if found is None:
-            pairs = []  # what was remembered of the curvature misleads
-            continue
-        objectives.append(found.objective)
-        if len(objectives) > REMEMBERED and objectives[-1 - REMEMBERED] - found.objective < STALLED:
-            return found, length
-        before, before_gradient = at, gradient
-        at, gradient = found, posterior.gradient(found)
-        pair = (at.unknowns - before.unknowns, gradient - before_gradient)
-        if float(pair[0] @ pair[1]) > 0.0:
-            pairs = [*pairs, pair][-REMEMBERED:]
+            break
+        share, at = found
+        longest = min((LONGER if share == 1.0 else 1.0) * share * taken, LONGEST_STEP)
+        objectives.append(at.objective)
+        if len(objectives) > STALLED_STEPS and objectives[-1 - STALLED_STEPS] - at.objective < STALLED:
+            break
     return at, length
 
 
@@ -403,15 +411,3 @@ def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tup
         with suppress(LinAlgError):
             yield share, posterior.at(at.unknowns + share * step, at.states - share * following)
         share *= 0.5
-
-
-def _times_inverse(vector: Array, root: Array, pairs: list[tuple[Array, Array]]) -> Array:
-    """Inverse curvature times a vector (m,): root root^T, corrected by pairs of step and change of the gradient."""
-    parts = []
-    for step, change in reversed(pairs):
-        parts.append(float(step @ vector) / float(step @ change))
-        vector = vector - parts[-1] * change
-    out = root @ (root.T @ vector)
-    for (step, change), part in zip(pairs, reversed(parts), strict=True):
-        out = out + (part - float(change @ out) / float(step @ change)) * step
-    return np.asarray(out)

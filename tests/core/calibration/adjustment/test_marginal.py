@@ -9,7 +9,7 @@ import pytest
 
 from stereophd.core.calibration.adjustment import marginal
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, exact_covariance, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, Point, exact_covariance, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Problem
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, marginal_fit
@@ -244,11 +244,24 @@ def test_steps_to_the_marginal_optimum_that_are_too_long_are_shortened(monkeypat
     expected = marginal_optimum(problem, joint).adjustment
     std = np.sqrt(np.diag(expected.covariance))
     assert np.abs((expected.values - joint.values) / std).max() > 1.0
-    right_step = marginal._times_inverse
+    right_root = MarginalPosterior.root
 
-    def too_long(vector: np.ndarray, root: np.ndarray, pairs: list[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-        return 6.0 * right_step(vector, root, pairs)
+    def too_long(posterior: MarginalPosterior, at: Point) -> np.ndarray:
+        return np.sqrt(6.0) * right_root(posterior, at)
 
-    monkeypatch.setattr(marginal, "_times_inverse", too_long)
+    monkeypatch.setattr(MarginalPosterior, "root", too_long)
     found = marginal_optimum(problem, joint).adjustment
     np.testing.assert_allclose((found.values - expected.values) / std, 0.0, atol=0.3)
+
+
+def test_the_covariance_knows_all_that_there_is_of_the_noise_of_the_motion() -> None:
+    """The normal equations know half of it: the curvature of the objective would be twice theirs."""
+    problem, states, _ = some_problem(("center",))
+    joint = adjust(problem, np.zeros(problem.parameters.size), states)
+    found = marginal_optimum(problem, joint)
+    posterior = MarginalPosterior(Linearisation.of(problem))
+    at = posterior.of_answer(found.adjustment.values, found.adjustment.states, found.noise_factor)
+    step = np.append(np.zeros(problem.parameters.size), 0.05)
+    ahead, behind = (posterior.gradient(posterior.at(at.unknowns + s * step, at.states))[-1] for s in (1.0, -1.0))
+    curvature = np.linalg.inv(posterior.covariance(at))[-1, -1]
+    assert curvature == pytest.approx((ahead - behind) / 0.1, rel=0.2)
