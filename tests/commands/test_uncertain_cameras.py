@@ -77,11 +77,24 @@ def test_positions_move_as_their_rays_meet_elsewhere(uncertainty: CameraUncertai
     np.testing.assert_allclose(found, np.transpose(expected), rtol=0.05, atol=0.02 * np.abs(expected).max())
 
 
+def test_moves_and_their_sums_do_not_depend_on_how_estimates_are_handed_over(uncertainty: CameraUncertainty) -> None:
+    rng = np.random.default_rng(1)
+    states, roots = rng.normal([0.4, -0.6, 7.0, 0.0, 0.0, 0.0], 0.5, (50, 6)), 0.1 * rng.normal(size=(50, 6, 6))
+    covariances, times = roots @ np.swapaxes(roots, 1, 2), rng.uniform(0.0, 9.0, 50)
+    whole = uncertainty.moves(times, states, covariances)
+    sums, parts = CommonPart.of_none(4).including(states[:, :3], whole @ uncertainty.root), CommonPart.of_none(4)
+    for rows in (slice(0, 1), slice(1, 4), slice(4, 50)):
+        moves = uncertainty.moves(times[rows], states[rows], covariances[rows])
+        np.testing.assert_array_equal(moves, whole[rows])
+        parts = parts.including(states[rows, :3], moves @ uncertainty.root)
+    assert parts.stds() == sums.stds()
+
+
 def test_common_moves_are_those_of_a_similarity(uncertainty: CameraUncertainty) -> None:
     rng = np.random.default_rng(0)
     places = rng.normal(size=(200, 3))
     along = np.stack([np.cross([0.0, 1.0, 0.0], places), rng.normal(size=(200, 3))], axis=2)
-    common, other = CommonPart.of(places, along * [0.2, 0.1]).stds()
+    common, other = CommonPart.of_none(2).including(places, along * [0.2, 0.1]).stds()
     assert common == pytest.approx(np.sqrt(0.04 * (along[:, :, 0] ** 2).sum(axis=1).mean()), rel=0.03)
     assert other == pytest.approx(0.1 * np.sqrt(3.0), rel=0.1)
 

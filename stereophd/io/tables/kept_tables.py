@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from stereophd.errors import InputError
 from stereophd.io.outputs.saved import GrowingFile
-from stereophd.io.tables.writing import TableWriter
+from stereophd.io.tables.writing import Complete, TableWriter
 
 _OPTIONS = pa.ipc.IpcWriteOptions(compression="lz4")
 
@@ -32,9 +32,10 @@ class KeptTable(TableWriter):
         metadata: Mapping[Any, Any] | None,
         kept: GrowingFile,
         earlier: Iterable[bytes] = (),
+        complete: Complete | None = None,
         row_group_rows: int | None = None,
     ) -> None:
-        super().__init__(path, schema, metadata, row_group_rows)
+        super().__init__(path, schema, metadata, complete, row_group_rows)
         self._kept = kept
         self._plain = schema.with_metadata(None)
         # Rows that wait for the rest of their group and are converted already; all of them are kept.

@@ -5,7 +5,7 @@ day.
 """
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import TracebackType
 from typing import Any, BinaryIO, Self
@@ -19,6 +19,10 @@ from stereophd.io.outputs.disk import write_error
 
 # Rows of a group: about 3 MB of detections, so that a reader needs little memory at a time.
 ROW_GROUP_ROWS = 16384
+
+# Columns of some rows, and their number; and what completes the pieces that are about to be written.
+Piece = tuple[dict[str, Any], int]
+Complete = Callable[[list[Piece]], list[Piece]]
 
 
 def _array(chunks: list[tuple[Any, int]], field: pa.Field) -> pa.Array:
@@ -90,6 +94,7 @@ class TableWriter:
 
     The file is usually a temporary one of `stereophd.io.outputs.atomic.OutputFolder`; for columns see `DETECTIONS`,
     `TRUTH`, `TRACKS`, `SCANS`; the metadata are key-value pairs of `stereophd.io.outputs.provenance.to_metadata`.
+    `complete` fills columns that are appended as None, for all rows that are written together, once for each row.
     Raises InputError when the file cannot be made; while writing, `OSError` with the file's name.
     """
 
@@ -98,6 +103,7 @@ class TableWriter:
         path: Path | str,
         schema: pa.Schema,
         metadata: Mapping[Any, Any] | None = None,
+        complete: Complete | None = None,
         row_group_rows: int | None = None,
     ) -> None:
         self.path = Path(path)
@@ -105,7 +111,8 @@ class TableWriter:
         self.rows = 0
         self._names = frozenset(schema.names)
         self._row_group_rows = row_group_rows or ROW_GROUP_ROWS
-        self._buffer: list[tuple[dict[str, Any], int]] = []
+        self._complete = complete
+        self._buffer: list[Piece] = []
         self._buffered = 0
         try:
             self._stream: BinaryIO | None = open(self.path, "wb")  # noqa: SIM115 (closed by close)
@@ -147,7 +154,8 @@ class TableWriter:
 
     def _take(self) -> pa.Table:
         """Return the rows that wait, and let them wait no longer."""
-        arrays = [_array([(piece[field.name], rows) for piece, rows in self._buffer], field) for field in self.schema]
+        pieces = self._buffer if self._complete is None else self._complete(self._buffer)
+        arrays = [_array([(piece[field.name], rows) for piece, rows in pieces], field) for field in self.schema]
         self._buffer, self._buffered = [], 0
         return pa.Table.from_arrays(arrays, schema=self.schema)
 

@@ -17,6 +17,7 @@ import pyarrow as pa
 from stereophd.core.disparity.events import Event
 from stereophd.io.outputs.saved import GrowingFile, decode, decoder, encode
 from stereophd.io.tables.kept_tables import KeptTable
+from stereophd.io.tables.writing import Complete
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.tracking.loop import Estimator, Record, ReportTimes, RunState, State, run_estimator
 from stereophd.pipeline.tracking.run_figures import LastingTracks, RunFigures
@@ -137,12 +138,14 @@ class UnfinishedTracking:
         if self._saved is not None and self._saved.figures is not None:
             self.figures = self._saved.figures
 
-    def table(self, place: Path, schema: pa.Schema, metadata: Mapping[bytes, bytes]) -> KeptTable:
+    def table(
+        self, place: Path, schema: pa.Schema, metadata: Mapping[bytes, bytes], complete: Complete | None = None
+    ) -> KeptTable:
         """Return a table of this run, with the rows that were kept."""
         name = place.name
         length = None if self._saved is None else self._saved.lengths[name]
         earlier = () if length is None else self._unfinished.frames(name, length)
-        self._tables[name] = KeptTable(place, schema, metadata, self._unfinished.grow(name, length), earlier)
+        self._tables[name] = KeptTable(place, schema, metadata, self._unfinished.grow(name, length), earlier, complete)
         return self._tables[name]
 
     def records(self, events: Iterable[Event], times: ReportTimes, keep_events: bool) -> Iterator[Record]:

@@ -12,8 +12,9 @@ import pytest
 
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
-from stereophd.config.loading import LoadedConfig, load_config
+from stereophd.config.loading import LoadedConfig, load_cameras, load_config
 from stereophd.errors import InputError
+from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.outputs.disk import TEMPORARY_PREFIX
 from stereophd.io.outputs.saved import decoder, encode
 from stereophd.io.tables import writing
@@ -108,6 +109,24 @@ def test_resume_gives_the_bytes_of_an_undisturbed_run(
         track(loaded, log, out)
     track(loaded, log, out, resume=True)
     assert files(out) == whole
+
+
+@pytest.mark.usefixtures("often")
+def test_resume_with_uncertain_cameras(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their part of the tracks is found for many rows at once, and a kill divides these otherwise."""
+    folder = Path(__file__).resolve().parents[3] / "sample_data"
+    write_cameras(
+        tmp_path / "cameras.yaml", load_cameras(folder / "hall" / "cameras.yaml").cameras, "m",
+        covariance={"right.focal": [1e-5], "right.rotation_y": [0.0, 1e-6]},
+    )  # fmt: skip
+    loaded = load_config(folder / "hall.yaml", ["report.std_columns=true"], cameras_path=tmp_path / "cameras.yaml")
+    log = folder / "hall" / "detections.parquet"
+    report = track(loaded, log, tmp_path / "whole")
+    assert report["cameras_part"]["common_std"] > 0.0
+    for records in (20, 3):
+        killed_after(monkeypatch, records, lambda: track(loaded, log, tmp_path / "out", resume=True))
+    track(loaded, log, tmp_path / "out", resume=True)
+    assert files(tmp_path / "out") == files(tmp_path / "whole")
 
 
 @pytest.mark.usefixtures("often")

@@ -23,6 +23,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet, taken
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.geometry.rotations import cross_matrices
+from stereophd.core.numerics.compilation.compiled import compiled
 
 # Sweeps in which the weights are found, and the part of the information of a track that is taken as not of its rays.
 SWEEPS, OTHER = 15, 1e-2
@@ -48,25 +49,25 @@ class CameraUncertainty:
         """
         count, size = len(states), self.parameters.size
         roots = np.linalg.cholesky(covariances[:, :3, :3])
+        inverse = np.linalg.inv(covariances[:, :3, :3])
         information, pulls = [], []
         for camera in self.parameters.cameras:
             log_times = (times - camera.clock.offset_s) / camera.clock.rate
             view = look(camera, states[:, :3], states[:, 3:], times, log_times, np.zeros(count))
             view = replace(view, rows=view.pixels[:, 1] / camera.height)
             inside = view.visible & ((view.pixels >= 0.0) & (view.pixels < [camera.width, camera.height])).all(axis=1)
-            weighted = view.by_world * (inside[:, None] / camera.detector.sigma**2)[:, :, None]
+            weighted = np.swapaxes(view.by_world, 1, 2) * (inside[:, None] / camera.detector.sigma**2)[:, None, :]
             by_value = np.zeros((count, 2, size))
             for quantity, index in self.parameters.unknown(camera.name):
                 slopes = quantity.derivative(view, taken(np.zeros(size), index))
                 by_value[:, :, index[index >= 0]] += slopes[:, :, index >= 0]
             by_value[~inside] = 0.0
-            information.append(np.einsum("nia,nib->nab", weighted, view.by_world))
-            pulls.append(np.einsum("nia,nim->nam", weighted, by_value))
-        of_rays = np.stack(information, axis=1)
-        weights = _weights(np.einsum("nba,ncbd,nde->ncae", roots, of_rays, roots))
-        total = np.einsum("nc,ncab->nab", weights, of_rays)
-        total += OTHER * np.linalg.inv(covariances[:, :3, :3])
-        return -np.linalg.solve(total, np.einsum("nc,ncam->nam", weights, np.stack(pulls, axis=1)))
+            information.append(weighted @ view.by_world)
+            pulls.append(weighted @ by_value)
+        of_rays, of_values = np.stack(information, axis=1), np.stack(pulls, axis=1)
+        weights = _weights(np.swapaxes(roots, 1, 2)[:, None] @ of_rays @ roots[:, None])[:, :, None, None]
+        total = (weights * of_rays).sum(axis=1) + OTHER * inverse
+        return -np.linalg.solve(total, (weights * of_values).sum(axis=1))
 
     def added(self, moves: Array) -> Array:
         """Covariances (n, 6, 6) that uncertain cameras add to estimates that move so (n, 3, m): of positions alone."""
@@ -75,16 +76,22 @@ class CameraUncertainty:
         return out
 
 
+@compiled
 def _weights(information: Array) -> Array:
     """Non-negative weights (n, c) with which matrices (n, c, 3, 3) add up to nearly the unit matrix, by descent."""
-    products = np.einsum("niab,njab->nij", information, information)
-    traces = np.trace(information, axis1=2, axis2=3)
-    diagonal = np.maximum(np.einsum("nii->ni", products), 1e-300)
-    weights = np.broadcast_to(3.0 / np.maximum(traces.sum(axis=1, keepdims=True), 1e-300), traces.shape).copy()
-    for _ in range(SWEEPS):
-        for camera in range(weights.shape[1]):
-            slope = traces[:, camera] - (products[:, camera] * weights).sum(axis=1)
-            weights[:, camera] = np.maximum(weights[:, camera] + slope / diagonal[:, camera], 0.0)
+    count, cameras = information.shape[:2]
+    weights = np.empty((count, cameras))
+    products, traces = np.empty((cameras, cameras)), np.empty(cameras)
+    for n in range(count):
+        for i in range(cameras):
+            traces[i] = np.trace(information[n, i])
+            for j in range(cameras):
+                products[i, j] = (information[n, i] * information[n, j]).sum()
+        weights[n] = 3.0 / max(traces.sum(), 1e-300)
+        for _ in range(SWEEPS):
+            for i in range(cameras):
+                slope = traces[i] - (products[i] * weights[n]).sum()
+                weights[n, i] = max(weights[n, i] + slope / max(products[i, i], 1e-300), 0.0)
     return weights
 
 
@@ -98,22 +105,22 @@ class CommonPart:
     total: float  # Sum of the squared moves
 
     @staticmethod
-    def of(positions: Array, shifts: Array) -> CommonPart:
-        """Return the sums of estimates at positions (n, 3) that move by the columns of a root so (n, 3, m)."""
+    def of_none(size: int) -> CommonPart:
+        """Return the sums of no estimate, for m parameters."""
+        return CommonPart(0, np.zeros((7, 7)), np.zeros((7, size)), 0.0)
+
+    def including(self, positions: Array, shifts: Array) -> CommonPart:
+        """Return the sums with estimates at positions (n, 3) that move by the columns of a root so (n, 3, m).
+
+        They are added one by one: however they are handed over, the sums are the same to the last bit.
+        """
         basis = np.concatenate(
             [np.broadcast_to(np.eye(3), (len(positions), 3, 3)), -cross_matrices(positions), positions[:, :, None]],
             axis=2,
         )
-        return CommonPart(
-            len(positions), np.einsum("nai,naj->ij", basis, basis), np.einsum("nai,nam->im", basis, shifts),
-            float((shifts**2).sum()),
-        )  # fmt: skip
-
-    def joined(self, other: CommonPart) -> CommonPart:
-        """Return the sums of both."""
-        return CommonPart(
-            self.count + other.count, self.matrix + other.matrix, self.vector + other.vector, self.total + other.total
-        )
+        matrix, vector = self.matrix.copy(), self.vector.copy()
+        total = _add_one_by_one(basis, np.ascontiguousarray(shifts), matrix, vector, self.total)
+        return CommonPart(self.count + len(positions), matrix, vector, total)
 
     def stds(self) -> tuple[float, ...]:
         """Root mean squares of the moves that are common to all estimates, and of the others, length."""
@@ -121,3 +128,16 @@ class CommonPart:
         solved = np.linalg.pinv(self.matrix / np.outer(scale, scale), 1e-10, True) @ (self.vector / scale[:, None])
         common = float((solved * (self.vector / scale[:, None])).sum())
         return tuple(np.sqrt(np.maximum([common, self.total - common], 0.0) / max(self.count, 1)).tolist())
+
+
+@compiled
+def _add_one_by_one(basis: Array, shifts: Array, matrix: Array, vector: Array, total: float) -> float:
+    """Add the products of a basis (n, 3, 7) with itself and with shifts (n, 3, m); return the total with theirs."""
+    for n in range(len(basis)):
+        for axis in range(3):
+            for i in range(7):
+                matrix[i] += basis[n, axis, i] * basis[n, axis]
+                vector[i] += basis[n, axis, i] * shifts[n, axis]
+            for shift in shifts[n, axis]:
+                total += shift * shift
+    return total
