@@ -1,14 +1,17 @@
 """Calibrate the drone recording with clocks of its own from a wrong guess, and score the trajectory against RTK.
 
     python benchmarks/drone_recording.py --seed 0 --out out/drone [--wrong 0.1] [--offset 0.3] [--focal 0.05] [--plot F]
+    ... --control half                          the first half of RTK is a control track; no length is known
     ... --nothing unknown [--cameras cam0,cam1,cam3]        from nothing; --nothing known: focal lengths to 3 %
 
 Poses are 2 m and 5 degrees off in random directions, clock offsets off by up to --offset, rates taken as 1, lenses as
 supplied; --focal also takes all focal lengths off by this part (--set their priors with it), and --wrong replaces that
 part of the detections by points anywhere in the image. With --nothing poses and offsets are unknown, the logs are up to
 80 s apart besides, and no length is known (the alignment finds the scale); focal lengths are unknown, or 3 % off and
-known so, and lenses are as supplied. The recording is not part of the project: its folder is $STEREOPHD_DATA/drone/1,
-or that of ../shared/data. Further `--set` go to `calibrate`.
+known so, and lenses are as supplied. With --control a part of RTK is given with a clock of its own, 12.5 s late, and
+the tracks are compared with all of RTK, and with the second half, as they are: in its frame, on its clock. The
+recording is not part of the project: its folder is $STEREOPHD_DATA/drone/1, or that of ../shared/data. Further `--set`
+go to `calibrate`.
 
 Distances are taken after alignment as by `evaluate` (rigid, or a similarity without a length; estimates that are far
 off hardly count), at the times of RTK between two estimates of a track at most 0.25 s apart:
@@ -45,7 +48,7 @@ from stereophd.pipeline.calibration.unknowns import with_quantities
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "configs" / "drone_own_clocks.yaml"
-LONGEST_STEP_S, NEAR_S = 0.25, 0.1
+LONGEST_STEP_S, NEAR_S, CONTROL_LATE_S = 0.25, 0.1, 12.5
 
 
 def data_folder() -> Path:
@@ -94,6 +97,30 @@ def write_nothing(folder: Path, path: Path, names: list[str], seed: int, is_know
     tree["calibration"] = {"reference": names[0], "priors": priors, "annealed": tree["calibration"]["annealed"]}
     del tree["simulate"]
     path.write_text(yaml.safe_dump(tree))
+
+
+def write_control(folder: Path, path: Path, config: Path, part: str) -> None:
+    """Write RTK, or its first half, as a control track, and a configuration with it in place of a known distance."""
+    truth = pq.read_table(folder / "truth.parquet", columns=["time_s", "x", "y", "z"])
+    truth = truth.slice(0, len(truth) // 2) if part == "half" else truth
+    late = pa.array(truth["time_s"].to_numpy() + CONTROL_LATE_S)
+    pq.write_table(truth.set_column(0, "time_s", late), path)
+    tree = yaml.safe_load(CONFIG.read_text())
+    del tree["calibration"]["scale"]
+    tree["calibration"]["control"] = str(path.absolute())
+    config.write_text(yaml.safe_dump(tree))
+
+
+def against_control(folder: Path, out: Path) -> dict[str, object]:
+    """Distances of tracks from RTK, in the frame and on the clock of the control, and the scale that is left."""
+    truth = pq.read_table(folder / "truth.parquet").to_pandas()
+    times, path = truth["time_s"].to_numpy(), truth[["x", "y", "z"]].to_numpy()
+    points, second = tracks_at(out, times + CONTROL_LATE_S), np.arange(len(times)) >= len(times) // 2
+    known, result = np.isfinite(points[:, 0]) & seen_by_two(folder, times), {}
+    for name, rows in (("all", known), ("second_half", known & second)):
+        quantiles = np.quantile(np.linalg.norm(points[rows] - path[rows], axis=1), [0.5, 0.9])
+        result[f"control.seen_by_two.{name}"] = [int(rows.sum()), *np.round(quantiles, 4).tolist()]
+    return {**result, "scale_percent": round(100.0 * (1.0 / aligned(points[known], path[known], True).scale - 1.0), 3)}
 
 
 def shifts_of(names: list[str], seed: int) -> dict[str, float]:
@@ -250,6 +277,7 @@ def main() -> None:
     parser.add_argument("--wrong", type=float, default=0.0)
     parser.add_argument("--nothing", choices=("known", "unknown"), help="no guess; whether focal lengths are known")
     parser.add_argument("--cameras", default="cam0,cam1,cam2,cam3", help="of --nothing; the first is the reference")
+    parser.add_argument("--control", choices=("all", "half"), help="how much of RTK is a control track")
     parser.add_argument("--set", action="append", default=[], dest="changes")
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--plot", type=Path)
@@ -269,7 +297,11 @@ def main() -> None:
             refined = load_cameras(folder / "cameras.yaml").cameras
             ends = [refined[name].build(name).pose.center for name in ("cam0", "cam1")]
             distance = float(np.linalg.norm(ends[0] - ends[1]))
-            loaded = load_config(CONFIG, [f"calibration.scale.distance={distance}", *given.changes], cameras_path=guess)
+            config, known = CONFIG, [f"calibration.scale.distance={distance}"]
+            if given.control is not None:
+                config, known = out.with_name(f"{out.name}.yaml"), []
+                write_control(folder, out.with_name(f"{out.name}_control.parquet"), config, given.control)
+            loaded = load_config(config, [*known, *given.changes], cameras_path=guess)
         begin = time.process_time()
         report = calibrate(loaded, log, out, force=True, plots=False)
         spent = round(time.process_time() - begin, 1)
@@ -277,6 +309,8 @@ def main() -> None:
         print(json.dumps(report.get("selection")))
     if (out / "cameras.yaml").exists():
         print(json.dumps(scores(folder, out, shifts, given.nothing is not None), indent=1))
+        if given.control is not None:
+            print(json.dumps(against_control(folder, out), indent=1))
     if given.plot is not None:
         draw(folder, out, given.plot)
 
