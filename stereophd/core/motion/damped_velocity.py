@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from stereophd.core.arrays import Array
 from stereophd.core.motion.base import Flow, Motion, Noise, accelerations, check_speed
 from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
+from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.settings import PositiveDuration, PositiveLength, parameter, settings
 
 # Backward over more time constants the uncertainty leaves the range of numbers.
@@ -63,14 +64,28 @@ class DampedVelocity(Motion):
         ``T (1 - e^-2x) / 2``, backward with the signs of a covariance.
         """
         x, scale = self._time_constants(dt), self.time_constant_s
-        e = -np.expm1(-x)
-        series = x**3 * np.polynomial.polynomial.polyval(np.clip(x, -SERIES_BELOW, SERIES_BELOW), SERIES)
-        position = np.asarray(np.where(abs(x) < SERIES_BELOW, series, x - e - e**2 / 2.0), dtype=np.float64)
-        velocity = np.asarray(abs(np.expm1(-2.0 * x)) / 2.0, dtype=np.float64)
-        return Noise(scale**3 * abs(position), np.sign(x) * scale**2 * e**2 / 2.0, scale * velocity)
+        position, cross, velocity = unit_noise(x.ravel()).reshape(3, *np.shape(dt))
+        return Noise(scale**3 * position, scale**2 * cross, scale * velocity)
 
     def _time_constants(self, dt: Array) -> Array:
         return np.maximum(np.asarray(dt) / self.time_constant_s, -MOST_TIME_CONSTANTS)
+
+
+@compiled
+def unit_noise(x: Array) -> Array:
+    """Return the noise (3, n) of position, of both and of velocity after x (n,) time constants, for T = 1."""
+    out = np.empty((3, len(x)))
+    for n in range(len(x)):
+        e = -np.expm1(-x[n])
+        if abs(x[n]) < SERIES_BELOW:
+            position = 0.0
+            for coefficient in SERIES[::-1]:
+                position = coefficient + x[n] * position
+            position *= x[n] ** 3
+        else:
+            position = x[n] - e - e**2 / 2.0
+        out[0, n], out[1, n], out[2, n] = abs(position), np.sign(x[n]) * e**2 / 2.0, abs(np.expm1(-2.0 * x[n])) / 2.0
+    return out
 
 
 @settings
