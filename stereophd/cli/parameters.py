@@ -1,7 +1,6 @@
 """The parameters of the command line, made from the signature of a command and its classes of options."""
 
 import inspect
-import math
 from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from pathlib import Path
@@ -12,7 +11,6 @@ import typer
 
 from stereophd.cli import options
 from stereophd.cli.terminal import begin, stages_shown
-from stereophd.errors import InputError
 from stereophd.options import Declaration
 
 
@@ -51,10 +49,6 @@ def command(function: Callable[..., Any]) -> Callable[..., Any]:
         session = begin(values.pop("context"))
         for name in common:
             del values[name]
-        for parameter in session.context.command.params if session.context else ():
-            value = values.get(parameter.name or "")
-            if isinstance(value, float) and not math.isfinite(value):
-                raise InputError(f"{parameter.opts[0]}: expected a finite number, found {value}")
         for name, kind in classes.items():
             values[name] = kind(**{each.name: _parsed(each, values.pop(each.name)) for each in _stated(kind)})
         with stages_shown(session):
@@ -108,10 +102,6 @@ def _typer_option(name: str, hint: Any, declared: Declaration, default: Any) -> 
 def _parsed(each: Field[Any], value: Any) -> Any:
     """Return the value of an option from what typer has parsed."""
     declared: Declaration | None = each.metadata.get("option")
-    if declared is None:
-        return value
-    if declared.least is not None and value is not None and value < declared.least:
-        raise InputError(f"{declared.flag_of(each.name)}: expected at least {declared.least:g}, found {value:g}")
-    if declared.parse is None:
+    if declared is None or declared.parse is None:
         return value
     return declared.parse(declared.flag_of(each.name), value or ())

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from stereophd.commands.options import TrackOptions
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_config
@@ -122,9 +123,12 @@ def test_pieces_of_one_object(scene: tuple[LoadedConfig, Path], tmp_path: Path) 
 def test_overlaps_longer_than_a_piece_are_refused() -> None:
     assert overlap_of(1800.0, None) == 60.0
     assert overlap_of(4.0, None) == 4.0
-    for length, overlap, name in ((4.0, 5.0, "overlap_s"), (4.0, math.nan, "overlap_s"), (0.0, None, "pieces_s")):
-        with pytest.raises(InputError, match=f"`{name}`: expected"):
-            overlap_of(length, overlap)
+    for overlap in (5.0, math.nan):
+        with pytest.raises(InputError, match="`overlap_s`: expected"):
+            overlap_of(4.0, overlap)
+    for length in (0.0, math.inf):
+        with pytest.raises(InputError, match="`pieces_s`: expected a finite number above 0"):
+            TrackOptions(pieces_s=length)
 
 
 def frames(*times: float) -> list[Frame]:
