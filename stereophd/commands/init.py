@@ -13,6 +13,7 @@ from stereophd.errors import InputError
 from stereophd.io.documents import expecting
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.io.outputs.disk import write_error
+from stereophd.io.outputs.json_text import REPORT_VERSION
 from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
@@ -23,7 +24,6 @@ from stereophd.site import page
 from stereophd.wording import LOGGER
 
 CONFIG_FILE, CAMERAS_FILE = "config.yaml", "cameras.yaml"
-REPORT_VERSION = 1
 
 
 @takes(InitOptions)

@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from stereophd.config.errors import describe
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes
-from stereophd.config.yaml import Place, Tree, apply_override, key_path, parse_override, parse_yaml, read_yaml
+from stereophd.config.yaml import Place, Tree, apply_override, key_path, parse_override, read_yaml
 from stereophd.core.bodies.shapes.point import PointSettings
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
@@ -262,7 +262,7 @@ def _read_camera_tree(path: Path) -> tuple[Tree, bool, str]:
         if refused is not None:
             raise refused
         return tree, True, hashlib.sha256(content).hexdigest()
-    from stereophd.io.cameras.writing import cameras_text
+    from stereophd.io.cameras.writing import plain_cameras
 
     form, recording = foreign
     for sentence in (f"read as {form}", *recording.assumed):
@@ -270,8 +270,8 @@ def _read_camera_tree(path: Path) -> tuple[Tree, bool, str]:
     for sentence in recording.warnings:
         LOGGER.warning("%s", sentence)
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in recording.files)).hexdigest()
-    text = cameras_text(recording.cameras, recording.length_unit or "m")
-    return parse_yaml(text, str(path), numbered=False), not recording.unit_is_assumed, digest
+    data = {"units": {"length": recording.length_unit or "m"}, "cameras": plain_cameras(recording.cameras)}
+    return Tree(data, dict.fromkeys(((), ("cameras",)), Place(str(path)))), not recording.unit_is_assumed, digest
 
 
 def load_cameras(path: Path | str) -> CamerasFile:

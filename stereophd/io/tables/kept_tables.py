@@ -32,9 +32,8 @@ class KeptTable(TableWriter):
         metadata: Mapping[Any, Any] | None,
         kept: GrowingFile,
         earlier: Iterable[bytes] = (),
-        row_group_rows: int | None = None,
     ) -> None:
-        super().__init__(path, schema, metadata, row_group_rows)
+        super().__init__(path, schema, metadata)
         self._kept = kept
         self._plain = schema.with_metadata(None)
         # Rows that wait for the rest of their group and are converted already; all of them are kept.

@@ -93,18 +93,12 @@ class TableWriter:
     Raises InputError when the file cannot be made; while writing, `OSError` with the file's name.
     """
 
-    def __init__(
-        self,
-        path: Path | str,
-        schema: pa.Schema,
-        metadata: Mapping[Any, Any] | None = None,
-        row_group_rows: int | None = None,
-    ) -> None:
+    def __init__(self, path: Path | str, schema: pa.Schema, metadata: Mapping[Any, Any] | None = None) -> None:
         self.path = Path(path)
         self.schema = schema.with_metadata(dict(metadata)) if metadata else schema
         self.rows = 0
         self._names = frozenset(schema.names)
-        self._row_group_rows = row_group_rows or ROW_GROUP_ROWS
+        self._row_group_rows = ROW_GROUP_ROWS
         self._buffer: list[tuple[dict[str, Any], int]] = []
         self._buffered = 0
         try:

@@ -2,9 +2,8 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from stereophd.errors import InputError
 from stereophd.options import option, options
@@ -131,11 +130,6 @@ class ScoreOptions:
         """The cutoff, once it is known."""
         assert self.cutoff is not None
         return self.cutoff
-
-
-def scoring_values(stated: ScoreOptions) -> dict[str, Any]:
-    """Return the values of the fields of `ScoreOptions`, for the provenance."""
-    return {each.name: getattr(stated, each.name) for each in fields(ScoreOptions)}
 
 
 def check_options(stated: ScoreOptions, log_path: Path | str | None) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -75,9 +74,7 @@ class TrackingRun:
 
         Raises InputError if what an earlier process kept is damaged.
         """
-        kept = UnfinishedTracking(unfinished, self.estimator, keeps_records=self.report.smooth is not None)
-        kept.load()
-        return kept
+        return UnfinishedTracking(unfinished, self.estimator, keeps_records=self.report.smooth is not None)
 
     def with_estimated_detectors(self, stream: EventStream) -> TrackingRun:
         """Return the run with detectors estimated from the log; the same where the configuration gives them all."""
@@ -109,15 +106,11 @@ class TrackingRun:
         """
         columns = (*(EXTENTS if self.boxes else ()), *(STD if self.report.std_columns else ()))
         columns += () if uncertainty is None else (CAMERAS_PART,)
-        schema = functools.reduce(lambda schema, column: schema.append(column), columns, TRACKS)
+        schemas = {TRACKS_FILE: pa.schema([*TRACKS, *columns]), SCANS_FILE: SCANS}
+        schemas |= {ASSOCIATIONS_FILE: ASSOCIATIONS} if self.report.associations else {}
+        make = TableWriter if kept is None or kept.keeps_records else kept.table
         with contextlib.ExitStack() as files:
-
-            def table(name: str, schema: pa.Schema) -> TableWriter:
-                make = TableWriter if kept is None or kept.keeps_records else kept.table
-                return files.enter_context(make(out.path(name), schema, metadata))
-
-            third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if self.report.associations else None
-            tables = Tables(table(TRACKS_FILE, schema), table(SCANS_FILE, SCANS), third)
+            tables = {name: files.enter_context(make(out.path(name), each, metadata)) for name, each in schemas.items()}
             figures = None if kept is None else kept.figures
             writer = RecordWriter(tables, self.cameras, self.report, figures, uncertainty)
             for record in records:
@@ -235,25 +228,17 @@ def with_boxes(stream: EventStream) -> Iterator[Event]:
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
 
 
-@dataclass(frozen=True)
-class Tables:
-    """Tables of the records of a run: a row for each estimate, for each event and, if wanted, for each association."""
-
-    tracks: TableWriter
-    scans: TableWriter
-    associations: TableWriter | None = None
-
-
 class RecordWriter:
     """Writes what is to be reported as it comes, and counts the figures of the run.
 
-    The cameras are in order, for the figures of each. `report` says which estimates are written, and which columns;
-    `figures` are where the run begins, and are kept up to date.
+    Tables, by the names of their files, have a row for each estimate, for each event and, if it is there, for each
+    association. The cameras are in order, for the figures of each. `report` says which estimates are written, and which
+    columns; `figures` are where the run begins, and are kept up to date.
     """
 
     def __init__(
-        self, tables: Tables, cameras: Sequence[Camera], report: ReportConfig, figures: RunFigures | None = None,
-        uncertainty: CameraUncertainty | None = None,
+        self, tables: Mapping[str, TableWriter], cameras: Sequence[Camera], report: ReportConfig,
+        figures: RunFigures | None = None, uncertainty: CameraUncertainty | None = None,
     ) -> None:  # fmt: skip
         self._tables, self._report, self._uncertainty = tables, report, uncertainty
         self._cameras = {camera.name: camera for camera in cameras}
@@ -263,16 +248,15 @@ class RecordWriter:
         """Write a record."""
         tables, report, figures = self._tables, self._report, self._figures
         figures.add(record, self._cameras)
-        if tables.associations is not None:
-            for sightings in record.associations:
-                tables.associations.append(sightings.columns())
+        for sightings in record.associations if ASSOCIATIONS_FILE in tables else ():
+            tables[ASSOCIATIONS_FILE].append(sightings.columns())
         if not record.reported:
             return
         estimates = record.estimates
         if report.max_position_std is not None:
             estimates = estimates.certain(report.max_position_std)
         key = {"time_s": record.time_s, "camera": record.camera, "frame": record.frame}
-        tables.scans.append(
+        tables[SCANS_FILE].append(
             {
                 **key,
                 "n_detections": np.array([figures.new_detections]),
@@ -285,12 +269,12 @@ class RecordWriter:
         figures.new_detections, figures.new_log_likelihood = 0, 0.0
         for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
             if level is not None and len(level.track_ids):
-                tables.tracks.append({**key, **self._columns(level, record.time_s), "status": status})
+                tables[TRACKS_FILE].append({**key, **self._columns(level, record.time_s), "status": status})
         figures.add_estimates(estimates, record.time_s)
 
     def summary(self) -> dict[str, Any]:
         """Return the figures of the run for ``report.json``."""
-        return self._figures.report(self._cameras, self._tables.scans.rows, self._tables.tracks.rows)
+        return self._figures.report(self._cameras, self._tables[SCANS_FILE].rows, self._tables[TRACKS_FILE].rows)
 
     def _columns(self, estimates: Estimates, time_s: float) -> dict[str, Any]:
         """Columns of ``tracks.parquet`` of one event; covariances with the part of uncertain cameras, if any."""

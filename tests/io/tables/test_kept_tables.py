@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,19 @@ from hypothesis import strategies as st
 
 from stereophd.errors import InputError
 from stereophd.io.outputs.saved import GrowingFile, read_frames
+from stereophd.io.tables import writing
 from stereophd.io.tables.kept_tables import KeptTable
 from stereophd.io.tables.schemas import ASSOCIATIONS, DETECTIONS, SCANS, TRACKS
 from stereophd.io.tables.writing import TableWriter
 
 METADATA = {b"stereophd": b"{}" * 500}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_row_groups() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(writing, "ROW_GROUP_ROWS", 10)
+        yield
 
 
 def rows_of(schema: pa.Schema, count: int, seed: int) -> dict[str, Any]:
@@ -45,12 +54,12 @@ def test_bytes_are_those_of_one_writer(
 ) -> None:
     folder = tmp_path_factory.mktemp("table")
     kept = folder / "rows.growing"
-    whole = TableWriter(folder / "whole.parquet", schema, METADATA, row_group_rows=10)
+    whole = TableWriter(folder / "whole.parquet", schema, METADATA)
 
     def continued(length: int | None) -> KeptTable:
         earlier = () if length is None else read_frames(kept, "me", length)
         file = GrowingFile(kept, "me", length)
-        return KeptTable(folder / "part.parquet", schema, METADATA, file, earlier, row_group_rows=10)
+        return KeptTable(folder / "part.parquet", schema, METADATA, file, earlier)
 
     table = continued(None)
     for seed, (count, then) in enumerate(steps):

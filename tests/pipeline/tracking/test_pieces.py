@@ -18,6 +18,7 @@ from stereophd.core.trajectories.joins import join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame, LogReader
+from stereophd.io.tables import writing
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.tracking import pieces
 from stereophd.pipeline.tracking.pieces import overlap_of, plan_pieces
@@ -186,10 +187,13 @@ def test_far_tracks_are_no_pair() -> None:
     assert len(join_probabilities([], [], np.empty(0), 0.0, 5.0).before) == 0
 
 
-def test_a_reader_passes_over_early_row_groups(scene: tuple[LoadedConfig, Path], tmp_path: Path) -> None:
+def test_a_reader_passes_over_early_row_groups(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "ROW_GROUP_ROWS", 20)
     loaded, log = scene
     table = pq.read_table(log)
-    with TableWriter(tmp_path / "log.parquet", table.schema, row_group_rows=20) as writer:
+    with TableWriter(tmp_path / "log.parquet", table.schema) as writer:
         writer.append({name: _plain(table[name]) for name in table.schema.names})
     cameras = loaded.build_cameras()
     whole = [(f.time_s, f.camera, f.frame) for f in LogReader(tmp_path / "log.parquet", cameras)]
