@@ -80,10 +80,8 @@ def _aligned(path: Path, to: Path | str, out_dir: Path | None, options: AlignOpt
     if stated is not None:
         joint = block_diag(stated.covariance, found.covariance)
         rows = rows_of(in_world(stated, found.registration, found.center, joint))
-    report: dict[str, Any] = {
-        "report_version": REPORT_VERSION,
-        "to": str(to) if str(to) in (FLOOR, FALL, *built) else "control",
-    }
+    kind = str(to) if str(to) in (FLOOR, FALL, *built) else "control"
+    report: dict[str, Any] = {"report_version": REPORT_VERSION, "to": kind}
     report |= {**alignment_report(found, unit), **({} if origin is None else {"origin": origin})}
     if isinstance(control, ControlPoints):
         report |= points_report(control, moved, str(to))
