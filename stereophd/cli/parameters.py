@@ -2,26 +2,16 @@
 
 import inspect
 from collections.abc import Callable
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import typer
 
-from stereophd.cli import options
+from stereophd.cli.options import CommonWords
 from stereophd.cli.terminal import begin, stages_shown
 from stereophd.options import Declaration
-
-
-@dataclass(frozen=True)
-class _CommonWords:
-    """Options that every command has; their callbacks put the values into the session."""
-
-    json: options.Json = False
-    quiet: options.Quiet = False
-    verbose: options.Verbose = 0
-    debug: options.Debug = False
 
 
 def command(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -42,13 +32,11 @@ def command(function: Callable[..., Any]) -> Callable[..., Any]:
             shown |= _of_class(kind)
         else:
             shown[parameter.name] = parameter.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY)
-    common = _of_class(_CommonWords)
+    common = _of_class(CommonWords)
     shown |= common
 
     def run(**values: Any) -> Any:
-        session = begin(values.pop("context"))
-        for name in common:
-            del values[name]
+        session = begin(values.pop("context"), **{name: values.pop(name) for name in common})
         for name, kind in classes.items():
             values[name] = kind(**{each.name: _parsed(each, values.pop(each.name)) for each in _stated(kind)})
         with stages_shown(session):

@@ -21,7 +21,7 @@ from stereophd.core.settings import (
     Vector3,
     parameter,
 )
-from stereophd.validated import Model
+from stereophd.validated import Model, ascending
 
 # How often something is repeated within a run, or drawn for a bound.
 Repeats = Annotated[int, Interval(ge=1, le=1_000_000)]
@@ -184,7 +184,7 @@ class ExperimentConfig(Model):
         "for each name of a method, dotted paths of any keys of this file and the values that they take for this method"
     )
     cases: dict[str, AxisConfig] = parameter("for each name of an axis, what varies along it", default_factory=dict)
-    windows: dict[str, tuple[Time, Time]] = parameter(
+    windows: dict[str, Annotated[tuple[Time, Time], ascending("first <= last time")]] = parameter(
         "for each name of a window, its first and last time, s: the results also give every quantity's mean over it",
         default_factory=dict,
     )
@@ -195,9 +195,6 @@ class ExperimentConfig(Model):
 
     @model_validator(mode="after")
     def _order(self) -> ExperimentConfig:
-        for name, (low, high) in self.windows.items():
-            if low > high:
-                raise ValueError(f"windows.{name}: expected first <= last time, found [{low:g}, {high:g}]")
         if self.figure.over is not None and self.figure.over not in self.cases:
             raise ValueError(f"figure.over: expected the name of an axis of cases, found {self.figure.over}")
         return self
