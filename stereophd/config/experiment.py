@@ -148,10 +148,8 @@ class AxisConfig(Model):
         """Return the name of each value, and what it sets."""
         if self.settings is not None:
             return list(self.settings.items())
-        assert self.key is not None
-        assert self.values is not None
         unit = f" {self.unit}" if self.unit else ""
-        return [(f"{_plain(value)}{unit}", {self.key: value}) for value in self.values]
+        return [(f"{_plain(value)}{unit}", {str(self.key): value}) for value in self.values or ()]
 
 
 def _plain(value: Any) -> str:
