@@ -21,6 +21,7 @@ from stereophd.io.tables.schemas import ASSOCIATIONS, DETECTIONS, SCANS, TRACKS
 from stereophd.io.tables.writing import TableWriter
 
 METADATA = {b"stereophd": b"{}" * 500}
+USUAL_ROWS = writing.ROW_GROUP_ROWS
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -124,8 +125,9 @@ def test_nulls_are_kept(tmp_path: Path) -> None:
     assert (tmp_path / "t.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
 
 
-def test_row_groups_of_the_usual_size(tmp_path: Path) -> None:
+def test_row_groups_of_the_usual_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Replayed with pages of several kinds."""
+    monkeypatch.setattr(writing, "ROW_GROUP_ROWS", USUAL_ROWS)
     rows = tmp_path / "rows.growing"
     with TableWriter(tmp_path / "whole.parquet", TRACKS, METADATA) as whole:
         table = KeptTable(tmp_path / "part.parquet", TRACKS, METADATA, GrowingFile(rows, "me"))
