@@ -8,8 +8,8 @@
 
 `stereophd.cli.parameters` makes the parameters of the command line and their help from the class, and
 `stereophd.cli.flags` the options in messages. In Python a function that `takes` the class is given an object of it, or
-its fields by name, and its docstring lists them. A field without `option` is no option of the command line. Nothing
-heavy may be imported here: the help must be quick.
+its fields by name, and its docstring lists them. A field without `option` is no option of the command line. What is
+declared is checked when an object is made. Nothing heavy may be imported here: the help must be quick.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import wraps
-from typing import Any, TypeVar, dataclass_transform
+from typing import Any, Literal, TypeVar, dataclass_transform, get_args, get_origin, get_type_hints
 
 from stereophd.errors import InputError, nearest
 
@@ -37,6 +37,7 @@ class Declaration:
     metavar: str  # word for the value in the help, with its unit
     flag: str  # name of the option on the command line; "": that of the field
     least: float | None
+    above: float | None  # a number below the least value, which is none itself
     parse: Parser | None  # flag, words -> value: the option is repeatable
     use: str  # "": the option acts in every use of its command; else the only use in which it acts
 
@@ -47,17 +48,46 @@ class Declaration:
 
 def option(
     meaning: str, *, default: Any = MISSING, default_factory: Any = MISSING, metavar: str = "", flag: str = "",
-    least: float | None = None, parse: Parser | None = None, use: str = "",
+    least: float | None = None, above: float | None = None, parse: Parser | None = None, use: str = "",
 ) -> Any:  # fmt: skip
     """Declare a field of `options`; the parameters are those of `Declaration`, and its default."""
-    declared = Declaration(meaning, metavar, flag, least, parse, use)
+    declared = Declaration(meaning, metavar, flag, least, above, parse, use)
     return field(default=default, default_factory=default_factory, metadata={"option": declared})
 
 
 @dataclass_transform(kw_only_default=True, frozen_default=True, field_specifiers=(option,))
 def options(cls: type[Class]) -> type[Class]:
-    """Make a class of options: a frozen dataclass whose fields are given by name."""
+    """Make a class of options: a frozen dataclass whose fields are given by name, and are checked.
+
+    An object raises InputError for a number that is not finite or out of range, and a word that is no choice.
+    """
+    complete = vars(cls).get("__post_init__", lambda made: None)
+
+    def check(made: Any) -> None:
+        complete(made)
+        hints = get_type_hints(type(made))
+        for name, declared in declarations(type(made)).items():
+            # by `vars`, because options that note what a format reads must not note this
+            if (expected := _expected(vars(made)[name], hints[name], declared)) is not None:
+                raise InputError(f"`{name}`: expected {expected}, found {vars(made)[name]}")
+
+    cls.__post_init__ = check  # type: ignore[attr-defined]
     return dataclass(frozen=True, kw_only=True)(cls)
+
+
+def _expected(value: Any, hint: Any, declared: Declaration) -> str | None:
+    """Return what an option expected where its value is none of that; None of one that may be."""
+    if isinstance(value, int | float):
+        if declared.above is not None and not declared.above < value < math.inf:
+            return f"a finite number above {declared.above:g}"
+        if declared.least is not None and value < declared.least:
+            return f"at least {declared.least:g}"
+        return None if math.isfinite(value) else "a finite number"
+    kinds = [hint] if get_origin(hint) is Literal else [kind for kind in get_args(hint) if kind is not type(None)]
+    if len(kinds) != 1 or get_origin(kinds[0]) is not Literal or value is None or value in get_args(kinds[0]):
+        return None
+    choices = get_args(kinds[0])
+    return " or ".join(choices) if len(choices) == 2 else f"one of {', '.join(choices)}"
 
 
 def declarations(kind: type) -> dict[str, Declaration]:
@@ -87,10 +117,6 @@ def takes(kind: type[Any]) -> Callable[[Callable[..., Result]], Callable[..., Re
                 raise InputError(f"`{unknown[0]}`: unknown argument{nearest(unknown[0], known)}")
             stated = {name: words.pop(name) for name in names if name in words}
             chosen = kind(**stated) if options is None else replace(options, **stated)
-            for name, declared in declarations(kind).items():
-                value = getattr(chosen, name)
-                if declared.least is not None and isinstance(value, int | float) and value < declared.least:
-                    raise InputError(f"`{name}`: expected at least {declared.least:g}, found {value}")
             return function(*arguments, options=chosen, **words)
 
         own = [parameter for parameter in plain.parameters.values() if parameter.name != "options"]

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Union
 
 from pydantic import (
+    AfterValidator,
     BaseModel,
     ConfigDict,
     Discriminator,
     GetCoreSchemaHandler,
     GetJsonSchemaHandler,
     Tag,
-    model_validator,
 )
 
 from stereophd.core.settings import Coordinate, parameter
@@ -76,17 +76,24 @@ class Units(Model):
     )
 
 
+def ascending(expected: str, is_strict: bool = False) -> AfterValidator:
+    """Return a check that the second of two limits is not below the first, or, if `is_strict`, is above it."""
+
+    def check(limits: tuple[float, float]) -> tuple[float, float]:
+        low, high = limits
+        if low > high or (is_strict and low == high):
+            raise ValueError(f"expected {expected}, found {list(limits)}")
+        return limits
+
+    return AfterValidator(check)
+
+
+Limits = Annotated[tuple[Coordinate, Coordinate], ascending("low <= high")]
+
+
 class Range3(Model):
     """An axis-aligned box in the world."""
 
-    x: tuple[Coordinate, Coordinate] = parameter("least and greatest x", unit="length")
-    y: tuple[Coordinate, Coordinate] = parameter("least and greatest y", unit="length")
-    z: tuple[Coordinate, Coordinate] = parameter("least and greatest z", unit="length")
-
-    @model_validator(mode="after")
-    def _order(self) -> Range3:
-        for axis in ("x", "y", "z"):
-            low, high = getattr(self, axis)
-            if low > high:
-                raise ValueError(f"{axis}: expected low <= high, found [{low}, {high}]")
-        return self
+    x: Limits = parameter("least and greatest x", unit="length")
+    y: Limits = parameter("least and greatest y", unit="length")
+    z: Limits = parameter("least and greatest z", unit="length")

@@ -134,7 +134,8 @@ def root(
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line, by default with the words after the name of this process, and return its exit code."""
     words = sys.argv[1:] if arguments is None else list(arguments)
-    session = Session(words=tuple(words))
+    # a word that cannot be parsed ends the parsing before these are met
+    session = Session(json="--json" in words, debug="--debug" in words, words=tuple(words))
     try:
         _check_environment()
         result = app(args=words, prog_name="stereophd", standalone_mode=False, obj=session)
@@ -156,8 +157,6 @@ def run(arguments: Sequence[str] | None = None) -> int:
         if interrupted is not None:
             # Compiled code may turn the exception of a signal into one of its own.
             return _interrupted(session, interrupted)
-        # A word that cannot be parsed ends the parsing before --json is met.
-        session.json = session.json or "--json" in words
         return _explain(error, session)
     return code
 

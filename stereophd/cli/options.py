@@ -1,6 +1,5 @@
 """Options that several commands share. Nothing heavy may be imported here: ``--help`` must be quick."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any
@@ -13,13 +12,24 @@ from stereophd.site import page
 
 
 @dataclass
-class Session:
-    """Common options of a call of the command line."""
+class CommonWords:
+    """Options that every command has."""
 
-    json: bool = False
-    quiet: bool = False
-    verbosity: int = 0
-    debug: bool = False
+    json: Annotated[bool, typer.Option("--json", help="Print one JSON document.")] = False
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print errors only, and the document of --json.")] = False
+    verbosity: Annotated[
+        int,
+        typer.Option(
+            "--verbose", "-v", help="More messages (-vv: still more).", count=True, metavar="", show_default=False
+        ),
+    ] = 0
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False
+
+
+@dataclass
+class Session(CommonWords):
+    """A call of the command line."""
+
     printed: bool = False  # whether the one document of `json` is on stdout
     words: tuple[str, ...] = ()  # of the command line
     context: typer.Context | None = None  # of the command that runs
@@ -128,16 +138,6 @@ def option(name: str, metavar: str, text: str, **more: Any) -> Any:
     return typer.Option(name, metavar=metavar, help=text, show_default=False, **more)
 
 
-def _to_session(name: str) -> Callable[[typer.Context, Any], Any]:
-    """Return a callback that puts the value of an option into the session."""
-
-    def keep(context: typer.Context, value: Any) -> Any:
-        setattr(context.ensure_object(Session), name, value)
-        return value
-
-    return keep
-
-
 Form = Annotated[
     str, argument("FORMAT", f"Format; csv --help, for one, describes csv. All: {page('reference/interchange')}")
 ]
@@ -156,23 +156,6 @@ Set = Annotated[
 ]
 Seed = Annotated[int | None, option("--seed", "N", "Seed of the random numbers, in place of the configuration's.")]
 Strict = Annotated[bool, typer.Option("--strict", help="Exit with code 1 if a check warns.")]
-
-
-def _common(name: str, *words: str, text: str, **more: Any) -> Any:
-    """Return an option of every command; its callback puts the value into the session, where the commands read it."""
-    return typer.Option(*words, help=text, callback=_to_session(name), is_eager=True, **more)
-
-
-Json = Annotated[bool, _common("json", "--json", text="Print one JSON document.")]
-Quiet = Annotated[bool, _common("quiet", "--quiet", "-q", text="Print errors only, and the document of --json.")]
-Verbose = Annotated[
-    int,
-    _common(
-        "verbosity", "--verbose", "-v", text="More messages (-vv: still more).", count=True, metavar="",
-        show_default=False,
-    ),
-]  # fmt: skip
-Debug = Annotated[bool, _common("debug", "--debug", text="Show the traceback of an error.")]
 
 
 @dataclass(frozen=True)

@@ -1,29 +1,17 @@
 """The parameters of the command line, made from the signature of a command and its classes of options."""
 
 import inspect
-import math
 from collections.abc import Callable
-from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
+from dataclasses import MISSING, Field, fields, is_dataclass
 from pathlib import Path
 from types import UnionType
 from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 
 import typer
 
-from stereophd.cli import options
+from stereophd.cli.options import CommonWords
 from stereophd.cli.terminal import begin, stages_shown
-from stereophd.errors import InputError
 from stereophd.options import Declaration
-
-
-@dataclass(frozen=True)
-class _CommonWords:
-    """Options that every command has; their callbacks put the values into the session."""
-
-    json: options.Json = False
-    quiet: options.Quiet = False
-    verbose: options.Verbose = 0
-    debug: options.Debug = False
 
 
 def command(function: Callable[..., Any]) -> Callable[..., Any]:
@@ -44,17 +32,11 @@ def command(function: Callable[..., Any]) -> Callable[..., Any]:
             shown |= _of_class(kind)
         else:
             shown[parameter.name] = parameter.replace(annotation=kind, kind=inspect.Parameter.KEYWORD_ONLY)
-    common = _of_class(_CommonWords)
+    common = _of_class(CommonWords)
     shown |= common
 
     def run(**values: Any) -> Any:
-        session = begin(values.pop("context"))
-        for name in common:
-            del values[name]
-        for parameter in session.context.command.params if session.context else ():
-            value = values.get(parameter.name or "")
-            if isinstance(value, float) and not math.isfinite(value):
-                raise InputError(f"{parameter.opts[0]}: expected a finite number, found {value}")
+        session = begin(values.pop("context"), **{name: values.pop(name) for name in common})
         for name, kind in classes.items():
             values[name] = kind(**{each.name: _parsed(each, values.pop(each.name)) for each in _stated(kind)})
         with stages_shown(session):
@@ -108,10 +90,6 @@ def _typer_option(name: str, hint: Any, declared: Declaration, default: Any) -> 
 def _parsed(each: Field[Any], value: Any) -> Any:
     """Return the value of an option from what typer has parsed."""
     declared: Declaration | None = each.metadata.get("option")
-    if declared is None:
-        return value
-    if declared.least is not None and value is not None and value < declared.least:
-        raise InputError(f"{declared.flag_of(each.name)}: expected at least {declared.least:g}, found {value:g}")
-    if declared.parse is None:
+    if declared is None or declared.parse is None:
         return value
     return declared.parse(declared.flag_of(each.name), value or ())

@@ -36,10 +36,10 @@ LEAST_ADDRESS_SPACE = 3 << 29
 _NOT_IN_SUMMARY = frozenset({"provenance", "report_version"})
 
 
-def begin(context: typer.Context) -> Session:
-    """Return the session of a command, with the messages of the package going to stderr."""
+def begin(context: typer.Context, **words: Any) -> Session:
+    """Return the session of a command with these `CommonWords`; the messages of the package go to stderr."""
     session = context.ensure_object(Session)
-    session.context = context
+    vars(session).update(words, context=context)
     level = logging.ERROR if session.quiet else max(logging.WARNING - 10 * session.verbosity, logging.DEBUG)
     logger = logging.getLogger("stereophd")
     handler = logging.StreamHandler(sys.stderr)

@@ -19,7 +19,7 @@ from stereophd.errors import InputError, unknown_camera
 from stereophd.io.cameras.models import CamerasFile
 from stereophd.io.cameras.writing import plain_cameras, write_cameras
 from stereophd.io.outputs.atomic import OutputFolder
-from stereophd.io.outputs.json_text import write_json
+from stereophd.io.outputs.json_text import REPORT_VERSION, write_json
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.tables.reading import arrays_of, damaged_is_input_error, open_parquet
 from stereophd.io.tables.schemas import EXTENTS, STD
@@ -61,7 +61,7 @@ def align(
     for name, path in zip(names, sources, strict=True):
         out = None if out_dir is None else Path(out_dir) / (name if len(sources) > 1 else "")
         runs.append({"name": name, **_aligned(path, to, out, options)})
-    return {"report_version": 1, "runs": runs}
+    return {"report_version": REPORT_VERSION, "runs": runs}
 
 
 def _aligned(path: Path, to: Path | str, out_dir: Path | None, options: AlignOptions) -> dict[str, Any]:
@@ -80,7 +80,8 @@ def _aligned(path: Path, to: Path | str, out_dir: Path | None, options: AlignOpt
     if stated is not None:
         joint = block_diag(stated.covariance, found.covariance)
         rows = rows_of(in_world(stated, found.registration, found.center, joint))
-    report: dict[str, Any] = {"report_version": 1, "to": str(to) if str(to) in (FLOOR, FALL, *built) else "control"}
+    kind = str(to) if str(to) in (FLOOR, FALL, *built) else "control"
+    report: dict[str, Any] = {"report_version": REPORT_VERSION, "to": kind}
     report |= {**alignment_report(found, unit), **({} if origin is None else {"origin": origin})}
     if isinstance(control, ControlPoints):
         report |= points_report(control, moved, str(to))

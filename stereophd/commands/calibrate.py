@@ -82,8 +82,6 @@ def calibrate(
     checkpoint or folder are not usable, or it needs too much memory; GateError, which carries the report, if the data
     determine less than `require`: everything has been written then.
     """
-    if options.require not in ACCEPTED:
-        raise InputError(f"`require`: expected determined or partly, found {options.require}")
     jobs = processes(options.jobs)
     limit = TimeLimit(math.inf if options.time_s is None else time.monotonic() + options.time_s)
     loaded, unknown = with_found_cameras(loaded, log_path, limit)

@@ -5,12 +5,11 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.config.loading import LoadedConfig
+from stereophd.io.outputs.json_text import REPORT_VERSION
 from stereophd.io.outputs.provenance import provenance
 from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.finding import warnings_of
 from stereophd.pipeline.checks.run import check_log
-
-REPORT_VERSION = 1
 
 
 def check(loaded: LoadedConfig, log_path: Path | str) -> dict[str, Any]:

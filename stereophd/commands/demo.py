@@ -11,7 +11,6 @@ from stereophd.commands.report import report
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
-from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.wording import PROGRESS
@@ -32,8 +31,6 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
     """
     folder = Path(out_dir)
     config = folder / "config.yaml"
-    if config.exists() and not force:
-        raise InputError(f"{config}: the file exists; use `force=True` to replace it")
 
     def begin(step: int, what: str) -> None:
         PROGRESS.info("%s, step %d of %d", what, step + 1, STEPS)
@@ -42,7 +39,7 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
 
     simulated, tracked, evaluated = (folder / name for name in ("simulated", "tracked", "evaluated"))
     folder.mkdir(parents=True, exist_ok=True)
-    with atomic_write(config) as temporary:
+    with atomic_write(config, replace=force) as temporary:
         temporary.write_text(config_text(), encoding="utf-8")
     begin(0, "the scene is simulated")
     simulate(load_config(config), simulated, force=force)

@@ -12,7 +12,7 @@ from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import provenance, to_metadata
-from stereophd.options import takes
+from stereophd.options import declarations, takes
 from stereophd.pipeline.evaluation.gates import gates, raise_if_failed
 from stereophd.pipeline.evaluation.inputs import (
     SCANS_NAME,
@@ -22,7 +22,7 @@ from stereophd.pipeline.evaluation.inputs import (
     read_tracks,
     read_truth,
 )
-from stereophd.pipeline.evaluation.options import check_options, scoring_values
+from stereophd.pipeline.evaluation.options import ScoreOptions, check_options
 from stereophd.pipeline.evaluation.report import build_report, write_per_scan
 from stereophd.pipeline.evaluation.scale import default_cutoff, warn_of_another_scene
 from stereophd.pipeline.evaluation.scoring import score_tracks
@@ -69,7 +69,8 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
     scored = score_tracks(tracks, truth, sightings, options, max_gap_s, inputs["tracks"])
     warn_of_another_scene(inputs, tracks, truth, scored.scans)
     judged = gates(options.fail_above, options.fail_below, {**scored.figures, "scans": scored.scans})
-    record = provenance("evaluate", scoring_values(options), inputs=inputs, length_unit=unit)
+    values = {name: getattr(options, name) for name in declarations(ScoreOptions)}
+    record = provenance("evaluate", values, inputs=inputs, length_unit=unit)
     report = build_report(scored, options, max_gap_s, unit, record, judged)
     if out is not None:
         write_json(out.path(REPORT_NAME), report)

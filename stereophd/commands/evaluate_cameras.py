@@ -23,7 +23,7 @@ from stereophd.core.metrics.truth.registration import Registration
 from stereophd.core.numerics.weights import weighted_mean_covariance
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.outputs.atomic import OutputFolder
-from stereophd.io.outputs.json_text import finite_or_none, write_json
+from stereophd.io.outputs.json_text import REPORT_VERSION, finite_or_none, write_json
 from stereophd.io.outputs.provenance import from_metadata, provenance
 from stereophd.io.tables.reading import open_parquet
 from stereophd.options import takes
@@ -71,7 +71,7 @@ def evaluate_calibration(
     posterior = _posterior_of(Path(cameras_path), [camera.name for camera in true])
     chosen = _reference(estimated, true, posterior, options.reference, true_path)
     report: dict[str, Any] = {
-        "report_version": 1,
+        "report_version": REPORT_VERSION,
         "length_unit": unit,
         "reference": true[chosen].name,
         **error_figures(estimated, true, chosen),
@@ -214,9 +214,8 @@ def posterior_figures(posterior: Posterior, true: list[Camera]) -> dict[str, Any
     parameters = posterior.parameters
     mean, covariance = weighted_mean_covariance(posterior.particles, posterior.log_weights)
     truth = parameters.difference(in_frame(posterior, parameters.build(mean), true))
-    weights = np.exp(posterior.log_weights)
-    low = weighted_quantiles(posterior.particles, weights, 0.5 - CREDIBLE / 2)
-    high = weighted_quantiles(posterior.particles, weights, 0.5 + CREDIBLE / 2)
+    levels, weights = [0.5 - CREDIBLE / 2, 0.5 + CREDIBLE / 2], np.exp(posterior.log_weights)
+    low, high = np.quantile(posterior.particles, levels, axis=0, method="inverted_cdf", weights=weights)
     inside = (low <= truth) & (truth <= high)
     std = np.sqrt(np.diag(covariance))
     nees = normalised_error_squared(truth - mean, covariance)
@@ -251,11 +250,3 @@ def in_frame(posterior: Posterior, estimated: Sequence[Camera], true: Sequence[C
     translation = fixed.pose.center - scale * rotation @ reference.pose.center
     registration = Registration(rotation, translation, scale, at_s, shift, rate, 0)
     return [moved_camera(camera, registration) for camera in ordered]
-
-
-def weighted_quantiles(particles: Array, weights: Array, level: float) -> Array:
-    """Quantiles (m,) of weighted particles (k, m)."""
-    order = np.argsort(particles, axis=0)
-    cumulative = np.cumsum(weights[order], axis=0) / weights.sum()
-    rows = (cumulative < level).sum(axis=0).clip(0, len(particles) - 1)
-    return np.asarray(particles[order[rows, np.arange(particles.shape[1])], np.arange(particles.shape[1])])

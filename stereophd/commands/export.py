@@ -10,10 +10,10 @@ from stereophd.io.interchange.base import ExportOptions, Format, consulted, refu
 from stereophd.io.interchange.registry import find, names
 from stereophd.io.outputs.atomic import OutputFolder, atomic_write
 from stereophd.io.outputs.commit import refuse_unsettled
+from stereophd.io.outputs.json_text import REPORT_VERSION
 from stereophd.io.outputs.provenance import provenance
 
 TRACKS_FILE, CAMERAS_FILE = "tracks.parquet", "cameras.yaml"
-REPORT_VERSION = 1
 
 
 def export(
@@ -35,10 +35,10 @@ def export(
     what, path = _find_source(written, form, path)
     if what == "cameras" and (stated := list(options.plain())):
         raise InputError(f"`{stated[0]}`: expected only for tracks, found cameras ({path})")
-    _check_target(target, force, written)
+    _check_target(target, written)
     if what == "tracks":
         assert written.write_tracks is not None
-        noted, read = consulted(options)
+        noted, read, _ = consulted(options)
         with atomic_write(target, replace=force) as temporary:
             notes = written.write_tracks(path, temporary, noted)
             refuse_unread(options, read, f"a file of format {form}")
@@ -76,11 +76,9 @@ def _find_source(written: Format, form: str, path: Path) -> tuple[str, Path]:
     return what, path
 
 
-def _check_target(target: Path, force: bool, written: Format) -> None:
+def _check_target(target: Path, written: Format) -> None:
     if target.is_dir() and not written.folder_files:
         raise InputError(f"{target}: expected a file to write, found a folder")
-    if target.exists() and not written.folder_files and not force:
-        raise InputError(f"{target} exists already; use `force=True` to replace it")
     if not target.parent.is_dir():
         raise InputError(f"{target.parent}: expected a folder, found none")
 

@@ -20,13 +20,12 @@ from stereophd.io.interchange.base import (
     consulted,
     refuse_other_cameras,
     refuse_unread,
-    with_source_names,
 )
 from stereophd.io.interchange.registry import find, read_foreign
 from stereophd.io.interchange.truth import native_truth
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
-from stereophd.io.outputs.json_text import write_json
+from stereophd.io.outputs.json_text import REPORT_VERSION, write_json
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.tables.schemas import TRUTH
 from stereophd.io.tables.writing import TableWriter
@@ -40,7 +39,6 @@ from stereophd.wording import LOGGER, instant
 DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
 TRUTH_FILE = "truth.parquet"
 FILES = (DETECTIONS_FILE, CAMERAS_FILE, TRUTH_FILE, REPORT_FILE)
-REPORT_VERSION = 1
 # A camera's pixels may reach this far outside its image before the size of the image is doubted.
 IMAGE_MARGIN_PX = 10.0
 
@@ -73,11 +71,10 @@ def import_recording(
         if not path.exists():
             raise InputError(f"{path}: there is no such file or folder")
     with OutputFolder(out_dir, FILES, force) as out:
-        noted, read = consulted(options)
+        noted, read, _ = consulted(options)
         truth = None if options.truth is None else native_truth(options.truth, noted)
         given = options if truth is None else replace(options, truth=None)  # then the reader has no use for the file
-        naming, in_source = with_source_names(given)
-        noted, of_reader = consulted(naming)
+        noted, of_reader, in_source = consulted(given)
         recording = _read(read_foreign(form, paths, noted), noted, cameras_path)
         if truth is not None:
             recording.truth = truth
@@ -163,13 +160,11 @@ def _write_truth(
 
 def _with_rates(cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary]) -> dict[str, CameraConfig]:
     """State the frame rates of the log where the cameras have none."""
-    result = {}
-    for name, camera in cameras.items():
-        rate = summaries[name].rate_hz if name in summaries else None
-        if camera.frame_rate_hz is None and rate is not None:
-            camera = camera.model_copy(update={"frame_rate_hz": rate})
-        result[name] = camera
-    return result
+    rates = {name: summary.rate_hz for name, summary in summaries.items()}
+    return {
+        name: camera if camera.frame_rate_hz else camera.model_copy(update={"frame_rate_hz": rates.get(name)})
+        for name, camera in cameras.items()
+    }
 
 
 def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) -> None:

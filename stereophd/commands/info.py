@@ -76,11 +76,9 @@ def _text(path: Path) -> dict[str, Any]:
     from stereophd.config.yaml import read_yaml
 
     keys: set[str] = set()
-    try:
+    with contextlib.suppress(InputError):
         data = read_yaml(path)[0].data
         keys = set(data) if isinstance(data, dict) else set()
-    except InputError:
-        pass
     if keys & {"filter", "motion", "simulate", "experiment", "calibration", "moments"}:
         loaded = load_config(path)
         result = {"path": str(path), "kind": "configuration", "origin": None, "sections": sorted(keys)}

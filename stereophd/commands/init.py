@@ -13,18 +13,17 @@ from stereophd.errors import InputError
 from stereophd.io.documents import expecting
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.io.outputs.disk import write_error
+from stereophd.io.outputs.json_text import REPORT_VERSION
 from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.initial.draft import draft_from_log, loaded_draft
-from stereophd.pipeline.initial.template import MARK, SCALES, Draft, Kind, config_text, template
+from stereophd.pipeline.initial.template import MARK, Draft, Kind, config_text, template
 from stereophd.pipeline.inspection.log import summarise_log
 from stereophd.site import page
-from stereophd.validated import METRES
 from stereophd.wording import LOGGER
 
 CONFIG_FILE, CAMERAS_FILE = "config.yaml", "cameras.yaml"
-REPORT_VERSION = 1
 
 
 @takes(InitOptions)
@@ -43,8 +42,6 @@ def init(
         [log_path] = expand([log_path])
     target, kind, force = Path(out_dir) / CONFIG_FILE, options.kind or "lab", options.force
     _check_target(target, force)
-    if kind not in SCALES:
-        raise InputError(f"`kind`: expected one of {', '.join(SCALES)}, found {kind}")
     cameras_file = _cameras_file(log_path, cameras_path)
     draft = _with_overrides(_begin(cameras_file, log_path, options.length_unit, kind), overrides)
     if log_path is not None and draft.cameras:
@@ -132,8 +129,6 @@ def _cameras_file(log_path: Path | str | None, cameras_path: Path | str | None) 
 
 def _begin(cameras_file: Path | None, log_path: Path | str | None, unit: str | None, kind: Kind) -> Draft:
     """Return the draft of a kind of object, with the cameras as they are."""
-    if unit is not None and unit not in METRES:
-        raise InputError(f"`length_unit`: expected one of {', '.join(METRES)}, found {unit}")
     if cameras_file is not None:
         described = load_cameras(cameras_file)
         if unit is not None and unit != described.units.length:

@@ -52,6 +52,7 @@ class TrackOptions(Replacing):
         default=None,
         metavar="SECONDS",
         flag="pieces",
+        above=0.0,
     )
     overlap_s: float | None = option(
         "Seconds before its own span that each piece also tracks [60].",

@@ -16,7 +16,7 @@ from stereophd.commands.options import TrackOptions
 from stereophd.config.loading import LoadedConfig, as_config
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.outputs.atomic import OutputFolder
-from stereophd.io.outputs.json_text import write_json
+from stereophd.io.outputs.json_text import REPORT_VERSION, write_json
 from stereophd.io.outputs.locks import output_lock
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.options import takes
@@ -57,7 +57,6 @@ CAMERAS_FILE = "cameras.yaml"
 PLOTS = tuple(f"{plot}.{kind}" for plot in ("top", "side", "timelines", "residuals") for kind in ("png", "svg"))
 # The last is of a live run, which tracks its recording at the end.
 FILES = (TRACKS_FILE, SCANS_FILE, ASSOCIATIONS_FILE, CAMERAS_FILE, "report.json", *PLOTS, "detections.parquet")
-REPORT_VERSION = 1
 
 
 def with_reports(loaded: LoadedConfig, smooth: bool, associations: bool) -> LoadedConfig:

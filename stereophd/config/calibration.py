@@ -47,14 +47,11 @@ class PriorBase(Model):
 
 def _numbers(values: Any) -> Iterator[float]:
     """All numbers in nested values."""
-    if isinstance(values, dict):
-        values = values.values()
-    elif not isinstance(values, (tuple, list)):
-        values = () if values is None else (float(values),)
-        yield from values
-        return
-    for value in values:
-        yield from _numbers(value)
+    if isinstance(values, (dict, tuple, list)):
+        for value in values.values() if isinstance(values, dict) else values:
+            yield from _numbers(value)
+    elif values is not None:
+        yield float(values)
 
 
 if TYPE_CHECKING:

@@ -97,11 +97,6 @@ def _expected(error: Mapping[str, Any], found: Any) -> str:
     return template.format(**context)
 
 
-def _is_tag(error: Mapping[str, Any], path: KeyPath, data: Any) -> bool:
-    """Whether the last part of a path is the branch of a union, not a key."""
-    return error["type"] not in ("missing", *_UNKNOWN_KEY) and bool(path) and not _has(data, path)
-
-
 def _is_misspelt(error: Mapping[str, Any], path: KeyPath, data: Any, schema: Mapping[str, Any]) -> bool:
     """Whether a key is missing only because it is there under a misspelt name (an error of its own)."""
     if error["type"] != "missing" or not path or isinstance(_value(data, path[:-1]), list):
@@ -175,8 +170,8 @@ def describe(errors: Iterable[Mapping[str, Any]], tree: Tree, schema: Mapping[st
     by_path: dict[KeyPath, list[Mapping[str, Any]]] = {}
     for error in errors:
         path, tags = _split_location(tuple(error["loc"]), data)
-        if _is_tag(error, path, data):
-            path = path[:-1]
+        if path and error["type"] not in ("missing", *_UNKNOWN_KEY) and not _has(data, path):
+            path = path[:-1]  # the last part is the branch of a union, not a key
             tags = (*tags, "")
         if error["type"] == "union_tag_invalid":
             # the fault is the value of the key that selects the kind, not the mapping around it

@@ -21,7 +21,7 @@ from stereophd.core.settings import (
     Vector3,
     parameter,
 )
-from stereophd.validated import Model
+from stereophd.validated import Model, ascending
 
 # How often something is repeated within a run, or drawn for a bound.
 Repeats = Annotated[int, Interval(ge=1, le=1_000_000)]
@@ -148,10 +148,8 @@ class AxisConfig(Model):
         """Return the name of each value, and what it sets."""
         if self.settings is not None:
             return list(self.settings.items())
-        assert self.key is not None
-        assert self.values is not None
         unit = f" {self.unit}" if self.unit else ""
-        return [(f"{_plain(value)}{unit}", {self.key: value}) for value in self.values]
+        return [(f"{_plain(value)}{unit}", {str(self.key): value}) for value in self.values or ()]
 
 
 def _plain(value: Any) -> str:
@@ -184,7 +182,7 @@ class ExperimentConfig(Model):
         "for each name of a method, dotted paths of any keys of this file and the values that they take for this method"
     )
     cases: dict[str, AxisConfig] = parameter("for each name of an axis, what varies along it", default_factory=dict)
-    windows: dict[str, tuple[Time, Time]] = parameter(
+    windows: dict[str, Annotated[tuple[Time, Time], ascending("first <= last time")]] = parameter(
         "for each name of a window, its first and last time, s: the results also give every quantity's mean over it",
         default_factory=dict,
     )
@@ -195,9 +193,6 @@ class ExperimentConfig(Model):
 
     @model_validator(mode="after")
     def _order(self) -> ExperimentConfig:
-        for name, (low, high) in self.windows.items():
-            if low > high:
-                raise ValueError(f"windows.{name}: expected first <= last time, found [{low:g}, {high:g}]")
         if self.figure.over is not None and self.figure.over not in self.cases:
             raise ValueError(f"figure.over: expected the name of an axis of cases, found {self.figure.over}")
         return self

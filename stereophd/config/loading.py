@@ -16,7 +16,7 @@ from pydantic import BaseModel, ValidationError
 from stereophd.config.errors import describe
 from stereophd.config.model import Config
 from stereophd.config.report import CameraTimes
-from stereophd.config.yaml import Place, Tree, apply_override, key_path, parse_override, parse_yaml, read_yaml
+from stereophd.config.yaml import Place, Tree, apply_override, key_path, parse_override, read_yaml
 from stereophd.core.bodies.shapes.point import PointSettings
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
@@ -208,19 +208,9 @@ def make_config(
 ) -> LoadedConfig:
     """Make a configuration from values in memory, as a file holds them.
 
-    Parameters
-    ----------
-    values
-        Sections and keys, such as ``{"filter": {"kind": "pmb", ...}}``; arrays and tuples count as lists.
-    name
-        What messages call the configuration.
-    overrides, seed, cameras_path
-        As of `load_config`.
-
-    Raises
-    ------
-    InputError
-        A value is not valid: as `load_config`.
+    The values are sections and keys, such as ``{"filter": {"kind": "pmb", ...}}``; arrays and tuples count as lists.
+    Messages call the configuration by the name. The other parameters are those of `load_config`. Raises InputError, as
+    it does, if a value is not valid.
     """
     tree = Tree(_as_data(values), {(): Place(name)})
     return _completed(tree, Path(name), {}, Path(), overrides, seed, cameras_path)
@@ -250,40 +240,29 @@ def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any
     return LoadedConfig(_validate(Config, tree), loaded.path, loaded.inputs, tree)
 
 
-@dataclass(frozen=True)
-class _CameraTree:
-    """The cameras of a file in the native form."""
+def _read_camera_tree(path: Path) -> tuple[Tree, bool, str]:
+    """Read a file of cameras, native or of another program, in the native form: ``units`` and ``cameras``.
 
-    tree: Tree  # The content of the file. A complete file has the keys ``units`` and ``cameras``.
-    # Whether the file (or its format) states the unit of length; if not, the unit of the configuration is assumed.
-    has_unit: bool
-    sha256: str  # Hash of the bytes that were read
-
-
-def _read_camera_tree(path: Path) -> _CameraTree:
-    """Read a file of cameras, native or of another program.
-
-    Raises InputError when the file cannot be read, or its format is unknown.
+    Returns with it whether the file (or its format) states the unit of length, else that of the configuration is
+    assumed, and the hash of the bytes that were read. Raises InputError when the file cannot be read, or its format is
+    unknown.
     """
     refused: InputError | None = None
-    native: _CameraTree | None = None
     try:
         tree, content = read_yaml(path, "file of cameras")
-        native = _CameraTree(tree, True, hashlib.sha256(content).hexdigest())
+        if isinstance(tree.data, dict) and {"units", "cameras"} <= tree.data.keys():
+            return tree, True, hashlib.sha256(content).hexdigest()
     except InputError as error:
         refused = error
-    if native is not None and isinstance(native.tree.data, dict) and {"units", "cameras"} <= native.tree.data.keys():
-        return native
     # Imported here: native files do not need the other formats.
     from stereophd.io.interchange.registry import read_foreign_cameras
 
     foreign = read_foreign_cameras(path)
     if foreign is None:
-        if native is None:
-            assert refused is not None
+        if refused is not None:
             raise refused
-        return native
-    from stereophd.io.cameras.writing import cameras_text
+        return tree, True, hashlib.sha256(content).hexdigest()
+    from stereophd.io.cameras.writing import plain_cameras
 
     form, recording = foreign
     for sentence in (f"read as {form}", *recording.assumed):
@@ -291,8 +270,8 @@ def _read_camera_tree(path: Path) -> _CameraTree:
     for sentence in recording.warnings:
         LOGGER.warning("%s", sentence)
     digest = hashlib.sha256(b"".join(file.read_bytes() for file in recording.files)).hexdigest()
-    text = cameras_text(recording.cameras, recording.length_unit or "m")
-    return _CameraTree(parse_yaml(text, str(path), numbered=False), not recording.unit_is_assumed, digest)
+    data = {"units": {"length": recording.length_unit or "m"}, "cameras": plain_cameras(recording.cameras)}
+    return Tree(data, dict.fromkeys(((), ("cameras",)), Place(str(path)))), not recording.unit_is_assumed, digest
 
 
 def load_cameras(path: Path | str) -> CamerasFile:
@@ -301,7 +280,7 @@ def load_cameras(path: Path | str) -> CamerasFile:
     It is a ``cameras.yaml``, or a file of another program, recognised by its content. Raises InputError as
     `load_config`.
     """
-    tree = _read_camera_tree(Path(path)).tree
+    tree, _, _ = _read_camera_tree(Path(path))
     _inline_trajectories(tree, Path(path).parent)
     return _validate(CamerasFile, tree)
 
@@ -372,14 +351,14 @@ def _check_camera_of_reports(config: Config, tree: Tree) -> None:
 
 def _inline_cameras(tree: Tree, path: Path) -> tuple[str | None, str]:
     """Put the cameras of a file into the tree; return their unit of length, if stated, and the file's hash."""
-    read = _read_camera_tree(path)
-    _inline_trajectories(read.tree, path.parent)
-    checked = _validate(CamerasFile, read.tree)
-    apply_override(tree, ("cameras",), read.tree, ("cameras",))
+    cameras, has_unit, digest = _read_camera_tree(path)
+    _inline_trajectories(cameras, path.parent)
+    checked = _validate(CamerasFile, cameras)
+    apply_override(tree, ("cameras",), cameras, ("cameras",))
     tree.data.pop("cameras_covariance", None)
     if checked.covariance:
-        apply_override(tree, ("cameras_covariance",), read.tree, ("covariance",))
-    return checked.units.length if read.has_unit else None, read.sha256
+        apply_override(tree, ("cameras_covariance",), cameras, ("covariance",))
+    return checked.units.length if has_unit else None, digest
 
 
 def _inline_trajectories(tree: Tree, folder: Path) -> None:

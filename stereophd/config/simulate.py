@@ -22,7 +22,7 @@ from stereophd.core.settings import (
     Vector3,
     parameter,
 )
-from stereophd.validated import Model, OneOf, Range3
+from stereophd.validated import Model, OneOf, Range3, ascending
 
 Motion = Annotated[MotionSettings, OneOf(motion_models, "model", DEFAULT)]
 
@@ -84,15 +84,9 @@ class GivenBody(Model):
         default=(0.0, 0.0, 0.0),
         unit="degrees",
     )
-    period_s: tuple[PositiveDuration, PositiveDuration] = parameter(
+    period_s: Annotated[tuple[PositiveDuration, PositiveDuration], ascending("shortest <= longest")] = parameter(
         "shortest and longest period of the harmonics of its motion", default=(3.0, 12.0), unit="s"
     )
-
-    @model_validator(mode="after")
-    def _periods_ascend(self) -> GivenBody:
-        if self.period_s[0] > self.period_s[1]:
-            raise ValueError(f"expected period_s in ascending order, found {list(self.period_s)}")
-        return self
 
 
 class SimulateConfig(Model):

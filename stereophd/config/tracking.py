@@ -16,7 +16,7 @@ from stereophd.core.multi.filter_settings import filters
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.settings import Coordinate, Duration, Length, PositiveDuration, PositiveLength, Vector3, parameter
 from stereophd.core.single.settings import SingleSettings
-from stereophd.validated import Model, OneOf, Range3
+from stereophd.validated import Model, OneOf, Range3, ascending
 
 
 class DisparityConfig(Model):
@@ -40,15 +40,13 @@ class PolygonConfig(Model):
     """
 
     corners: list[Vector3] = parameter("three or more corners, in order, in the axes of the world", unit="length")
-    heights: tuple[Coordinate, Coordinate] = parameter(
+    heights: Annotated[tuple[Coordinate, Coordinate], ascending("low < high", is_strict=True)] = parameter(
         "least and greatest height over the plane of the corners", unit="length"
     )
     up: Vector3 = parameter("the side of the plane on which heights are positive", default=(0.0, -1.0, 0.0))
 
     @model_validator(mode="after")
     def _shape(self) -> PolygonConfig:
-        if self.heights[0] >= self.heights[1]:
-            raise ValueError(f"heights: expected low < high, found {list(self.heights)}")
         self.half_spaces()
         return self
 
@@ -71,18 +69,12 @@ class RegionConfig(Model):
         advice="the annotated floor; people beside it are tracked, so that they are not taken for others, but not "
         "reported.",
     )
-    depth: tuple[Length, PositiveLength] | None = parameter(
+    depth: Annotated[tuple[Length, PositiveLength], ascending("near < far", is_strict=True)] | None = parameter(
         "nearest and farthest depth in front of the camera that saw the object last",
         default=None,
         unit="length",
         advice="from the nearest to somewhat beyond the farthest object.",
     )
-
-    @model_validator(mode="after")
-    def _order(self) -> RegionConfig:
-        if self.depth is not None and self.depth[0] >= self.depth[1]:
-            raise ValueError(f"depth: expected near < far, found {list(self.depth)}")
-        return self
 
     def half_spaces(self) -> Array:
         """Return the half-spaces (h, 4) of the world that the box and the polygon are: objects count inside."""

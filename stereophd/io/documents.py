@@ -10,6 +10,7 @@ import io
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib import import_module
 from pathlib import Path
 from typing import IO, Any, cast
 
@@ -52,6 +53,14 @@ def expecting(what: str, where: object) -> Iterator[None]:
         reason = " ".join(str(error).split())[:MAX_SHOWN]
         reason = f"missing key {reason}" if isinstance(error, KeyError) else reason or type(error).__name__
         raise InputError(f"{where}: expected {what}, found: {reason}") from error
+
+
+def need_package(package: str, purpose: str, module: str = "") -> Any:
+    """Import what is needed of an optional package, by default the module of its name; InputError without it."""
+    try:
+        return import_module(module or package)
+    except ImportError as error:
+        raise InputError(f"{purpose} needs the package {package}; install it with: pip install {package}") from error
 
 
 def most_bytes(packed: int) -> int:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.errors import InputError
-from stereophd.io.logs.checks import KINDS
+from stereophd.io.logs.checks import bad_rows
 from stereophd.io.logs.reading import Frame, LogReader
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.wording import instant
@@ -29,6 +30,7 @@ PROGRESS_EVERY = 50
 MOST_DROPPED = 0.05
 
 
+@dataclass(eq=False)
 class EventStream:
     """Iterate over the events of a log, or of frames in memory; every iteration starts anew.
 
@@ -38,21 +40,17 @@ class EventStream:
     beyond the lens model are counted.
     """
 
-    def __init__(
-        self, cameras: Sequence[Camera], frames: LogReader | Sequence[Frame], progress: Progress | None = None,
-        from_s: float = -math.inf, until_s: float = math.inf, counted: tuple[float, float] = (-math.inf, math.inf),
-    ) -> None:  # fmt: skip
-        self.cameras = tuple(cameras)
-        self.frames = frames
-        self.not_invertible = 0
-        self._progress = progress
-        self._from_s = from_s
-        self._until_s = until_s
-        self._counted = counted
+    cameras: tuple[Camera, ...]
+    frames: LogReader | Sequence[Frame]
+    progress: Progress | None = None
+    from_s: float = -math.inf
+    until_s: float = math.inf
+    counted: tuple[float, float] = (-math.inf, math.inf)
+    not_invertible: int = field(default=0, init=False)
 
     def with_cameras(self, cameras: Sequence[Camera]) -> EventStream:
         """Return a stream of the same frames for cameras with other detectors."""
-        return EventStream(cameras, self.frames, self._progress, self._from_s, self._until_s, self._counted)
+        return replace(self, cameras=tuple(cameras))
 
     @property
     def counts(self) -> dict[str, int]:
@@ -76,7 +74,7 @@ class EventStream:
     def __iter__(self) -> Iterator[Event]:
         self.not_invertible, count = 0, 0
         for number, frame in enumerate(covered(self.cameras, self.frames, self.source)):
-            if frame.time_s < self._from_s:
+            if frame.time_s < self.from_s:
                 count += len(frame.pixels)
                 continue
             camera = self.cameras[frame.camera].at(frame.time_s)
@@ -86,12 +84,12 @@ class EventStream:
             event = make_event(
                 camera, frame.camera, frame.time_s, frame.pixels, frame.sigma, frame.frame, frame.sizes, rows
             )
-            if self._counted[0] <= event.time_s < self._counted[1]:
+            if self.counted[0] <= event.time_s < self.counted[1]:
                 self.not_invertible += event.not_invertible
             yield event
             if number % PROGRESS_EVERY == 0:
                 self._report()
-            if frame.time_s >= self._until_s:
+            if frame.time_s >= self.until_s:
                 break
         else:
             self._check_dropped()
@@ -100,19 +98,18 @@ class EventStream:
     def _check_dropped(self) -> None:
         """Refuse a log of which far more than a few rows were dropped."""
         counts = self.counts
-        dropped = {kind: counts[kind] for kind in KINDS if counts.get(kind) and kind != "unknown_camera"}
-        if sum(dropped.values()) > MOST_DROPPED * counts.get("rows", 0):
-            each = ", ".join(f"{kind} {count}" for kind, count in dropped.items())
+        dropped, each = bad_rows({**counts, "unknown_camera": 0})
+        if dropped > MOST_DROPPED * counts.get("rows", 0):
             raise InputError(
                 f"{self.source}: expected at most {100 * MOST_DROPPED:g} % of the rows to be bad, found "
-                f"{sum(dropped.values())} of {counts['rows']} ({each}): what is left is no longer this recording; "
+                f"{dropped} of {counts['rows']} ({each}): what is left is no longer this recording; "
                 "correct the rows, or leave them out of the file"
             )
 
     def _report(self, done: bool = False) -> None:
-        if self._progress is not None and isinstance(self.frames, LogReader):
+        if self.progress is not None and isinstance(self.frames, LogReader):
             total = self.frames.num_rows
-            self._progress(total if done else self.frames.counts["rows"], total)
+            self.progress(total if done else self.frames.counts["rows"], total)
 
 
 def covered(cameras: Sequence[Camera], frames: Iterable[Frame], source: str) -> Iterator[Frame]:
@@ -143,7 +140,7 @@ def open_stream(
     `progress` is that of `EventStream`. Raises InputError if the log cannot be read (see
     `stereophd.io.logs.reading.LogReader`).
     """
-    return EventStream(cameras, open_log(config.input, cameras, path), progress)
+    return EventStream(tuple(cameras), open_log(config.input, cameras, path), progress)
 
 
 def open_log(

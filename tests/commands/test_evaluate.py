@@ -703,7 +703,7 @@ def test_tracks_are_aligned_when_asked_for(tmp_path, caplog):
     fast = [(t, *rest, np.interp(9.5 + 1.05 * (t - 9.5), range(20), np.arange(20) ** 2 / 20)) for t, *rest, _ in rows]
     evaluate(write_tracks(tmp_path / "tracks.parquet", fast, std=1e-3), truth, align="rigid", align_clock=True)
     assert "after alignment the tracks are off by" in caplog.text or "off in rate" in caplog.text
-    with pytest.raises(InputError, match="`align`: expected none or rigid or similarity, found affine"):
+    with pytest.raises(InputError, match="`align`: expected one of none, rigid, similarity, found affine"):
         evaluate(tracks, truth, align="affine")
     with pytest.raises(InputError, match="`align`: expected 6 or more estimates"):
         evaluate(tracks, truth, align="rigid", from_s=15.5)

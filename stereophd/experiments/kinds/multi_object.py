@@ -84,7 +84,7 @@ def filtered_points(
     # detections can be chosen anew only by tracks that know theirs
     claims = config.report.smooth is not None and config.report.smooth.reassociate
     multi_filter = replace(build_filter(config, tuple(cameras), loaded.path), claims=claims)
-    stream = EventStream(cameras, frames)
+    stream = EventStream(tuple(cameras), frames)
     # scored after every event, not at the times of reports
     report = config.report.model_copy(update={"times": "events"})
     records = reported_records(multi_filter, multi_filter.motion, stream, report, reach_back=True)

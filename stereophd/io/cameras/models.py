@@ -28,7 +28,7 @@ from stereophd.core.settings import (
     Time,
     parameter,
 )
-from stereophd.io.cameras.poses import LaterPoseConfig, PoseConfig, parse_pose
+from stereophd.io.cameras.poses import LaterPoseConfig, PoseConfig, parse_pose, with_tuples
 from stereophd.validated import Model, OneOf, Units
 
 ImageSize = Annotated[int, Interval(ge=1, le=1_000_000)]
@@ -111,10 +111,7 @@ def _parse_detector(value: Any) -> Any:
         return UNKNOWN_DETECTOR
     if isinstance(value, str):
         raise ValueError(f"expected estimate or sigma_px, p_detect and clutter_per_frame, found {value}")
-    if isinstance(value, dict):
-        # behind a validator of our own pydantic no longer knows that lists are JSON's tuples
-        return {**value, **{name: tuple(given) for name, given in value.items() if isinstance(given, list)}}
-    return value
+    return with_tuples(value)
 
 
 Distortion = Annotated[Any, OneOf(lambda: {word: lens.settings for word, lens in lens_models().items()}, "model")]

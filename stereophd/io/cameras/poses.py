@@ -170,11 +170,11 @@ def parse_pose(value: Any) -> Any:
         if value != "unknown":
             raise ValueError(f"expected unknown or center and a rotation, found {value}")
         return {"unknown": True}
-    return _tuples(value)
+    return with_tuples(value)
 
 
-def _tuples(value: Any) -> Any:
+def with_tuples(value: Any) -> Any:
     """Return a value with tuples in place of lists, which pydantic does not take for them behind our own validators."""
     if isinstance(value, dict):
-        return {key: _tuples(part) for key, part in value.items()}
-    return tuple(_tuples(part) for part in value) if isinstance(value, list) else value
+        return {key: with_tuples(part) for key, part in value.items()}
+    return tuple(with_tuples(part) for part in value) if isinstance(value, list) else value

@@ -9,7 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from stereophd.io.interchange.base import ExportOptions, Format, need_package
+from stereophd.io.documents import need_package
+from stereophd.io.interchange.base import ExportOptions, Format
 from stereophd.io.interchange.tracks import length_unit, on_grid
 from stereophd.io.outputs.disk import TEMPORARY_PREFIX
 

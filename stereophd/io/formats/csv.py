@@ -27,8 +27,7 @@ from stereophd.errors import InputError
 from stereophd.io.interchange.base import EXTRA_COLUMNS, ExportOptions, ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.documents.text_tables import header_of, read_batches
 from stereophd.io.interchange.pixels import native_pixels
-from stereophd.io.interchange.times import in_seconds
-from stereophd.io.interchange.truth import long_truth
+from stereophd.io.interchange.truth import in_seconds, long_truth
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -75,6 +74,8 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 
 
 def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: ImportOptions) -> Iterator[Piece]:
+    import pyarrow as pa
+
     for path in sources:
         separator, header = header_of(path)
         if not any(header):
@@ -91,7 +92,9 @@ def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: Impor
             recording.assumed.append(
                 f"{path.name}: all rows are of one camera, {options.name(path.stem)}, named as the file"
             )
-        for batch in _batches(path, separator, header, columns):
+        kinds = {column: pa.string() if name == "camera" else pa.float64() for name, column in columns.items()}
+        taken = ", ".join(f"{name} from {column}" for name, column in columns.items())
+        for batch in read_batches(path, separator, kinds, f"{path} ({taken})", list(header), skip=1):
             yield from _split(path, batch, columns, options, recording)
 
 
@@ -117,15 +120,6 @@ def _find_columns(path: Path, header: Sequence[str], options: ImportOptions) -> 
             f"such as {(missing or ['frame'])[0]}={header[-1]}"
         )
     return {name: columns[name] for name in USUAL_NAMES if name in columns}
-
-
-def _batches(path: Path, separator: str, header: Sequence[str], columns: Mapping[str, str]) -> Iterator[pa.RecordBatch]:
-    """Yield the table in pieces, numbers as float64."""
-    import pyarrow as pa
-
-    kinds = {column: pa.string() if name == "camera" else pa.float64() for name, column in columns.items()}
-    taken = ", ".join(f"{name} from {column}" for name, column in columns.items())
-    yield from read_batches(path, separator, kinds, f"{path} ({taken})", list(header), skip=1)
 
 
 def _split(

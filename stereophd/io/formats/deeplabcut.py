@@ -19,8 +19,8 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
-from stereophd.io.documents import check_hdf5, expecting
-from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_package
+from stereophd.io.documents import check_hdf5, expecting, need_package
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.documents.text_tables import first_lines, number_batches
 from stereophd.io.interchange.pixels import native_pixels, point_rows
 

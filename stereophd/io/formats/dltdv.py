@@ -25,13 +25,7 @@ from stereophd.errors import InputError
 from stereophd.io.documents import check_claim, expecting
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, TruePoints
 from stereophd.io.interchange.cameras import Parts, image_size, put_together, unit
-from stereophd.io.interchange.documents.text_tables import (
-    first_lines,
-    header_of,
-    number_batches,
-    read_matrix,
-    split_line,
-)
+from stereophd.io.interchange.documents.text_tables import first_lines, header_of, number_batches, read_matrix
 from stereophd.io.interchange.fitted import StatedLens, parts_of_projection
 from stereophd.io.interchange.pixels import ORIGINS, point_rows
 from stereophd.io.interchange.projection import MIRROR, Decomposed, decompose, is_left_handed, triangulate
@@ -100,11 +94,8 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 def _classify(sources: Sequence[Path]) -> _Sources:
     tables = _Sources()
     for path in sources:
-        lines = first_lines(path, 2)
-        table = read_matrix(path)
-        if (lines and any(_COLUMN.fullmatch(word) for word in split_line(lines[0]))) or (
-            table is None and _is_sparse(lines)
-        ):
+        table, is_named = read_matrix(path), any(_COLUMN.fullmatch(word) for word in header_of(path)[1])
+        if is_named or (table is None and _is_sparse(path)):
             tables.points.append(path)
         elif table is not None and is_profile(table):
             tables.profile = table
@@ -225,13 +216,12 @@ def _pieces(
 
 def _columns(path: Path, cameras: int) -> tuple[list[tuple[str, int]], list[str]]:
     """Return (point, camera) of each pair of columns, and the names of all columns."""
-    lines = first_lines(path, 2)
-    words = split_line(lines[0])
+    words = header_of(path)[1]
     matches = [_COLUMN.fullmatch(word) for word in words]
     if any(matches):
         pairs = [(m["point"], int(m["camera"])) for m in matches if m is not None and m["axis"].lower() == "x"]
         return pairs, words
-    columns = int(lines[1].split()[1])
+    columns = int(first_lines(path, 2)[1].split()[1])
     if not cameras or columns % (2 * cameras):
         raise InputError(f"{path}: expected DLT coefficients with sparse points, because their columns have no names")
     return [(f"pt{k // cameras + 1}", k % cameras + 1) for k in range(columns // 2)], []
@@ -261,12 +251,13 @@ def _batches(path: Path, cameras: int) -> Iterator[tuple[Array, Array]]:
 
 def _truth(path: Path, flips_z: bool) -> TruePoints:
     """Return DLTdv's points in space, in the world of the cameras."""
-    truth = stacked(_read_sparse(path)) if _is_sparse(first_lines(path, 2)) else wide_truth(path)
+    truth = stacked(_read_sparse(path)) if _is_sparse(path) else wide_truth(path)
     return replace(truth, position=truth.position * [1.0, 1.0, -1.0 if flips_z else 1.0])
 
 
-def _is_sparse(lines: Sequence[str]) -> bool:
-    """Whether the first lines are those of DLTdv's sparse tables, whose second states their size."""
+def _is_sparse(path: Path) -> bool:
+    """Whether a table is one of DLTdv's sparse ones, whose second line states their size."""
+    lines = first_lines(path, 2)
     return len(lines) > 1 and re.fullmatch(r"\d+\t\d+\t\d+", lines[1].strip()) is not None
 
 

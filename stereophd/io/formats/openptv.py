@@ -139,8 +139,7 @@ def _read_control(path: Path, recording: ForeignRecording) -> _Control:
         words = path.read_text(encoding="utf-8-sig").split()
         count = int(words[0])
         names = words[1 : 1 + 2 * count]
-        high_pass, only_bright, tiff, *rest = words[1 + 2 * count :]
-        del high_pass, only_bright, tiff
+        rest = words[4 + 2 * count :]  # after the flags for the high pass, for bright targets, and for TIFF
         size = (int(rest[0]), int(rest[1]))
         pixel = (float(rest[2]), float(rest[3]))
         interlaced = int(rest[4])

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from stereophd.io.cameras.models import CameraConfig
-from stereophd.io.interchange.base import ExportOptions, Format, need_package
+from stereophd.io.documents import need_package
+from stereophd.io.interchange.base import ExportOptions, Format
 from stereophd.io.interchange.tracks import trajectories
 from stereophd.io.outputs.provenance import from_metadata
 from stereophd.io.tables.reading import read_metadata

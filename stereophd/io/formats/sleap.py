@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
+from stereophd.core.arrays import Array, Integers
 from stereophd.errors import InputError
-from stereophd.io.documents import check_hdf5, expecting
-from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, need_package
+from stereophd.io.documents import check_hdf5, expecting, need_package
+from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.pixels import native_pixels, point_rows
 
 #: Order of the axes where the file names none: as MATLAB reads it.
@@ -51,29 +52,29 @@ def _file_pieces(file: Any, camera: str, options: ImportOptions, recording: Fore
     tracks = file["tracks"]
     axes = tuple(json.loads(tracks.attrs["dims"])) if "dims" in tracks.attrs else USUAL_AXES
     axes = tuple("xy" if axis == "xy" else axis.rstrip("s") for axis in axes)
-    order = [axes.index(axis) for axis in WANTED_AXES]
-    frame_axis = axes.index("frame")
-    score_axes = [axis for axis in axes if axis != "xy"]
-    score_order = [score_axes.index(axis) for axis in WANTED_AXES[:3]]
-    total = tracks.shape[frame_axis]
+    total = tracks.shape[axes.index("frame")]
     names = [_text(name) for name in file["node_names"]]
     labels = [_text(name) for name in file["track_names"]] if "track_names" in file else []
     for start in range(0, total, FRAMES_OF_A_PIECE):
-        part = slice(start, min(start + FRAMES_OF_A_PIECE, total))
-        values = np.transpose(tracks[tuple(part if k == frame_axis else slice(None) for k in range(4))], order)
+        frames = np.arange(start, min(start + FRAMES_OF_A_PIECE, total))
+        values, scores = _in_order(tracks, axes, frames), None
         count, people, nodes, _ = values.shape
-        points = np.asarray(values, dtype=np.float64).reshape(count, people * nodes, 2)
-        scores = None
+        points = values.reshape(count, people * nodes, 2)
         if "point_scores" in file:
-            axis = score_axes.index("frame")
-            chosen = file["point_scores"][tuple(part if k == axis else slice(None) for k in range(3))]
-            scores = np.asarray(np.transpose(chosen, score_order), dtype=np.float64).reshape(count, people * nodes)
+            scores = _in_order(file["point_scores"], tuple(axis for axis in axes if axis != "xy"), frames)
+            scores = scores.reshape(count, people * nodes)
         for k in range(people * nodes):
             who = labels[k // nodes] if k // nodes < len(labels) else f"track{k // nodes}"
             recording.labels[k] = f"{who}.{names[k % nodes]}"
         flat = native_pixels(points.reshape(-1, 2), camera, options, recording)
-        frames = np.arange(part.start, part.stop, dtype=np.float64)
-        yield point_rows(camera, frames, flat.reshape(points.shape), scores, options.least_score)
+        yield point_rows(camera, frames.astype(np.float64), flat.reshape(points.shape), scores, options.least_score)
+
+
+def _in_order(values: Any, axes: tuple[str, ...], frames: Integers) -> Array:
+    """Return successive frames of a dataset with these axes, in the order of `WANTED_AXES`."""
+    part = slice(frames[0], frames[-1] + 1)
+    read = values[tuple(part if axis == "frame" else slice(None) for axis in axes)]
+    return np.asarray(np.transpose(read, [axes.index(axis) for axis in WANTED_AXES if axis in axes]), dtype=np.float64)
 
 
 def _text(value: Any) -> str:

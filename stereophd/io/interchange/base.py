@@ -5,7 +5,6 @@ An option that nothing reads would silently do nothing.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -92,42 +91,25 @@ class Format:
     folder_files: tuple[str, ...] = ()  # What `write_cameras` writes into a folder; of other formats it writes a file
 
 
-def need_package(package: str, purpose: str, module: str = "") -> Any:
-    """Import what a format needs of an optional package, by default the module of its name; InputError without it."""
-    try:
-        return import_module(module or package)
-    except ImportError as error:
-        raise InputError(f"{purpose} needs the package {package}; install it with: pip install {package}") from error
-
-
 Options = TypeVar("Options", ImportOptions, ExportOptions)
 
 
-def consulted(options: Options) -> tuple[Options, set[str]]:
-    """Return options that note what is read of them, and the names noted so far."""
+def consulted(options: Options) -> tuple[Options, set[str], list[str]]:
+    """Return options that note what is read of them and which cameras of the source they name, and both so far."""
     read: set[str] = set()
+    asked: list[str] = []
 
     class Noted(type(options)):  # type: ignore[misc]
         def __getattribute__(self, name: str) -> Any:
             read.add(name)
             return super().__getattribute__(name)
 
-    noted: Options = Noted(**vars(options))
-    return noted, read
-
-
-def with_source_names(options: ImportOptions) -> tuple[ImportOptions, list[str]]:
-    """Return options that note the cameras that they are asked to name, and their names in the source so far."""
-    asked: list[str] = []
-
-    class Naming(type(options)):  # type: ignore[misc]
         def name(self, camera: str) -> str:
             asked.append(camera)
-            named: Callable[[str], str] = super().name
-            return named(camera)
+            return str(super().name(camera))
 
-    naming: ImportOptions = Naming(**vars(options))
-    return naming, asked
+    noted: Options = Noted(**vars(options))
+    return noted, read, asked
 
 
 def refuse_unread(options: Options, read: set[str], what: str) -> None:
@@ -146,7 +128,7 @@ def refuse_other_cameras(
 ) -> None:
     """Refuse, by an InputError that names the first, statements about cameras that a source does not have.
 
-    `cameras` are the native names of those it has, `in_source` their names in the source, from `with_source_names`;
+    `cameras` are the native names of those it has, `in_source` their names in the source, from `consulted`;
     `sources` are the files that the user stated.
     """
     known, files = list(dict.fromkeys(cameras)), str(sources[0])

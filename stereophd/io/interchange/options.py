@@ -147,9 +147,6 @@ class ImportOptions(Stated):
             if each.default_factory is PerCamera and not isinstance(value, PerCamera):
                 stated = PerCamera(named=value) if isinstance(value, Mapping) else PerCamera(other=value)
                 object.__setattr__(self, each.name, stated)
-        least_score = vars(self)["least_score"]
-        if least_score is not None and not math.isfinite(least_score):
-            raise InputError(f"`least_score`: expected a finite number, found {least_score}")
 
     def name(self, camera: str) -> str:
         """Return the native name of a camera of the source."""
@@ -162,6 +159,6 @@ class ExportOptions(Stated):
 
     tracks: list[int] | None = option("Write this track only (repeatable).", default=None, metavar="ID", flag="track")
     rate_hz: float | None = option(
-        "Resample the tracks to this rate.", default=None, metavar="HZ", flag="rate", least=1e-9
+        "Resample the tracks to this rate.", default=None, metavar="HZ", flag="rate", above=0.0
     )
     tentative: bool = option("Write tentative estimates too, not only confirmed ones.", default=False)

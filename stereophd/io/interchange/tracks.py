@@ -105,8 +105,6 @@ def on_grid(path: Path, options: ExportOptions) -> tuple[float, Array, dict[int,
     every = np.unique(np.concatenate([time for time, _ in tracks.values()]))
     if options.rate_hz is not None:
         rate = options.rate_hz
-        if not 0 < rate < np.inf:
-            raise InputError(f"rate: expected a rate above 0, found {rate:g} Hz")
         first, last = np.ceil(float(every[0]) * rate - REGULAR), np.floor(float(every[-1]) * rate + REGULAR)
         _check_count(last - first, path)
         times = (np.arange(first, last + 1) + 0.0) / rate

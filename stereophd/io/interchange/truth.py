@@ -1,4 +1,4 @@
-"""Points in space of other programs, which become a truth: wide tables and long ones."""
+"""Points in space of other programs, which become a truth: wide tables and long ones; the unit of their times."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -8,11 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from stereophd.core.arrays import Array
+from stereophd.core.settings import LATEST_S
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import CSV, PARQUET, kind_of_file
 from stereophd.io.interchange.base import ImportOptions, TruePoints
 from stereophd.io.interchange.documents.text_tables import header_of, number_batches
-from stereophd.io.interchange.times import in_seconds
+from stereophd.wording import instant
 
 #: Numbers of the points of one object; the second object's are beyond.
 POINTS_OF_A_GROUP = 1000
@@ -20,6 +21,21 @@ POINTS_OF_A_GROUP = 1000
 NATIVE = ("time_s", "object_id", "x", "y", "z")
 # Header of a column of a wide table: the point and the axis.
 _COORDINATE = re.compile(r"(?P<point>.+?)_(?P<axis>[xyz])", re.IGNORECASE)
+
+
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+
+
+def in_seconds(times: Array, options: ImportOptions, where: str) -> Array:
+    """Return times in s; InputError, which names `where` they are, for those that can only be of a smaller unit."""
+    for time in times[abs(times) * TIME_UNITS[options.time_unit] > LATEST_S][:1]:
+        for unit, factor in TIME_UNITS.items():
+            if abs(time) * factor <= LATEST_S:
+                raise InputError(
+                    f"{where}: expected times in {options.time_unit}, found {time:.0f}; `time_unit` {unit} says that "
+                    f"it is {instant(time * factor)} s"
+                )
+    return times * TIME_UNITS[options.time_unit]
 
 
 def read_columns(path: Path, columns: Sequence[str]) -> Array:

@@ -1,6 +1,6 @@
 """What makes a row of a detection log bad, decided for whole arrays of rows at a time."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -27,6 +27,12 @@ KINDS = (
     "frame_out_of_order",
     "duplicate_row",
 )
+
+
+def bad_rows(counts: Mapping[str, int]) -> tuple[int, str]:
+    """Return the number of bad rows among the counts of a `LogReader`, and how many of each kind in words."""
+    bad = {kind: counts[kind] for kind in KINDS if counts.get(kind)}
+    return sum(bad.values()), ", ".join(f"{kind} {count}" for kind, count in bad.items())
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from stereophd.io.file_kinds import LOG
 from stereophd.io.logs.checks import (
     KINDS,
     Fault,
+    bad_rows,
     duplicate_fault,
     frame_fault,
     frame_starts,
@@ -141,7 +142,7 @@ class LogReader:
                 counts["cameras_without_frames"] -= 1
             yield frame
         if not seen:
-            why = ", ".join(f"{kind} {counts[kind]}" for kind in KINDS if counts.get(kind))
+            _, why = bad_rows(counts)
             raise InputError(f"{self.path}: expected usable rows, found that all {self.num_rows} rows are bad ({why})")
 
     def _frames(self, only: int | None) -> Iterator[Frame]:

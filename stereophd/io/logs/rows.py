@@ -63,9 +63,6 @@ def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int], path: 
     column = {name: cast_column(batch.column(name), name, kinds[name], path, start) for name in batch.schema.names}
     check_texts(column["camera"], "camera", path, start)
     null = {name: _is_null(array) for name, array in column.items()}
-    object_id = None
-    if "object_id" in column:
-        object_id = values_of(column["object_id"], np.int64, -1)
     rows = Rows(
         row=np.arange(start, start + len(batch)),
         time_s=values_of(column["time_s"], np.float64, np.nan),
@@ -74,7 +71,7 @@ def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int], path: 
         pixels=_two_columns(column, "u_px", "v_px"),
         empty=null["u_px"] & null["v_px"],
         sigma=_two_columns(column, "sigma_u_px", "sigma_v_px") if "sigma_u_px" in column else None,
-        object_id=object_id,
+        object_id=values_of(column["object_id"], np.int64, -1) if "object_id" in column else None,
         sizes=_two_columns(column, "width_px", "height_px") if "width_px" in column else None,
     )
     nulls = null["time_s"] | null["camera"] | null["frame"]

@@ -8,6 +8,9 @@ from typing import Any
 
 from stereophd.errors import InputError
 
+#: Version of all reports; a change that a reader could trip over is a new one.
+REPORT_VERSION = 1
+
 
 def json_text(value: Any, ascii_only: bool = False) -> str:
     """Return a value as indented JSON; NaN and infinity become null, arrays become lists."""

@@ -4,16 +4,17 @@ Frames are messages of the schema ``stereophd.Frame``, on any topics. Rows go to
 to ``/stereophd/events``, at the true time of their record.
 """
 
-import importlib
 import json
 import struct
 from collections.abc import Iterator
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
 import msgspec
 
 from stereophd.errors import InputError
+from stereophd.io.documents import need_package
 from stereophd.io.streams.documents import LiveEvent, RecordDocument, schema
 from stereophd.io.streams.messages import Message, parse_line
 
@@ -29,16 +30,16 @@ def read_mcap(path: Path) -> Iterator[Message]:
 
     Raises InputError when MCAP is not installed, or the file is damaged or holds no frame.
     """
-    library, number, others = _library("reader"), 0, set[str]()
+    reader, number, others = need_package("mcap", f"{path}: MCAP", "mcap.reader"), 0, set[str]()
     with path.open("rb") as stream:
         try:
-            for kind, channel, message in library.make_reader(stream).iter_messages():
+            for kind, channel, message in reader.make_reader(stream).iter_messages():
                 if kind is not None and kind.name == FRAME_SCHEMA and channel.message_encoding == "json":
                     number += 1
                     yield parse_line(message.data, f"{path}: message {number} of {channel.topic}")
                 elif len(others) < MOST_NAMED:
                     others.add(f"{kind.name if kind is not None else 'no schema'} ({channel.message_encoding})")
-        except (_library("exceptions").McapError, struct.error) as error:
+        except (import_module("mcap.exceptions").McapError, struct.error) as error:
             raise InputError(f"{path}: expected an MCAP file, found it damaged ({error})") from error
     if not number:
         found = ", ".join(sorted(others)) or "none"
@@ -52,12 +53,12 @@ class McapRows:
     """
 
     def __init__(self, path: Path) -> None:
-        library = _library("writer")
+        writer = need_package("mcap", f"{path}: MCAP", "mcap.writer")
         try:
             self._stream = path.open("xb")
         except OSError as error:
             raise InputError(f"{path}: cannot be written: {error.strerror or error}") from error
-        self._writer: Any = library.Writer(self._stream)
+        self._writer: Any = writer.Writer(self._stream)
         self._writer.start(library="stereophd")
         self._time_ns = 0
         # Any message of the schema is one of its kinds.
@@ -84,10 +85,3 @@ class McapRows:
         """Write what is left, and the index."""
         self._writer.finish()
         self._stream.close()
-
-
-def _library(module: str) -> Any:
-    try:
-        return importlib.import_module(f"mcap.{module}")
-    except ImportError as error:
-        raise InputError("MCAP files need the package mcap, which is not installed: pip install mcap") from error

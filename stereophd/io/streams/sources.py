@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Literal, cast
 
 from stereophd.errors import InputError
+from stereophd.io.documents import need_package
 from stereophd.io.streams.mcap import MARK, read_mcap
 from stereophd.io.streams.messages import Message, messages_of_rows, parse_line
 
@@ -171,10 +172,7 @@ def connect(address: str) -> Any:
 
 
 def _socket(kind: str, address: str, join: Callable[[Any], object]) -> Any:
-    try:
-        import zmq
-    except ImportError as error:
-        raise InputError("messages over the network need pyzmq, which is not installed: pip install pyzmq") from error
+    zmq = need_package("pyzmq", f"{address}: a stream over the network", "zmq")
     socket: Any = zmq.Context.instance().socket(getattr(zmq, kind))
     try:
         join(socket)

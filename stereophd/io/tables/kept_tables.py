@@ -33,9 +33,8 @@ class KeptTable(TableWriter):
         kept: GrowingFile,
         earlier: Iterable[bytes] = (),
         complete: Complete | None = None,
-        row_group_rows: int | None = None,
     ) -> None:
-        super().__init__(path, schema, metadata, complete, row_group_rows)
+        super().__init__(path, schema, metadata, complete)
         self._kept = kept
         self._plain = schema.with_metadata(None)
         # Rows that wait for the rest of their group and are converted already; all of them are kept.

@@ -50,12 +50,11 @@ SCANS = _schema(
         "n_components": INTEGER,
     }
 )
+CASE = {"experiment": STRING, "method": STRING, "case": STRING}
 #: One row a value of a run of an experiment; time_s is null for what belongs to the whole run.
 RUNS = _schema(
     {
-        "experiment": STRING,
-        "method": STRING,
-        "case": STRING,
+        **CASE,
         "run": INTEGER,
         "seed": INTEGER,
         "time_s": FLOAT,
@@ -68,9 +67,7 @@ RUNS = _schema(
 #: One row a method, case, time and quantity of an experiment; null: not defined, or no bound known.
 SUMMARY = _schema(
     {
-        "experiment": STRING,
-        "method": STRING,
-        "case": STRING,
+        **CASE,
         "time_s": FLOAT,
         "quantity": STRING,
         "unit": STRING,

@@ -104,13 +104,12 @@ class TableWriter:
         schema: pa.Schema,
         metadata: Mapping[Any, Any] | None = None,
         complete: Complete | None = None,
-        row_group_rows: int | None = None,
     ) -> None:
         self.path = Path(path)
         self.schema = schema.with_metadata(dict(metadata)) if metadata else schema
         self.rows = 0
         self._names = frozenset(schema.names)
-        self._row_group_rows = row_group_rows or ROW_GROUP_ROWS
+        self._row_group_rows = ROW_GROUP_ROWS
         self._complete = complete
         self._buffer: list[Piece] = []
         self._buffered = 0

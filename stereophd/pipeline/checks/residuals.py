@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.geometry.alternatives import posed
 from stereophd.pipeline.checks.geometry.causes import shift_remedy, shifted
 from stereophd.pipeline.checks.geometry.rays import pairs_of, signed_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
@@ -266,9 +267,7 @@ def _moved(camera: Camera, component: int, step: float, size: float) -> Camera:
     """Return a camera turned about one of its axes (0 to 2), or moved along one of the world's (3 to 5)."""
     pose, change = camera.pose, np.zeros(6)
     change[component] = step
-    rotation = rotation_from_vector(change[:3]) @ pose.rotation
-    center = pose.center + size * change[3:]
-    return replace(camera, pose=Pose(rotation, center, pose.velocity, pose.rotation_rate, pose.time_s))
+    return posed(camera, rotation_from_vector(change[:3]) @ pose.rotation, pose.center + size * change[3:])
 
 
 # Detections of a camera that are examined, and candidates of all of them together.

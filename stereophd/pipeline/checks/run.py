@@ -23,6 +23,8 @@ from stereophd.wording import LOGGER
 QUICK_FRAMES = 400
 
 
+# Numbers near the largest may overflow: no finding follows from what is not finite.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def check_log(
     loaded: LoadedConfig, log_path: Path | str, thorough: bool = True, cameras: tuple[Camera, ...] | None = None
 ) -> tuple[Finding, ...]:
@@ -33,14 +35,34 @@ def check_log(
     about the geometry and about the settings, in this order. Raises InputError if the configuration has no cameras, the
     log is not usable, or the known trajectory of a camera does not cover it.
     """
-    cameras = loaded.build_cameras() if cameras is None else cameras
-    reader = LogReader(log_path, cameras, "drop", float("inf"), leave_out=loaded.config.input.leave_out)
+    config, cameras = loaded.config, loaded.build_cameras() if cameras is None else cameras
+    reader = LogReader(log_path, cameras, "drop", float("inf"), leave_out=config.input.leave_out)
     most = MOST_FRAMES if thorough else QUICK_FRAMES
     samples = sample_log(covered(cameras, reader, str(log_path)), cameras, most)
     whole = sum(len(sample.times) for sample in samples) < most * len(cameras)
+    # a noise that is not stated is what it is about one-camera tracks, whatever poses and clocks are
+    estimated = loaded.estimated_cameras
+    samples = [one.with_measured_noise if one.camera.name in estimated else one for one in samples]
+    if config.object.shape != "point":
+        samples = [one.with_noise_of_middles for one in samples]
     # a quick check precedes a run, which states what it drops
-    rows = tuple(check_rows(reader.counts)) if thorough else ()
-    return (*rows, *check_samples(loaded, samples, thorough, whole))
+    findings = [*(check_rows(reader.counts) if thorough else ()), *_of_files(loaded, samples, whole)]
+    if any(found.cause == "pixels_normalised" for found in findings):
+        return tuple(findings)
+    if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
+        why = f"geometry and settings are checked only for cameras that stand still; moving: {', '.join(moving)}"
+        return (*findings, Finding("geometry.rays", "not checked", why))
+    geometry = measure(samples, expected_depths(config, samples), thorough)
+    findings += check_geometry(geometry, thorough)
+    blamed = {found.name for found in warnings_of(tuple(findings))}
+    if "geometry.cause" not in blamed:
+        if config.object.shape == "point":
+            # the middle of a box is not the image of the middle of a body
+            findings += check_residuals(samples)
+        # speeds and accelerations follow from the times
+        if "log.frame_rate" not in blamed:
+            findings += check_settings(config, measure_scene(geometry), samples, whole)
+    return tuple(findings)
 
 
 def check_log_alone(loaded: LoadedConfig, log_path: Path | str) -> tuple[Finding, ...]:
@@ -63,37 +85,6 @@ def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) ->
         if not (found.name.startswith("detector.") and found.camera in loaded.estimated_cameras)
         and found.name not in unasked
     )
-
-
-# Numbers near the largest may overflow: no finding follows from what is not finite.
-@np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def check_samples(
-    loaded: LoadedConfig, samples: list[CameraSample], thorough: bool, whole: bool
-) -> tuple[Finding, ...]:
-    """Check a part of a log that is in memory (see `check_log`); `whole` states whether it is the whole log."""
-    config = loaded.config
-    # a noise that is not stated is what it is about one-camera tracks, whatever poses and clocks are
-    estimated = loaded.estimated_cameras
-    samples = [one.with_measured_noise if one.camera.name in estimated else one for one in samples]
-    if config.object.shape != "point":
-        samples = [one.with_noise_of_middles for one in samples]
-    findings = [*_of_files(loaded, samples, whole)]
-    if any(found.cause == "pixels_normalised" for found in findings):
-        return tuple(findings)
-    if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
-        why = f"geometry and settings are checked only for cameras that stand still; moving: {', '.join(moving)}"
-        return (*findings, Finding("geometry.rays", "not checked", why))
-    geometry = measure(samples, expected_depths(config, samples), thorough)
-    findings += check_geometry(geometry, thorough)
-    blamed = {found.name for found in warnings_of(tuple(findings))}
-    if "geometry.cause" not in blamed:
-        if config.object.shape == "point":
-            # the middle of a box is not the image of the middle of a body
-            findings += check_residuals(samples)
-        # speeds and accelerations follow from the times
-        if "log.frame_rate" not in blamed:
-            findings += check_settings(config, measure_scene(geometry), samples, whole)
-    return tuple(findings)
 
 
 def report_findings(findings: tuple[Finding, ...]) -> list[dict[str, Any]]:

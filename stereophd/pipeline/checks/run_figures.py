@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.geometry.camera import Camera
-from stereophd.io.logs.checks import KINDS
+from stereophd.io.logs.checks import bad_rows
 from stereophd.pipeline.checks.finding import Finding, warnings_of
 from stereophd.wording import instant, percent
 
@@ -184,23 +184,12 @@ def check_rows(counts: Mapping[str, int]) -> Iterator[Finding]:
 
     The counts are those of the rows that were read: ``rows`` and the kinds of bad rows.
     """
-    if bad := _bad_rows(counts):
-        text = f"{_rows(bad, counts)} that were read are bad ({_each(bad)}): a run refuses the log, or drops them"
-        missing = "add the camera to the cameras" if "unknown_camera" in bad else "correct the rows"
+    bad, each = bad_rows(counts)
+    if bad:
+        text = f"{bad} of {counts['rows']} rows that were read are bad ({each}): a run refuses the log, or drops them"
+        missing = "add the camera to the cameras" if counts["unknown_camera"] else "correct the rows"
         remedy = f"{missing}, or drop them (input.on_bad_row: drop)"
-        yield Finding("input.rows", "warning", text, sum(bad.values()), 0, None, remedy, "bad_rows")
-
-
-def _bad_rows(counts: Mapping[str, int]) -> dict[str, int]:
-    return {kind: counts[kind] for kind in KINDS if counts.get(kind)}
-
-
-def _rows(bad: Mapping[str, int], counts: Mapping[str, int]) -> str:
-    return f"{sum(bad.values())} of {counts['rows']} rows"
-
-
-def _each(bad: Mapping[str, int]) -> str:
-    return ", ".join(f"{kind} {count}" for kind, count in bad.items())
+        yield Finding("input.rows", "warning", text, bad, 0, None, remedy, "bad_rows")
 
 
 def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Iterator[Finding]:
@@ -209,35 +198,36 @@ def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Itera
     Of the figures of the run, as in ``report.json``, ``events`` and ``left_out`` are used. The counts are those of the
     log: ``rows``, the kinds of bad rows, ``not_invertible``.
     """
-    if dropped := _bad_rows(counts):
-        text = f"{_rows(dropped, counts)} dropped ({_each(dropped)})"
-        yield Finding("input.rows", "warning", text, sum(dropped.values()), 0, cause="rows_dropped")
+    dropped, each = bad_rows(counts)
+    if dropped:
+        text = f"{dropped} of {counts['rows']} rows dropped ({each})"
+        yield Finding("input.rows", "warning", text, dropped, 0, cause="rows_dropped")
     if count := counts["not_invertible"]:
         text = f"{count} detections lie where the lens model cannot be inverted: left out"
         yield Finding("input.lens", "warning", text, count, 0, None, "check the coefficients of the lens", "lens")
     left_out, events = summary["left_out"], summary["events"]
-    if cut := left_out["events"]:
-        text = (
-            f"after {cut} of {events} events the least probable tracks or components were left out, up to "
-            f"{left_out['most']} at once"
-        )
-        remedy = "raise filter.max_components, or leave it to the memory (null)"
-        yield Finding("filter.max_components", "warning", text, cut, 0, None, remedy, "filter_full")
-    if crowded := left_out["hypothesis_events"]:
-        text = (
-            f"after {crowded} of {events} events the tracks had more hypotheses than filter.max_hypotheses: up to "
+    for key, name, text, remedy, cause in (
+        (
+            "events", "filter.max_components",
+            f"after {{}} of {events} events the least probable tracks or components were left out, up to "
+            f"{left_out['most']} at once", "raise filter.max_components, or leave it to the memory (null)",
+            "filter_full",
+        ),
+        (
+            "hypothesis_events", "filter.max_hypotheses",
+            f"after {{}} of {events} events the tracks had more hypotheses than filter.max_hypotheses: up to "
             f"{left_out['most_hypotheses']} of the least probable at once remain undecided, so that tracks take more "
-            "events to settle"
-        )
-        remedy = "raise filter.max_hypotheses for fewer events, which take longer"
-        yield Finding("filter.max_hypotheses", "warning", text, crowded, 0, None, remedy, "hypotheses_full")
-    if bursts := left_out["burst_frames"]:
-        text = (
-            f"{bursts} of {events} frames have more detections beyond those of known objects than "
-            f"filter.birth.max_per_frame: these {left_out['burst_detections']} count as clutter, and start no track"
-        )
-        remedy = "raise filter.birth.max_per_frame if they are objects"
-        yield Finding("filter.bursts", "warning", text, bursts, 0, None, remedy, "burst")
+            "events to settle", "raise filter.max_hypotheses for fewer events, which take longer", "hypotheses_full",
+        ),
+        (
+            "burst_frames", "filter.bursts",
+            f"{{}} of {events} frames have more detections beyond those of known objects than "
+            f"filter.birth.max_per_frame: these {left_out['burst_detections']} count as clutter, and start no track",
+            "raise filter.birth.max_per_frame if they are objects", "burst",
+        ),
+    ):  # fmt: skip
+        if count := left_out[key]:
+            yield Finding(name, "warning", text.format(count), count, 0, None, remedy, cause)
 
 
 # Correlation of successive residuals from which errors cannot pass for white noise.
@@ -284,7 +274,7 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
             )
             remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
             yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")
-        elif (error := _unsure(estimate, key)) > UNSURE:
+        elif (error := float(max(np.divide(estimate[f"{key}_standard_error"], estimate[key])))) > UNSURE:
             text = (
                 f"{name}: the estimated noise of {noise} is known to a factor of {np.exp(2.0 * error):.1f} only, from "
                 f"{estimate['residuals']:.0f} detections of tracks that two cameras saw"
@@ -301,9 +291,3 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
             )
             remedy = f"state cameras.{name}.detector.clutter_per_frame if you know it, or take a longer log"
             yield Finding("detector.estimate", "warning", text, round(error, 2), None, name, remedy, "clutter_unsure")
-
-
-def _unsure(estimate: Mapping[str, Any], key: str) -> float:
-    """Return the relative standard error of an estimated noise."""
-    pairs = zip(estimate[f"{key}_standard_error"], estimate[key], strict=True)
-    return float(max(error / sigma for error, sigma in pairs))

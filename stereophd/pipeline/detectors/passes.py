@@ -230,24 +230,11 @@ def estimate_detectors(
     one that is larger or smaller, of all cameras or of one. What makes the log more probable is kept, and a noise that
     its tracks do not confirm goes back to what was known before them, moved as the likelihood has it.
 
-    Parameters
-    ----------
-    cameras : tuple of Camera
-        With the values to start from (`stereophd.pipeline.detectors.ray_noise.starting_detectors`).
-    priors : mapping
-        Name -> what is known of the noise, of the cameras whose detectors are estimated; the others stay as they are.
-    build_filter : callable
-        Makes a labelled filter of cameras.
-    parts : sequence of EventStream
-        Stretches of the log (`stretches`).
-
-    Returns
-    -------
-    cameras : tuple of Camera
-        With the estimates in place.
-    report : dict
-        For ``report.json``: by camera the values, their standard errors and the numbers behind them, and whether the
-        log states the noise of its detections.
+    The cameras have the values to start from, and `priors`, name -> what is known of the noise, are those of the
+    cameras whose detectors are estimated (`stereophd.pipeline.detectors.ray_noise.starting_detectors`); the others stay
+    as they are. `build_filter` makes a labelled filter of cameras, `parts` are `stretches` of the log. Returns the
+    cameras with the estimates in place, and a report for ``report.json``: by camera the values, their standard errors
+    and the numbers behind them, and whether the log states the noise of its detections.
     """
     own = [priors[camera.name].own_spread if camera.name in priors else 0.0 for camera in cameras]
     spreads = [max((prior.spread for prior in priors.values()), default=0.0), *own]

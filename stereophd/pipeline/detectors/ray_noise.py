@@ -105,12 +105,9 @@ class _PairEvidence:
 
 
 def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
-    """Return the noise of every camera, from how its rays miss those of the others, and the prior.
+    """Return the noise of two or more cameras, from how their rays miss each other's, and the prior.
 
-    Parameters
-    ----------
-    samples : sequence of CameraSample
-        Frames of every camera, of two or more; the stated detectors are not used.
+    The detectors that are stated are not used.
     """
     unit = [replace(sample, camera=with_noise(sample.camera, 1.0)) for sample in samples]
     pairs = pairs_of(len(unit))
@@ -151,18 +148,9 @@ def starting_detectors(
 ) -> tuple[tuple[Camera, ...], dict[str, NoisePrior]]:
     """Return cameras with detectors to begin a first tracking run with, and what is known of their noise by then.
 
-    Where the rays cannot be compared (one camera, cameras that move or are not placed), the noise is as the detectors
-    have it.
-
-    Parameters
-    ----------
-    cameras : sequence of Camera
-    estimated : collection of str
-        Names of the cameras whose detectors are estimated.
-    samples : sequence of CameraSample
-        Frames of all cameras.
-    is_placed : bool
-        Whether the poses are known.
+    The detectors of the cameras of `estimated` names are those that are replaced. Where the rays cannot be compared
+    (one camera, cameras that move or whose poses are not known, not `is_placed`), the noise is as the detectors have
+    it.
     """
     resting = is_placed and len(cameras) > 1 and all(camera.pose.is_static for camera in cameras)
     noise = noise_from_rays(samples) if resting else RayNoise(np.empty(0), np.empty(0), 0.0)
@@ -297,12 +285,8 @@ def _classes(missed: Array) -> Array:
 def _mixture(together: Array, neighbours: Array, apart: Array, count: int) -> tuple[Array, float, float]:
     """Return the log-likelihood (noises,) of the noise of partners among distances, their number, and its gain.
 
-    Parameters
-    ----------
-    together, neighbours, apart : arrays (classes,)
-        Numbers of distances at the same time, from rays of others in a frame, and at other places and times.
-    count : int
-        Detections that have at most one partner each.
+    Numbers (classes,) are those of distances at the same time, from rays of others in a frame, and at other places and
+    times; the `count` detections have at most one partner each.
     """
     chance, near = _background(apart), _background(neighbours)
     kept = max(int(np.searchsorted(np.cumsum(chance), 0.5)), 1)

@@ -213,21 +213,9 @@ def observe(
 ) -> Sighting:
     """Add the residuals of a frame to the sums of its camera, and return which settled tracks it detected.
 
-    Parameters
-    ----------
-    sums : DetectorSums
-        Sums of the camera; the residuals are added.
-    prediction : Prediction
-        Before the update with the event.
-    event : Event
-    camera : Camera
-        At the time of the event, with the present detector.
-    space : array (30,)
-        Its packed disparity space.
-    settled : array of int
-        Labels of tracks that are confirmed and were seen by at least two cameras.
-    with_noise : bool
-        Whether the noise is the detector's (a log may state that of each detection).
+    The prediction is that before the update, the camera that at the time of the event, with the present detector, and
+    `space` (30,) its packed disparity space. Settled are labels of tracks that are confirmed and were seen by at least
+    two cameras. `with_noise` says whether the noise is the detector's: a log may state that of each detection.
     """
     chosen, existence = _decided(prediction, settled)
     moved = prediction.moved

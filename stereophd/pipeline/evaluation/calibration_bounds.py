@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 
 from stereophd.config.loading import LoadedConfig
-from stereophd.core.arrays import Array
 from stereophd.core.bounds.calibration import TruePositions, calibration_bound
-from stereophd.core.calibration.unknowns.observability import PoseSpread, pose_spread, posed_cameras
+from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.random_streams import RUN_OBJECTS
@@ -21,44 +20,29 @@ from stereophd.pipeline.simulation import build_scene
 
 
 def bound_figures(loaded: LoadedConfig, true: list[Camera]) -> dict[str, Any]:
-    """Cramer-Rao bound of the configuration's calibration in its own simulated scenario (run 0)."""
+    """Cramer-Rao bound of the configuration's calibration in its own simulated scenario (run 0).
+
+    The errors are root mean squares. Raises InputError if the configuration has no section ``simulate``.
+    """
     parameters, reference = build_parameters(loaded)
     by_name = {camera.name: camera for camera in true}
     truth = ParameterSet(tuple(by_name[c.name] for c in parameters.cameras), parameters.parameters)
-    covariance = scenario_bound(loaded, truth, reference)
-    names = posed_cameras(parameters)
-    values = np.zeros(parameters.size)
-    spreads = {name: pose_spread(truth, reference, values, covariance, name) for name in names}
-    std = np.sqrt(np.diag(covariance))
-    return {
-        "cameras": {name: spread_figures(spread) for name, spread in spreads.items()},
-        "parameters": dict(zip(parameters.names, std.tolist(), strict=True)),
-    }
-
-
-def spread_figures(spread: PoseSpread) -> dict[str, Any]:
-    """Root mean square errors of a `PoseSpread`, as the errors are named."""
-    return {
-        "rotation_deg": finite_or_none(math.degrees(spread.rotation)),
-        "direction_deg": finite_or_none(math.degrees(spread.direction)),
-        "scale": finite_or_none(spread.scale),
-        "center": finite_or_none(spread.center),
-    }
-
-
-def scenario_bound(loaded: LoadedConfig, truth: ParameterSet, reference: int) -> Array:
-    """Bound on the covariance (m, m) of a calibration of the first simulated run of a configuration.
-
-    It has ``simulate`` and ``calibration``; `truth` has the true cameras: their values are zero.
-    """
-    settings = loaded.config.simulate
-    if settings is None:
+    if loaded.config.simulate is None:
         raise InputError(f"{loaded.path}: simulate: expected the scenario of the bound, found none")
     scene = build_scene(loaded.config, truth.cameras, RUN_OBJECTS.seed(loaded.config.seed, 0))
-    positions = scene_positions(scene)
-    return calibration_bound(
-        truth, np.zeros(truth.size), reference, scene.motion, positions, build_scale(loaded, truth)
-    )
+    values, positions = np.zeros(truth.size), scene_positions(scene)
+    covariance = calibration_bound(truth, values, reference, scene.motion, positions, build_scale(loaded, truth))
+    cameras = {}
+    for name in posed_cameras(parameters):
+        spread = pose_spread(truth, reference, values, covariance, name)
+        cameras[name] = {
+            "rotation_deg": finite_or_none(math.degrees(spread.rotation)),
+            "direction_deg": finite_or_none(math.degrees(spread.direction)),
+            "scale": finite_or_none(spread.scale),
+            "center": finite_or_none(spread.center),
+        }
+    std = np.sqrt(np.diag(covariance))
+    return {"cameras": cameras, "parameters": dict(zip(parameters.names, std.tolist(), strict=True))}
 
 
 def scene_positions(scene: Scene) -> TruePositions:

@@ -2,15 +2,11 @@
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from stereophd.errors import InputError
 from stereophd.options import option, options
-
-# What may be changed of the tracks before they are scored: nothing, their frame, their frame and scale.
-ALIGNMENTS = ("none", "rigid", "similarity")
 
 # The region that is that of the tracks' configuration.
 OF_TRACKS: Literal["tracks"] = "tracks"
@@ -51,13 +47,14 @@ def limits_by_axis(flag: str, words: Sequence[str]) -> dict[str, tuple[float, fl
 class ScoreOptions:
     """How tracks are scored."""
 
-    order: float = option("Order of OSPA and GOSPA.", default=2.0, metavar="P")
+    order: float = option("Order of OSPA and GOSPA.", default=2.0, metavar="P", least=1.0)
     cutoff: float | None = option(
         "Cutoff of OSPA and GOSPA: the largest error at which an object still counts as found, in the unit of length "
         "(base mahalanobis: in standard deviations). Default: evaluation.cutoff of the configuration of the tracks; "
         "without it 20 where lengths are in cm and for the base mahalanobis, and no default for other units.",
         default=None,
         metavar="C",
+        above=0.0,
     )
     base: Literal["euclidean", "mahalanobis"] = option(
         "Base distance of OSPA and GOSPA: euclidean, or mahalanobis with the covariance of the estimate (paper "
@@ -72,6 +69,7 @@ class ScoreOptions:
         default=None,
         metavar="S",
         flag="max-gap",
+        least=0.0,
     )
     at: Literal["times", "events"] = option(
         "Score each time once, after its last event, or every event.", default="times"
@@ -84,7 +82,9 @@ class ScoreOptions:
         least=1,
         use=SEEN,
     )
-    within_s: float | None = option("Time span of seen-by, s.", default=None, metavar="S", flag="seen-within", use=SEEN)
+    within_s: float | None = option(
+        "Time span of seen-by, s.", default=None, metavar="S", flag="seen-within", least=0.0, use=SEEN
+    )
     ospa2_window: int = option("Scored scans in a window of OSPA(2).", default=10, metavar="SCANS", least=1)
     tentative: bool = option("Score tentative estimates too, not only confirmed ones.", default=False)
     align: Literal["none", "rigid", "similarity"] = option(
@@ -101,6 +101,7 @@ class ScoreOptions:
         "time on and yet be kept.",
         default=None,
         metavar="D",
+        above=0.0,
     )
     plane: tuple[float, float, float] | None = option(
         "Compare positions on the plane of this normal, such as 0,0,1 for the ground: figures are then of two "
@@ -121,6 +122,7 @@ class ScoreOptions:
         "Add the trajectory GOSPA distance with this cost of a switch of tracks, in the unit of length.",
         default=None,
         metavar="G",
+        above=0.0,
     )
 
     @property
@@ -130,38 +132,13 @@ class ScoreOptions:
         return self.cutoff
 
 
-def scoring_values(stated: ScoreOptions) -> dict[str, Any]:
-    """Return the values of the fields of `ScoreOptions`, for the provenance."""
-    return {each.name: getattr(stated, each.name) for each in fields(ScoreOptions)}
-
-
 def check_options(stated: ScoreOptions, log_path: Path | str | None) -> None:
-    """Raise InputError for options out of range or that do not go together."""
-    for name in ("cutoff", "match_distance", "switch_cost"):
-        value = getattr(stated, name)
-        if value is not None and not (math.isfinite(value) and value > 0.0):
-            raise InputError(f"`{name}`: expected a finite number above 0, found {value}")
-    for name, low in (("order", 1.0), ("max_gap_s", 0.0), ("within_s", 0.0)):
-        value = getattr(stated, name)
-        if value is not None and not (math.isfinite(value) and value >= low):
-            raise InputError(f"`{name}`: expected a finite number of at least {low:g}, found {value}")
-    for name, choices in (("base", ("euclidean", "mahalanobis")), ("at", ("times", "events")), ("align", ALIGNMENTS)):
-        if getattr(stated, name) not in choices:
-            raise InputError(f"`{name}`: expected {' or '.join(choices)}, found {getattr(stated, name)}")
-    for name in ("from_s", "to_s"):
-        value = getattr(stated, name)
-        if value is not None and not math.isfinite(value):
-            raise InputError(f"`{name}`: expected a finite time in seconds, found {value}")
+    """Raise InputError for options that do not go together, and a plane or a region that cannot be."""
     if stated.from_s is not None and stated.to_s is not None and stated.from_s > stated.to_s:
         raise InputError(f"`from_s`: expected a time not after `to_s`, found {stated.from_s} > {stated.to_s}")
     together = (stated.seen_by, stated.within_s, log_path)
     if any(value is None for value in together) and together != (None, None, None):
         raise InputError("`seen_by`: expected `seen_by`, `within_s` and `log_path` together, found only some of them")
-    _check_places(stated)
-
-
-def _check_places(stated: ScoreOptions) -> None:
-    """Raise InputError for a plane or a region that cannot be."""
     if stated.plane is not None and not (all(map(math.isfinite, stated.plane)) and any(stated.plane)):
         raise InputError(f"`plane`: expected a normal of three finite numbers, not all 0, found {stated.plane}")
     limits = {} if stated.region is None or isinstance(stated.region, str) else stated.region

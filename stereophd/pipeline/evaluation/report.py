@@ -8,13 +8,12 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from stereophd.io.outputs.json_text import plain
+from stereophd.io.outputs.json_text import REPORT_VERSION, plain
 from stereophd.io.tables.schemas import FLOAT, INTEGER
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.evaluation.options import ScoreOptions
 from stereophd.pipeline.evaluation.scoring import Scored, registration_report
 
-REPORT_VERSION = 1
 INTEGER_COLUMNS = frozenset({"n_truth", "n_estimates", "n_matched", "identity_switches"})
 
 

@@ -74,7 +74,8 @@ def score_tracks(
     """
     found = registration_of(tracks, truth, options, max_gap_s, tracks_path)
     if found is not None:
-        tracks, sightings = registered_tracks(tracks, found), registered_sightings(sightings, found)
+        tracks = registered_tracks(tracks, found)
+        sightings = None if sightings is None else replace(sightings, time_s=found.times(sightings.time_s))
     scans = _common_scans(tracks, truth, options, max_gap_s, tracks_path)
     scans = _scans_of_sight(scans, sightings, options, _region(tracks, options, tracks_path))
     if len(scans.time_s) == 0:
@@ -259,11 +260,6 @@ def registered_tracks(tracks: Tracks, found: Registration) -> Tracks:
         covariance=found.covariances(tracks.covariance),
         cameras_part=None if tracks.cameras_part is None else found.covariances(tracks.cameras_part),
     )
-
-
-def registered_sightings(sightings: Sightings | None, found: Registration) -> Sightings | None:
-    """Return sightings on the clock of the truth."""
-    return None if sightings is None else replace(sightings, time_s=found.times(sightings.time_s))
 
 
 def registration_report(found: Registration | None) -> dict[str, Any] | None:

@@ -48,10 +48,7 @@ def summarise_table(path: Path) -> dict[str, Any]:
         # null where a row belongs to a whole run, as in the tables of an experiment
         times = _column(read_table(path, {}, {"time_s": FLOAT}), "time_s")
         times = times[np.isfinite(times)]
-    else:
-        times = np.empty(0)
-    if len(times):
-        result |= {"first_s": float(times.min()), "last_s": float(times.max())}
+        result |= {"first_s": float(times.min()), "last_s": float(times.max())} if len(times) else {}
     return result
 
 

@@ -22,7 +22,8 @@ def write_log(loaded: LoadedConfig, recording: Path, log: Path) -> None:
     A frame that is more than ``live.span_s`` older than one before it was too late for the run, and is left out. Raises
     InputError if a line is no frame; a last line that a killed run left incomplete is passed over.
     """
-    columns = _columns_of(recording)
+    present = {name for message in read_recording(recording) for name in message.columns}
+    columns = [name for name in OPTIONAL if name in present]
     with LogWriter(log, to_metadata(provenance("track", loaded.record)), columns) as table:
         for message in _in_order(loaded, read_recording(recording)):
             table.write(message.time_s, message.camera, message.frame, message.pixels, message.columns)
@@ -34,12 +35,6 @@ def read_recording(recording: Path) -> Iterator[Message]:
         for number, line in enumerate(stream, start=1):
             if line.endswith("\n"):
                 yield parse_line(line, f"{recording}: line {number}")
-
-
-def _columns_of(recording: Path) -> list[str]:
-    """Return the optional columns that some frame has, in the order of the schema."""
-    present = {name for message in read_recording(recording) for name in message.columns}
-    return [name for name in OPTIONAL if name in present]
 
 
 def _in_order(loaded: LoadedConfig, messages: Iterable[Message]) -> Iterator[Message]:

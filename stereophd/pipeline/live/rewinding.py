@@ -54,9 +54,7 @@ class RewindingRun:
         return self._settled is not None and _key(event) < self._settled
 
     def work(self, event: Event) -> Sequence[Step]:
-        """Work an event, and later ones again; return their steps, its own first. ValueError if it `is_too_late`."""
-        if self.is_too_late(event):
-            raise ValueError(f"event at {event.time_s} s is before the states that are kept")
+        """Work an event that not `is_too_late`, and later ones again; return their steps, its own first."""
         place = len(self._steps)
         while place and self._steps[place - 1].key >= _key(event):
             place -= 1

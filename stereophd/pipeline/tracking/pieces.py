@@ -65,10 +65,8 @@ class LogPiece:
 def overlap_of(length_s: float, overlap_s: float | None) -> float:
     """Return the overlap of pieces, s: as stated, else 60 s, or the length of shorter pieces.
 
-    Raises InputError if the length is not above 0, or the overlap is longer than a piece.
+    Raises InputError if the overlap is longer than a piece.
     """
-    if not 0.0 < length_s < math.inf:
-        raise InputError(f"`pieces_s`: expected a length above 0 s, found {length_s:g}")
     if overlap_s is None:
         return min(OVERLAP_S, length_s)
     if not 0.0 < overlap_s <= length_s:

@@ -27,7 +27,7 @@ from stereophd.io.cameras.models import CameraConfig, DetectorConfig
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.tables.schemas import ASSOCIATIONS, CAMERAS_PART, CONFIRMED, EXTENTS, SCANS, STD, TENTATIVE, TRACKS
-from stereophd.io.tables.writing import Complete, Piece, TableWriter
+from stereophd.io.tables.writing import Piece, TableWriter
 from stereophd.pipeline.build import build_bodies, build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
@@ -77,9 +77,7 @@ class TrackingRun:
 
         Raises InputError if what an earlier process kept is damaged.
         """
-        kept = UnfinishedTracking(unfinished, self.estimator, keeps_records=self.report.smooth is not None)
-        kept.load()
-        return kept
+        return UnfinishedTracking(unfinished, self.estimator, keeps_records=self.report.smooth is not None)
 
     def with_estimated_detectors(self, stream: EventStream) -> TrackingRun:
         """Return the run with detectors estimated from the log; the same where the configuration gives them all."""
@@ -111,18 +109,19 @@ class TrackingRun:
         """
         columns = (*(EXTENTS if self.boxes else ()), *(STD if self.report.std_columns else ()))
         columns += () if uncertainty is None else (CAMERAS_PART,)
-        schema = functools.reduce(lambda schema, column: schema.append(column), columns, TRACKS)
+        schemas = {TRACKS_FILE: pa.schema([*TRACKS, *columns]), SCANS_FILE: SCANS}
+        schemas |= {ASSOCIATIONS_FILE: ASSOCIATIONS} if self.report.associations else {}
+        make = TableWriter if kept is None or kept.keeps_records else kept.table
         with contextlib.ExitStack() as files:
-
-            def table(name: str, schema: pa.Schema, complete: Complete | None = None) -> TableWriter:
-                make = TableWriter if kept is None or kept.keeps_records else kept.table
-                return files.enter_context(make(out.path(name), schema, metadata, complete))
-
-            third = table(ASSOCIATIONS_FILE, ASSOCIATIONS) if self.report.associations else None
             figures = RunFigures() if kept is None else kept.figures
             complete = None if uncertainty is None else functools.partial(with_cameras_part, uncertainty, figures)
-            tables = Tables(table(TRACKS_FILE, schema, complete), table(SCANS_FILE, SCANS), third)
-            writer = RecordWriter(tables, self.cameras, self.report, figures, CAMERAS_PART.name in schema.names)
+            tables = {
+                name: files.enter_context(
+                    make(out.path(name), schema, metadata, complete=complete if name == TRACKS_FILE else None)
+                )
+                for name, schema in schemas.items()
+            }
+            writer = RecordWriter(tables, self.cameras, self.report, figures, uncertainty is not None)
             for record in records:
                 writer.add(record)
         return writer.summary()
@@ -238,25 +237,17 @@ def with_boxes(stream: EventStream) -> Iterator[Event]:
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
 
 
-@dataclass(frozen=True)
-class Tables:
-    """Tables of the records of a run: a row for each estimate, for each event and, if wanted, for each association."""
-
-    tracks: TableWriter
-    scans: TableWriter
-    associations: TableWriter | None = None
-
-
 class RecordWriter:
     """Writes what is to be reported as it comes, and counts the figures of the run.
 
-    The cameras are in order, for the figures of each. `report` says which estimates are written, and which columns;
-    `figures` are where the run begins, and are kept up to date. Whether the table of tracks has a part of uncertain
-    cameras is in `has_cameras_part`; `with_cameras_part` fills it in.
+    Tables, by the names of their files, have a row for each estimate, for each event and, if it is there, for each
+    association. The cameras are in order, for the figures of each. `report` says which estimates are written, and which
+    columns; `figures` are where the run begins, and are kept up to date. Whether the table of tracks has a part of
+    uncertain cameras is in `has_cameras_part`; `with_cameras_part` fills it in.
     """
 
     def __init__(
-        self, tables: Tables, cameras: Sequence[Camera], report: ReportConfig, figures: RunFigures,
+        self, tables: Mapping[str, TableWriter], cameras: Sequence[Camera], report: ReportConfig, figures: RunFigures,
         has_cameras_part: bool,
     ) -> None:  # fmt: skip
         self._tables, self._report, self._figures = tables, report, figures
@@ -267,16 +258,15 @@ class RecordWriter:
         """Write a record."""
         tables, report, figures = self._tables, self._report, self._figures
         figures.add(record, self._cameras)
-        if tables.associations is not None:
-            for sightings in record.associations:
-                tables.associations.append(sightings.columns())
+        for sightings in record.associations if ASSOCIATIONS_FILE in tables else ():
+            tables[ASSOCIATIONS_FILE].append(sightings.columns())
         if not record.reported:
             return
         estimates = record.estimates
         if report.max_position_std is not None:
             estimates = estimates.certain(report.max_position_std)
         key = {"time_s": record.time_s, "camera": record.camera, "frame": record.frame}
-        tables.scans.append(
+        tables[SCANS_FILE].append(
             {
                 **key,
                 "n_detections": np.array([figures.new_detections]),
@@ -290,12 +280,12 @@ class RecordWriter:
         for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
             if level is not None and len(level.track_ids):
                 columns = _columns(level, report.std_columns)
-                tables.tracks.append({**key, **columns, **self._later, "status": status})
+                tables[TRACKS_FILE].append({**key, **columns, **self._later, "status": status})
         figures.add_estimates(estimates, record.time_s)
 
     def summary(self) -> dict[str, Any]:
         """Return the figures of the run for ``report.json``."""
-        return self._figures.report(self._cameras, self._tables.scans.rows, self._tables.tracks.rows)
+        return self._figures.report(self._cameras, self._tables[SCANS_FILE].rows, self._tables[TRACKS_FILE].rows)
 
 
 def with_cameras_part(uncertainty: CameraUncertainty, figures: RunFigures, pieces: Sequence[Piece]) -> list[Piece]:

@@ -117,7 +117,8 @@ def read_records(
 class UnfinishedTracking:
     """What one run of `track` keeps: its records if `keeps_records`, otherwise the rows of its tables.
 
-    Nothing is written before there is something to keep.
+    Nothing is written before there is something to keep. Raises InputError if what an earlier process kept is damaged,
+    or of another run.
     """
 
     def __init__(self, unfinished: UnfinishedRun, estimator: Estimator[Any], keeps_records: bool) -> None:
@@ -126,17 +127,12 @@ class UnfinishedTracking:
         self._estimator = estimator
         self._tables: dict[str, KeptTable] = {}
         self._records: RecordFile | None = None
-        #: Figures of the tables, kept up to date by what writes them.
-        self.figures = RunFigures()
         self._lasting: LastingTracks | None = None
-        self._saved: TrackingState[Any] | None = None
-
-    def load(self) -> None:
-        """Read the last state that was kept, if any; raises InputError if it is damaged, or of another run."""
         kind: Any = TrackingState
-        self._saved = self._unfinished.read(STATE, kind[state_type(self._estimator.init())])
-        if self._saved is not None and self._saved.figures is not None:
-            self.figures = self._saved.figures
+        self._saved: TrackingState[Any] | None = unfinished.read(STATE, kind[state_type(estimator.init())])
+        figures = None if self._saved is None else self._saved.figures
+        #: Figures of the tables, kept up to date by what writes them.
+        self.figures = RunFigures() if figures is None else figures
 
     def table(
         self, place: Path, schema: pa.Schema, metadata: Mapping[bytes, bytes], complete: Complete | None = None

@@ -16,7 +16,7 @@ from contextlib import closing, contextmanager
 from functools import partial
 from itertools import islice
 from queue import SimpleQueue
-from typing import Any, Protocol, TypeVar
+from typing import Any, TypeVar
 
 import stereophd
 from stereophd.errors import InputError
@@ -37,29 +37,14 @@ class WorkersLostError(Exception):
     """Worker processes died; the arguments without a result are to be done again."""
 
 
-class Workers(Protocol):
-    """Calls a function for each argument, until all are done or workers are lost (`WorkersLostError`)."""
-
-    @property
-    def count(self) -> int:
-        """Number of workers that there are now, at least 1."""
-
-    @property
-    def remote(self) -> bool:
-        """Whether the calls are made in other processes."""
-
-    def __call__(self, function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> Iterator[Result]:
-        """Yield the results in any order."""
-
-
 class ThisProcess:
     """One call after the other."""
 
-    count = 1
-    remote = False
+    count = 1  # of workers that there are now
+    remote = False  # whether the calls are made in other processes
 
     def __call__(self, function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> Iterator[Result]:
-        """Do the calls."""
+        """Do the calls; yield the results in any order, until all are done or workers are lost."""
         return map(function, arguments)
 
 
@@ -195,6 +180,9 @@ class DaskWorkers:
     def close(self) -> None:
         """Leave the cluster."""
         self._client.close()
+
+
+Workers = ThisProcess | Cores | DaskWorkers
 
 
 @contextmanager

@@ -157,5 +157,5 @@ def test_bodies_of_a_configuration_follow_other_objects_and_leave_them_as_they_a
 
 
 def test_periods_in_the_wrong_order_are_refused() -> None:
-    with pytest.raises(InputError, match="period_s in ascending order"):
+    with pytest.raises(InputError, match="period_s: expected shortest <= longest, found"):
         load_config("configs/board_calibration.yaml", ["simulate.bodies.0.period_s=[5, 2]"])

@@ -67,7 +67,7 @@ def test_every_writer_of_tracks_keeps_the_contract(form: str, tracks: Path, tmp_
     assert first.stat().st_size > 0
     with pytest.raises(InputError, match=r"expected the tracks \[5\]"):
         export(form, tracks, tmp_path / "refused", ExportOptions(tracks=[5]))
-    with pytest.raises(InputError, match="exists already"):
+    with pytest.raises(InputError, match="the file exists"):
         export(form, tracks, first, ExportOptions(tracks=[3]))
     assert sorted(path.name for path in tmp_path.iterdir()) == ["again", "first", "tracks.parquet"]
 
@@ -220,7 +220,7 @@ def test_rerun_holds_tracks_and_cameras(tracks: Path, tmp_path: Path) -> None:
 def test_targets_and_sources_are_checked(tracks: Path, tmp_path: Path) -> None:
     target = tmp_path / "out.csv"
     target.write_text("mine")
-    with pytest.raises(InputError, match="exists already"):
+    with pytest.raises(InputError, match="the file exists"):
         export("csv", tracks, target)
     assert target.read_text() == "mine"
     export("csv", tmp_path, target, force=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -14,11 +15,20 @@ from hypothesis import strategies as st
 
 from stereophd.errors import InputError
 from stereophd.io.outputs.saved import GrowingFile, read_frames
+from stereophd.io.tables import writing
 from stereophd.io.tables.kept_tables import KeptTable
 from stereophd.io.tables.schemas import ASSOCIATIONS, DETECTIONS, SCANS, TRACKS
 from stereophd.io.tables.writing import TableWriter
 
 METADATA = {b"stereophd": b"{}" * 500}
+USUAL_ROWS = writing.ROW_GROUP_ROWS
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_row_groups() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(writing, "ROW_GROUP_ROWS", 10)
+        yield
 
 
 def rows_of(schema: pa.Schema, count: int, seed: int) -> dict[str, Any]:
@@ -45,12 +55,12 @@ def test_bytes_are_those_of_one_writer(
 ) -> None:
     folder = tmp_path_factory.mktemp("table")
     kept = folder / "rows.growing"
-    whole = TableWriter(folder / "whole.parquet", schema, METADATA, row_group_rows=10)
+    whole = TableWriter(folder / "whole.parquet", schema, METADATA)
 
     def continued(length: int | None) -> KeptTable:
         earlier = () if length is None else read_frames(kept, "me", length)
         file = GrowingFile(kept, "me", length)
-        return KeptTable(folder / "part.parquet", schema, METADATA, file, earlier, row_group_rows=10)
+        return KeptTable(folder / "part.parquet", schema, METADATA, file, earlier)
 
     table = continued(None)
     for seed, (count, then) in enumerate(steps):
@@ -115,8 +125,9 @@ def test_nulls_are_kept(tmp_path: Path) -> None:
     assert (tmp_path / "t.parquet").read_bytes() == (tmp_path / "whole.parquet").read_bytes()
 
 
-def test_row_groups_of_the_usual_size(tmp_path: Path) -> None:
+def test_row_groups_of_the_usual_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Replayed with pages of several kinds."""
+    monkeypatch.setattr(writing, "ROW_GROUP_ROWS", USUAL_ROWS)
     rows = tmp_path / "rows.growing"
     with TableWriter(tmp_path / "whole.parquet", TRACKS, METADATA) as whole:
         table = KeptTable(tmp_path / "part.parquet", TRACKS, METADATA, GrowingFile(rows, "me"))

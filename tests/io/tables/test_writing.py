@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import errno
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +16,19 @@ from hypothesis import strategies as st
 
 from stereophd.errors import InputError
 from stereophd.io.logs.rows import decode
+from stereophd.io.tables import writing
 from stereophd.io.tables.reading import read_table
 from stereophd.io.tables.schemas import COVARIANCE, DETECTIONS, SCANS, TRACKS, TRUTH
 from stereophd.io.tables.writing import TableWriter
 
 POSITIONS = {"time_s": pa.float64(), "object_id": pa.int64(), "x": pa.float64()}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def small_row_groups() -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(writing, "ROW_GROUP_ROWS", 10)
+        yield
 
 
 def track_columns(n: int, start: int = 0) -> dict[str, Any]:
@@ -56,12 +64,12 @@ def test_tracks_come_back_as_written(tmp_path: Path) -> None:
 @given(st.lists(st.integers(0, 25), min_size=1, max_size=8))
 def test_bytes_do_not_depend_on_how_rows_are_handed_over(tmp_path_factory: Any, sizes: list[int]) -> None:
     folder = tmp_path_factory.mktemp("bytes")
-    with TableWriter(folder / "pieces.parquet", TRACKS, row_group_rows=10) as writer:
+    with TableWriter(folder / "pieces.parquet", TRACKS) as writer:
         start = 0
         for size in sizes:
             writer.append(track_columns(size, start))
             start += size
-    with TableWriter(folder / "whole.parquet", TRACKS, row_group_rows=10) as writer:
+    with TableWriter(folder / "whole.parquet", TRACKS) as writer:
         writer.append(track_columns(sum(sizes)))
     assert (folder / "pieces.parquet").read_bytes() == (folder / "whole.parquet").read_bytes()
     groups = pq.ParquetFile(folder / "whole.parquet").metadata
@@ -86,7 +94,7 @@ def test_nulls_and_scalars(tmp_path: Path, u: Any, expected: list[float | None])
 
 
 def test_rows_are_written_as_they_come(tmp_path: Path) -> None:
-    with TableWriter(tmp_path / "t.parquet", TRACKS, row_group_rows=10) as writer:
+    with TableWriter(tmp_path / "t.parquet", TRACKS) as writer:
         for size in (4, 25, 1, 10):
             writer.append(track_columns(size))
             assert writer._buffered < 10

@@ -10,6 +10,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from stereophd.commands.options import TrackOptions
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_config
@@ -17,6 +18,7 @@ from stereophd.core.trajectories.joins import join_probabilities
 from stereophd.core.trajectories.smoothing import Trajectory
 from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame, LogReader
+from stereophd.io.tables import writing
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.tracking import pieces
 from stereophd.pipeline.tracking.pieces import overlap_of, plan_pieces
@@ -122,9 +124,12 @@ def test_pieces_of_one_object(scene: tuple[LoadedConfig, Path], tmp_path: Path) 
 def test_overlaps_longer_than_a_piece_are_refused() -> None:
     assert overlap_of(1800.0, None) == 60.0
     assert overlap_of(4.0, None) == 4.0
-    for length, overlap, name in ((4.0, 5.0, "overlap_s"), (4.0, math.nan, "overlap_s"), (0.0, None, "pieces_s")):
-        with pytest.raises(InputError, match=f"`{name}`: expected"):
-            overlap_of(length, overlap)
+    for overlap in (5.0, math.nan):
+        with pytest.raises(InputError, match="`overlap_s`: expected"):
+            overlap_of(4.0, overlap)
+    for length in (0.0, math.inf):
+        with pytest.raises(InputError, match="`pieces_s`: expected a finite number above 0"):
+            TrackOptions(pieces_s=length)
 
 
 def frames(*times: float) -> list[Frame]:
@@ -182,10 +187,13 @@ def test_far_tracks_are_no_pair() -> None:
     assert len(join_probabilities([], [], np.empty(0), 0.0, 5.0).before) == 0
 
 
-def test_a_reader_passes_over_early_row_groups(scene: tuple[LoadedConfig, Path], tmp_path: Path) -> None:
+def test_a_reader_passes_over_early_row_groups(
+    scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writing, "ROW_GROUP_ROWS", 20)
     loaded, log = scene
     table = pq.read_table(log)
-    with TableWriter(tmp_path / "log.parquet", table.schema, row_group_rows=20) as writer:
+    with TableWriter(tmp_path / "log.parquet", table.schema) as writer:
         writer.append({name: _plain(table[name]) for name in table.schema.names})
     cameras = loaded.build_cameras()
     whole = [(f.time_s, f.camera, f.frame) for f in LogReader(tmp_path / "log.parquet", cameras)]

@@ -11,9 +11,9 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.lens import PARAMETERS, Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
-from stereophd.pipeline.checks.geometry.rays import Reading
+from stereophd.pipeline.checks.geometry.rays import Reading, unchanged
 
 # From OpenGL camera axes (x right, y up, z back) to those of OpenCV.
 OPENGL = np.diag([1.0, -1.0, -1.0])
@@ -32,116 +32,115 @@ class Alternative:
     cause: str  # Short name, for programs
     text: str  # The mistake in words, as in "cam1: the rotation is transposed"
     remedy: str
-    apply: Callable[[Camera], Reading | None]  # Corrects the stated camera; None if it cannot be this mistake
+    correct: Callable[[Camera], Camera | None]  # None if it cannot be this mistake
+    read: Callable[[Camera, Array], Array] = unchanged  # As that of a `Reading`
     alone: bool = False  # Whether the mistake shows only if one camera is affected, not all of them
 
+    def apply(self, camera: Camera) -> Reading | None:
+        """Return the stated camera without the mistake; None if it cannot be this one."""
+        corrected = self.correct(camera)
+        return None if corrected is None else Reading(corrected, self.read)
 
-def _posed(camera: Camera, rotation: Array, center: Array) -> Reading:
-    pose = camera.pose
-    return Reading(replace(camera, pose=Pose(rotation, center, pose.velocity, pose.rotation_rate, pose.time_s)))
 
-
-def _pose_alternatives() -> Iterator[Alternative]:
-    def moved(
-        rotation: Callable[[Array], Array], center: Callable[[Array, Array], Array]
-    ) -> Callable[[Camera], Reading]:
-        return lambda camera: _posed(
-            camera, rotation(camera.pose.rotation), center(camera.pose.rotation, camera.pose.center)
-        )
-
-    def same(rotation: Array, center: Array) -> Array:
-        return center
-
-    def from_translation(rotation: Array, center: Array) -> Array:
-        return np.asarray(-rotation.T @ center)
-
-    def from_both(rotation: Array, center: Array) -> Array:
-        return np.asarray(-rotation @ center)
-
-    def beside_translation(rotation: Array, center: Array) -> Array:
-        return np.asarray(rotation @ rotation @ center)
-
-    to_world = "give the rotation from world to camera axes (transpose the matrix, negate the vector)"
-    as_center = "give the optical centre -R^T t instead of the translation t of x_camera = R x + t"
-    opengl = "turn the camera axes by 180 degrees about x (negate rows 2 and 3 of the rotation matrix)"
-    yield Alternative(
-        "rotation_transposed", "the rotation seems to be camera-to-world (transposed)", to_world,
-        moved(np.transpose, same),
-    )  # fmt: skip
-    yield Alternative(
+TO_WORLD = "give the rotation from world to camera axes (transpose the matrix, negate the vector)"
+AS_CENTER = "give the optical centre -R^T t instead of the translation t of x_camera = R x + t"
+TURNED_AXES = "turn the camera axes by 180 degrees about x (negate rows 2 and 3 of the rotation matrix)"
+# The true rotation and centre of those that are stated.
+TruePose = Callable[[Array, Array], tuple[Array, Array]]
+# Cause, text and remedy of mistakes in poses, and what undoes them.
+POSES: tuple[tuple[str, str, str, TruePose], ...] = (
+    (
+        "rotation_transposed", "the rotation seems to be camera-to-world (transposed)", TO_WORLD,
+        lambda r, c: (r.T, c),
+    ),
+    (
         "rotation_transposed", "the rotation R of x_camera = R x + t seems to be transposed, beside the right t",
-        "transpose R (negate its vector) before the centre -R^T t follows from it",
-        moved(np.transpose, beside_translation),
-    )  # fmt: skip
-    yield Alternative(
-        "center_is_translation", "the centre seems to be the translation t of x_camera = R x + t", as_center,
-        moved(np.asarray, from_translation),
-    )  # fmt: skip
-    yield Alternative(
+        "transpose R (negate its vector) before the centre -R^T t follows from it", lambda r, c: (r.T, r @ r @ c),
+    ),
+    (
+        "center_is_translation", "the centre seems to be the translation t of x_camera = R x + t", AS_CENTER,
+        lambda r, c: (r, -r.T @ c),
+    ),
+    (
         "camera_to_world", "the rotation seems to be transposed and the centre to be the translation t",
-        f"{to_world}; {as_center}", moved(np.transpose, from_both),
-    )  # fmt: skip
-    yield Alternative(
-        "opengl_axes", "the camera axes seem to be those of OpenGL (y up, z back)", opengl,
-        moved(lambda rotation: OPENGL @ rotation, same),
-    )  # fmt: skip
-    yield Alternative(
+        f"{TO_WORLD}; {AS_CENTER}", lambda r, c: (r.T, -r @ c),
+    ),
+    (
+        "opengl_axes", "the camera axes seem to be those of OpenGL (y up, z back)", TURNED_AXES,
+        lambda r, c: (OPENGL @ r, c),
+    ),
+    (
         "opengl_axes", "the camera axes seem to be those of OpenGL, and the rotation camera-to-world",
-        f"{to_world}; {opengl}", moved(lambda rotation: OPENGL @ rotation.T, same),
-    )  # fmt: skip
-    yield Alternative(
+        f"{TO_WORLD}; {TURNED_AXES}", lambda r, c: (OPENGL @ r.T, c),
+    ),
+    (
         "opengl_axes", "the camera axes seem to be those of OpenGL, and the centre the translation t",
-        f"{as_center}; {opengl}", moved(lambda rotation: OPENGL @ rotation, from_translation),
-    )  # fmt: skip
+        f"{AS_CENTER}; {TURNED_AXES}", lambda r, c: (OPENGL @ r, -r.T @ c),
+    ),
+)  # fmt: skip
 
 
-def _radians(camera: Camera) -> Reading | None:
+def posed(camera: Camera, rotation: Array, center: Array) -> Camera:
+    """Return a camera with another rotation and centre."""
+    pose = camera.pose
+    return replace(camera, pose=Pose(rotation, center, pose.velocity, pose.rotation_rate, pose.time_s))
+
+
+def _turned(camera: Camera, true_pose: TruePose) -> Camera:
+    return posed(camera, *true_pose(camera.pose.rotation, camera.pose.center))
+
+
+def _with_unit(camera: Camera, factor: float) -> Camera:
+    return posed(camera, camera.pose.rotation, factor * camera.pose.center)
+
+
+def _radians(camera: Camera) -> Camera | None:
     """Return the camera whose rotation vector, read as degrees, was in radians."""
     vector = rotation_to_vector(camera.pose.rotation)
     if not 0.0 < np.rad2deg(np.linalg.norm(vector)) <= 2.0 * np.pi:
         return None
-    return _posed(camera, rotation_from_vector(np.rad2deg(vector)), camera.pose.center)
+    return posed(camera, rotation_from_vector(np.rad2deg(vector)), camera.pose.center)
 
 
-def _with_unit(factor: float, camera: Camera) -> Reading:
-    return _posed(camera, camera.pose.rotation, factor * camera.pose.center)
+def _scaled(camera: Camera, focal: float, point: float) -> Camera:
+    return replace(camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx * point, cy=camera.cy * point)
 
 
-def _scaled(camera: Camera, focal: float, point: float) -> Reading:
-    return Reading(
-        replace(camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx * point, cy=camera.cy * point)
-    )
+def _in_pixels(camera: Camera, over_width: float) -> Camera | None:
+    """Return the camera whose focal length was in millimetres."""
+    if camera.fx > MILLIMETRES_BELOW * camera.width:
+        return None
+    return _scaled(camera, over_width * camera.width / camera.fx, 1.0)
 
 
-def _millimetres(over_width: float) -> Callable[[Camera], Reading | None]:
-    def apply(camera: Camera) -> Reading | None:
-        if camera.fx > MILLIMETRES_BELOW * camera.width:
-            return None
-        return _scaled(camera, over_width * camera.width / camera.fx, 1.0)
-
-    return apply
-
-
-def _with_lens(change: Callable[[Lens], Lens | None]) -> Callable[[Camera], Reading | None]:
-    def apply(camera: Camera) -> Reading | None:
-        lens = change(camera.lens)
-        return None if lens is None else Reading(replace(camera, lens=lens))
-
-    return apply
-
-
-def _reversed(lens: Lens) -> Lens | None:
+def _negated(camera: Camera) -> Camera | None:
+    """Return the camera whose lens coefficients had the other sign."""
+    lens = camera.lens
     if lens.model == "none":
         return None
-    names = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
-    return Lens(lens.model, **{name: -getattr(lens, name) for name in names})
+    return replace(camera, lens=Lens(lens.model, **{name: -getattr(lens, name) for name in PARAMETERS[lens.model]}))
 
 
-def _radial(k1: float) -> Callable[[Lens], Lens | None]:
-    return lambda lens: Lens("radial", k1=k1) if lens.model == "none" else None
+def _with_radial(camera: Camera, k1: float) -> Camera | None:
+    return replace(camera, lens=Lens("radial", k1=k1)) if camera.lens.model == "none" else None
 
 
-def _intrinsic_alternatives() -> Iterator[Alternative]:
+def alternatives() -> Iterator[Alternative]:
+    """Yield all alternatives, the likely ones first."""
+    for cause, text, remedy, true_pose in POSES:
+        yield Alternative(cause, text, remedy, partial(_turned, true_pose=true_pose))
+    yield Alternative(
+        "rotation_radians", "the rotation vector seems to be in radians", "give rotation_vector_deg in degrees",
+        _radians,
+    )  # fmt: skip
+    yield Alternative(
+        "v_from_below", "v seems to be counted from the bottom of the image", "write v_px = height - 1 - v",
+        lambda camera: camera, lambda camera, pixels: pixels * [1.0, -1.0] + [0.0, camera.height - 1.0],
+    )  # fmt: skip
+    yield Alternative(
+        "u_v_swapped", "u and v seem to be exchanged", "exchange the columns u_px and v_px",
+        lambda camera: camera, lambda camera, pixels: pixels[:, ::-1],
+    )  # fmt: skip
     for factor in RESOLUTION_FACTORS:
         yield Alternative(
             "intrinsics_resolution", f"the intrinsics seem to belong to a resolution {1 / factor:.3g} times this one",
@@ -160,53 +159,18 @@ def _intrinsic_alternatives() -> Iterator[Alternative]:
         yield Alternative(
             "focal_length_millimetres", "the focal length seems to be in millimetres",
             "divide it by the pixel pitch: focal length [px] = focal length [mm] * image width [px] / sensor width "
-            "[mm]", _millimetres(ratio),
+            "[mm]", partial(_in_pixels, over_width=ratio),
         )  # fmt: skip
     yield Alternative(
-        "lens_sign", "the sign of the lens coefficients seems to be reversed", "negate the coefficients",
-        _with_lens(_reversed),
-    )  # fmt: skip
+        "lens_sign", "the sign of the lens coefficients seems to be reversed", "negate the coefficients", _negated
+    )
     for k1 in RADIAL:
         yield Alternative(
             "lens_missing", "the lens model seems to be missing", f"state the lens distortion (near k1 = {k1:g})",
-            _with_lens(_radial(k1)),
+            partial(_with_radial, k1=k1),
         )  # fmt: skip
-
-
-def _image_alternatives() -> Iterator[Alternative]:
-    def from_below(camera: Camera, pixels: Array) -> Array:
-        return np.asarray(pixels * [1.0, -1.0] + [0.0, camera.height - 1.0])
-
-    def swapped(camera: Camera, pixels: Array) -> Array:
-        return np.asarray(pixels[:, ::-1])
-
-    yield Alternative(
-        "v_from_below", "v seems to be counted from the bottom of the image", "write v_px = height - 1 - v",
-        lambda camera: Reading(camera, from_below),
-    )  # fmt: skip
-    yield Alternative(
-        "u_v_swapped", "u and v seem to be exchanged", "exchange the columns u_px and v_px",
-        lambda camera: Reading(camera, swapped),
-    )  # fmt: skip
-
-
-def _unit_alternatives() -> Iterator[Alternative]:
     for factor in UNIT_FACTORS:
         yield Alternative(
             "center_unit", f"the centre seems to be in another unit (off by a factor of {1 / factor:.4g})",
-            f"multiply the centre by {factor:.4g}",
-            partial(_with_unit, factor), alone=True,
+            f"multiply the centre by {factor:.4g}", partial(_with_unit, factor=factor), alone=True,
         )  # fmt: skip
-
-
-def alternatives() -> tuple[Alternative, ...]:
-    """Return all alternatives, the likely ones first."""
-    radians = Alternative(
-        "rotation_radians",
-        "the rotation vector seems to be in radians",
-        "give rotation_vector_deg in degrees",
-        _radians,
-    )
-    return (
-        *_pose_alternatives(), radians, *_image_alternatives(), *_intrinsic_alternatives(), *_unit_alternatives(),
-    )  # fmt: skip

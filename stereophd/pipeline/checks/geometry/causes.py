@@ -79,7 +79,7 @@ def best_explanation(
     found = [
         one
         for one in (trial.explain(geometry, tolerances) for trial in finalists)
-        if one is not None and one.certainty >= least and _is_decisive(one)
+        if one is not None and one.certainty >= least and one.is_decisive
     ]
     if not found:
         return None
@@ -91,11 +91,6 @@ def best_explanation(
 def _affordable(pair: Candidates, count: int, tables: int) -> int:
     """Return how many detections to take: fewer in crowds, where each has many candidates in every table."""
     return min(count, max(LEAST_DETECTIONS, QUICK_DISTANCES // (tables * int(pair.pixels_b.shape[2]))))
-
-
-def _is_decisive(one: Explanation) -> bool:
-    met, given = one.met, one.given.excess
-    return met.excess >= max(given + LEAST_GAIN, LEAST_RATIO * given) and met.score >= LEAST_SCORE
 
 
 @dataclass(frozen=True)
@@ -151,6 +146,12 @@ class Explanation:
     # in standard deviations if either were as probable (Q. McNemar, "Note on the sampling error of the difference
     # between correlated proportions or percentages", 1947).
     certainty: float
+
+    @property
+    def is_decisive(self) -> bool:
+        """Whether far more rays meet with the change."""
+        met, given = self.met, self.given.excess
+        return met.excess >= max(given + LEAST_GAIN, LEAST_RATIO * given) and met.score >= LEAST_SCORE
 
 
 def _mean(meetings: list[Meeting]) -> Meeting:

@@ -221,15 +221,12 @@ def meeting(
     meets = least <= np.array(tolerances)[:, None, None]
     shares = meets.mean(axis=2)
     chances, stds = shares[:, 1:].mean(axis=1), shares[:, 1:].std(axis=1, ddof=1)
-    best: Meeting | None = None
+    met = []
     for k, (share, chance, std) in enumerate(zip(shares[:, 0].tolist(), chances.tolist(), stds.tolist(), strict=True)):
         spread = math.hypot(std, math.sqrt(max(chance * (1 - chance), 0.25 / count) / count))
         excess = (share - chance) / max(1.0 - chance, 1e-9)
-        one = Meeting(share, chance, excess, (share - chance) / max(spread, 1e-9), tolerances[k], meets[k, 0])
-        if best is None or one.score > best.score:
-            best = one
-    assert best is not None
-    return best
+        met.append(Meeting(share, chance, excess, (share - chance) / max(spread, 1e-9), tolerances[k], meets[k, 0]))
+    return max(met, key=lambda one: one.score)
 
 
 def expected_excess(found: Candidates, samples: list[CameraSample], depths: tuple[float, float]) -> float:
