@@ -10,7 +10,6 @@ from stereophd.core.arrays import Array
 from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.calibration.unknowns.observability import PoseSpread, pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.random_streams import RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene
 from stereophd.errors import InputError
@@ -20,15 +19,16 @@ from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.simulation import build_scene
 
 
-def bound_figures(loaded: LoadedConfig, true: list[Camera]) -> dict[str, Any]:
-    """Cramer-Rao bound of the configuration's calibration in its own simulated scenario (run 0)."""
+def bound_figures(loaded: LoadedConfig) -> dict[str, Any]:
+    """Cramer-Rao bound of the configuration's calibration in its own simulated scenario (run 0), its cameras the true.
+
+    Raises InputError as `build_parameters` does, for priors of cameras that it does not have.
+    """
     parameters, reference = build_parameters(loaded)
-    by_name = {camera.name: camera for camera in true}
-    truth = ParameterSet(tuple(by_name[c.name] for c in parameters.cameras), parameters.parameters)
-    covariance = scenario_bound(loaded, truth, reference)
+    covariance = scenario_bound(loaded, parameters, reference)
     names = posed_cameras(parameters)
     values = np.zeros(parameters.size)
-    spreads = {name: pose_spread(truth, reference, values, covariance, name) for name in names}
+    spreads = {name: pose_spread(parameters, reference, values, covariance, name) for name in names}
     std = np.sqrt(np.diag(covariance))
     return {
         "cameras": {name: spread_figures(spread) for name, spread in spreads.items()},
