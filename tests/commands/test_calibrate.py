@@ -21,6 +21,7 @@ from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.calibration.adjustment import marginal
 from stereophd.errors import GateError, InputError
+from stereophd.report.summaries import summary_text
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "calibration.yaml"
 THREE = CONFIG.parent.parent / "three_cameras_calibration.yaml"
@@ -223,6 +224,9 @@ def test_resume_refuses_what_is_not_its_own(scene: Path, tmp_path: Path) -> None
     report = calibrate(other, log, out, resume=True, time_s=0.0, plots=False)
     assert report["status"] == "undetermined"
     assert "only 1 of 1 starts found these cameras" in report["reason"]
+    # the answer is doubted: none of its values looks like a result
+    assert not {"cameras", "parameters", "observability", "scale"} & set(report)
+    assert "+- " not in summary_text(report)
     assert "calibration.time" in {one["name"] for one in report["checks"]}
 
 
@@ -453,6 +457,9 @@ def test_scoring_refuses_and_gates(scene: Path, result: Path, tmp_path: Path) ->
         evaluate_calibration(estimate, true, fail_above={"joint.rotation": 1.0})
     with pytest.raises(InputError, match="reference: expected one of the cameras"):
         evaluate_calibration(estimate, true, reference="middle")
+    # the bound is that of the true cameras, and the configuration has a third
+    with pytest.raises(InputError, match=r"calibration\.priors\.above: expected one of the cameras left, right"):
+        evaluate_calibration(estimate, true, loaded=load_config(THREE))
     report = evaluate_calibration(true, true, tmp_path / "out", reference="left")
     assert report["joint"]["rotation_deg"] == pytest.approx(0.0, abs=1e-6)
     assert report["joint"]["center"] == 0.0
