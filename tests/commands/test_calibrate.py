@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import yaml
 
 from stereophd.commands.batches import calibrate_logs
 from stereophd.commands.calibrate import calibrate as calibrate_on_all_cores
@@ -237,6 +238,22 @@ def test_without_time_nothing_is_called_determined(scene: Path, tmp_path: Path) 
     sampled = loaded(scene, (*QUICK, "calibration.posterior=smc"))
     with pytest.raises(InputError, match="`time_s`: expected method annealed"):
         calibrate(sampled, scene / "detections.parquet", tmp_path / "out", time_s=1.0, force=True)
+
+
+def test_the_noise_of_the_residuals_is_that_of_cameras_and_tracks(scene: Path, tmp_path: Path) -> None:
+    stated = yaml.safe_load((scene / "guess.yaml").read_text())
+    for camera in stated["cameras"].values():
+        camera["detector"]["sigma_px"] = [4.2, 4.2]
+    (tmp_path / "guess.yaml").write_text(yaml.safe_dump(stated))
+    report = calibrate(
+        loaded(tmp_path, (*QUICK, *ONE_START)), scene / "detections.parquet", tmp_path / "out", plots=False
+    )
+    text = (tmp_path / "out" / "cameras.yaml").read_text()
+    assert "# sigma_px is the noise that the residuals show" in text
+    for name, camera in yaml.safe_load(text)["cameras"].items():
+        assert camera["detector"]["sigma_px"] == pytest.approx([4.2 * report["noise_factors"][name]] * 2)
+        assert camera["detector"]["sigma_px"] == pytest.approx([2.0**0.5] * 2, rel=0.2)
+    assert {one["status"] for one in report["checks"] if one["name"] == "tracking.noise"} == {"ok"}
 
 
 def cut(scene: Path, out: Path, keep: Callable[[dict[str, np.ndarray]], np.ndarray]) -> Path:
