@@ -45,6 +45,8 @@ from stereophd.core.calibration.annealing.starts import (
 )
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
 from stereophd.core.calibration.unknowns.held import EnlargedSet, enlarge, free_of
+from stereophd.core.calibration.unknowns.observability import posed_cameras
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import scale_is_free
 from stereophd.core.calibration.unknowns.unknown_sets import candidates
 from stereophd.core.numerics.random_streams import NOISE_SEED
@@ -303,7 +305,7 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
                 continue
             answer = replace(answer, comparison=comparison)
         enlarged, held = suspected(task, answer)
-        wrong = next((s for s in held if s.is_contradicted and may_be_freed(s, choices)), None)
+        wrong = next((s for s in held if s.is_contradicted and may_be_freed(s, choices, task.parameters)), None)
         if wrong is None or last:
             break
         given_up.append(wrong)
@@ -353,9 +355,15 @@ def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[
     return replace(answer, fit=fit), (remark,) if factor > SAID_FACTOR else ()
 
 
-def may_be_freed(suspicion: Suspicion, choices: Choices) -> bool:
+def may_be_freed(suspicion: Suspicion, choices: Choices, parameters: ParameterSet) -> bool:
     """Whether a contradicted statement may be given up."""
-    return choices.model != AS_STATED and (choices.model == FREE or suspicion.group.is_absent_lens)
+    is_asked = choices.model == FREE or (choices.model != AS_STATED and suspicion.group.is_absent_lens)
+    return is_asked and is_shown(suspicion, parameters)
+
+
+def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
+    """Whether the data can show what a statement is about: two cameras of unknown pose fit many focal lengths."""
+    return suspicion.group.quantity != "focal" or len(parameters.cameras) > 2 or not posed_cameras(parameters)
 
 
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
@@ -423,10 +431,11 @@ def statement_remarks(believed: Believed, is_doubted: bool) -> tuple[Remark, ...
     ]
     contradicted = next((s for s in believed.held if s.is_contradicted), None)
     if contradicted is not None:
-        text = (
-            f"the data contradict what is stated: {fitting(contradicted, is_doubted)} fits; state it, give it a prior, "
-            "or let it be estimated (calibration.model: free)"
-        )
+        can_tell = is_shown(contradicted, believed.task.parameters)
+        remedy = "measure it: two cameras do not show it"
+        if can_tell:
+            remedy = "state it, give it a prior, or let it be estimated (calibration.model: free)"
+        text = f"the data contradict what is stated: {fitting(contradicted, is_doubted or not can_tell)} fits; {remedy}"
         remarks.append(Remark("model", text, is_reservation=True))
     largest = max(believed.held, key=lambda s: s.expected_move, default=None)
     if contradicted is None and not is_doubted and largest is not None and largest.expected_move > LARGEST_MOVE:
