@@ -34,7 +34,7 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
     """
     folder = Path(out_dir)
     config, page = folder / "config.yaml", folder / "report.html"
-    _check_folder(config, page, force)
+    _check_folder(config, page)
 
     def begin(step: int, what: str) -> None:
         PROGRESS.info("%s, step %d of %d", what, step + 1, STEPS)
@@ -43,7 +43,7 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
 
     simulated, tracked, evaluated = (folder / name for name in ("simulated", "tracked", "evaluated"))
     folder.mkdir(parents=True, exist_ok=True)
-    with atomic_write(config) as temporary:
+    with atomic_write(config, replace=force) as temporary:
         temporary.write_text(config_text(), encoding="utf-8")
     begin(0, "the scene is simulated")
     simulate(load_config(config), simulated, force=force)
@@ -73,8 +73,8 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
     }
 
 
-def _check_folder(config: Path, page: Path, force: bool) -> None:
-    """Refuse to replace a configuration or a page that is not of a demonstration, or any without `force`."""
+def _check_folder(config: Path, page: Path) -> None:
+    """Refuse to replace a configuration or a page that is not of a demonstration."""
     there = next((path for path in (config, page) if path.exists()), None)
     if there is None:
         return
@@ -82,8 +82,6 @@ def _check_folder(config: Path, page: Path, force: bool) -> None:
         ours = config.exists() and config.read_text(encoding="utf-8", errors="replace") == config_text()
     if not ours:
         raise InputError(f"{there}: expected no file, or that of a demonstration, found another; choose a new folder")
-    if not force:
-        raise InputError(f"{there}: the file exists; use `force=True` to replace it")
 
 
 def config_text() -> str:

@@ -368,8 +368,7 @@ def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
 
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
     """Return the task with what was contradicted among its unknowns, and the fit from the values that fit."""
-    parameters = enlarged.freed(suspicion.group.places)
-    task = replace(task, parameters=parameters)
+    task = replace(task, parameters=enlarged.freed(task.parameters, suspicion.group.places))
     values = np.append(fit.adjustment.values, suspicion.values)
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
     return task, chosen_anew(task, readjusted(task, begin))

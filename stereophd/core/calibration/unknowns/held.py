@@ -45,14 +45,10 @@ class EnlargedSet:
     parameters: ParameterSet
     groups: tuple[HeldGroup, ...]
 
-    def freed(self, places: Integers) -> ParameterSet:
+    def freed(self, known: ParameterSet, places: Integers) -> ParameterSet:
         """Return the unknowns of the calibration together with some of those that it holds."""
-        chosen = sorted({*range(self._count), *places.tolist()})
-        return replace(self.parameters, parameters=tuple(self.parameters.parameters[i] for i in chosen))
-
-    @property
-    def _count(self) -> int:
-        return min((int(group.places.min()) for group in self.groups), default=self.parameters.size)
+        more = tuple(self.parameters.parameters[i] for i in places.tolist())
+        return replace(self.parameters, parameters=(*known.parameters, *more))
 
 
 def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> EnlargedSet:
