@@ -60,6 +60,7 @@ FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, AS
 # Requirement -> the statuses of a report that meet it.
 ACCEPTED = {None: (DETERMINED, PARTLY, UNDETERMINED), "partly": (DETERMINED, PARTLY), "determined": (DETERMINED,)}
 
+NOISE_NOTE = "sigma_px is the noise that the residuals show: noise_factors of report.json times what was stated."
 # Checks that need the calibrated cameras; the checks of the log alone come first.
 WITH_CAMERAS = ("geometry.", "settings.")
 
@@ -117,7 +118,7 @@ def calibrate(
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, outcome, to_metadata(record))
         if report["status"] != UNDETERMINED:
-            cameras = outcome.parameters.build(outcome.values)
+            cameras = outcome.build_cameras()
             uncertainty = CameraUncertainty(outcome.parameters.about(cameras), outcome.covariance)
             if (world := outcome.world) is not None and problem.control is not None:
                 unit, found = problem.control.length_unit, world.alignment
@@ -127,7 +128,7 @@ def calibrate(
                 uncertainty = uncertainty_in_world(uncertainty, found.registration, found.center, world.covariance)
             write_cameras(
                 out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record,
-                rows_of(uncertainty),
+                rows_of(uncertainty), "" if np.all(outcome.noise == 1.0) else NOISE_NOTE,
             )  # fmt: skip
             limit.begin("tracks are made with the cameras")
             report["tracking"], further = _track(loaded, uncertainty, log_path, out, to_metadata(record))

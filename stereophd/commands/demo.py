@@ -11,6 +11,8 @@ from stereophd.commands.report import report
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
+from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.outputs.atomic import atomic_write
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.wording import PROGRESS
@@ -27,10 +29,12 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
     The folder gets ``config.yaml``, the folders ``simulated``, ``tracked`` and ``evaluated``, and ``report.html``, for
     which the extra ``report`` must be installed. `progress` is called with the steps done and their number. Returns
     ``folder``, ``config``, ``page`` (null if plotly is not installed), ``tracks``, ``ospa_m`` and ``median_error_m``.
-    Raises InputError if the folder cannot be written to, or holds an earlier demonstration and `force` is not given.
+    Raises InputError if the folder cannot be written to, holds an earlier demonstration and `force` is not given, or
+    holds a configuration or a page that is not of a demonstration.
     """
     folder = Path(out_dir)
-    config = folder / "config.yaml"
+    config, page = folder / "config.yaml", folder / "report.html"
+    _check_folder(config, page)
 
     def begin(step: int, what: str) -> None:
         PROGRESS.info("%s, step %d of %d", what, step + 1, STEPS)
@@ -56,17 +60,28 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
         force=force,
     )
     begin(3, "the page is written")
-    page = folder / "report.html" if find_spec("plotly") is not None else None
-    if page is not None:
+    has_page = find_spec("plotly") is not None
+    if has_page:
         report([simulated, tracked, evaluated], page, title="stereophd demo", force=force)
     return {
         "folder": str(folder),
         "config": str(config),
-        "page": None if page is None else str(page),
+        "page": str(page) if has_page else None,
         "tracks": len(tracks["tracks"]),
         "ospa_m": scores["ospa"]["mean"],
         "median_error_m": scores["position_error"]["median"],
     }
+
+
+def _check_folder(config: Path, page: Path) -> None:
+    """Refuse to replace a configuration or a page that is not of a demonstration."""
+    there = next((path for path in (config, page) if path.exists()), None)
+    if there is None:
+        return
+    with expecting("a configuration", config):
+        ours = config.exists() and config.read_text(encoding="utf-8", errors="replace") == config_text()
+    if not ours:
+        raise InputError(f"{there}: expected no file, or that of a demonstration, found another; choose a new folder")
 
 
 def config_text() -> str:

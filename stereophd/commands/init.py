@@ -16,6 +16,7 @@ from stereophd.io.outputs.disk import write_error
 from stereophd.io.outputs.json_text import REPORT_VERSION
 from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
+from stereophd.pipeline.checks.geometry.findings import DO_NOT_MEET
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.initial.draft import draft_from_log, loaded_draft
 from stereophd.pipeline.initial.template import MARK, Draft, Kind, config_text, template
@@ -31,7 +32,7 @@ def init(
     out_dir: Path | str, log_path: Path | str | None = None, cameras_path: Path | str | None = None,
     overrides: Sequence[str] = (), *, options: InitOptions,
 ) -> dict[str, Any]:  # fmt: skip
-    """Write ``config.yaml`` for a log, so that `track` runs with it as it is; `calibrate` where poses are unknown.
+    """Write ``config.yaml`` for a log, so that `track` runs with it, or `calibrate` where poses are unknown or wrong.
 
     Cameras are native or of another program, and by default ``cameras.yaml`` beside the log, if it is there. Values
     that `overrides` give stay as they are. Returns ``config`` (the path), ``length_unit``, ``must_be_calibrated``,
@@ -46,20 +47,22 @@ def init(
     draft = _with_overrides(_begin(cameras_file, log_path, options.length_unit, kind), overrides)
     if log_path is not None and draft.cameras:
         draft = draft_from_log(draft, log_path)
-    if draft.must_be_calibrated:
+    if draft.is_unplaced:
         from stereophd.pipeline.calibration.found_cameras import refuse_search
 
         refuse_search(loaded_draft(draft, str(cameras_file)))
+    findings: list[dict[str, Any]] = []
+    if log_path is not None and draft.cameras:
+        loaded, alone = loaded_draft(draft, str(target)), draft.is_unplaced
+        checked = check_log_alone(loaded, log_path) if alone else check_log(loaded, log_path, thorough=False)
+        findings = report_findings((*draft.findings, *checked))
+        if any(found.cause == DO_NOT_MEET for found in checked):
+            draft = replace(draft, rays_meet=False)
     sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
     source = f"from {' and '.join(sources)}" if sources else "without a log"
     _write(target, config_text(draft, stereophd.__version__, source, CAMERAS_FILE), force)
-    findings: list[dict[str, Any]] = []
     if draft.cameras:
-        loaded = load_config(target)
-        if log_path is not None:
-            alone = draft.must_be_calibrated
-            checked = check_log_alone(loaded, log_path) if alone else check_log(loaded, log_path, thorough=False)
-            findings = report_findings((*draft.findings, *checked))
+        load_config(target)
     else:
         LOGGER.warning(
             "%s: no cameras are known: put them into %s beside it, with `pose: unknown` where you know no pose (%s)",
@@ -69,7 +72,7 @@ def init(
         "report_version": REPORT_VERSION,
         "config": str(target),
         "length_unit": draft.unit,
-        "must_be_calibrated": draft.must_be_calibrated,
+        "must_be_calibrated": draft.is_unplaced or not draft.rays_meet,
         "cameras": list(draft.cameras),
         "values": [
             {"key": key, "value": one.value, "source": one.reason, "measured": one.measured}

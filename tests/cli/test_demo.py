@@ -18,8 +18,12 @@ CONFIGS = Path(__file__).parents[2] / "configs"
 def test_the_demo_and_what_it_prints_run(
     call: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """In the folder of an earlier demonstration, as `make demo` runs."""
     monkeypatch.chdir(tmp_path)
-    outcome = call("demo", "my demo")
+    (tmp_path / "my demo").mkdir()
+    (tmp_path / "my demo" / "config.yaml").write_text(config_text())
+    (tmp_path / "my demo" / "report.html").write_text("earlier")
+    outcome = call("demo", "my demo", "--force")
     assert outcome.code == 0, outcome.err
     assert outcome.out.startswith("5 tracks; median error ")
     assert (tmp_path / "my demo" / "report.html").stat().st_size > 1e6
@@ -31,8 +35,19 @@ def test_the_demo_and_what_it_prints_run(
     assert (tmp_path / "my demo" / "study" / "tracks" / "tracks.parquet").exists()
 
 
+@pytest.mark.parametrize("name", ["config.yaml", "report.html"])
+def test_files_that_are_not_of_a_demo_are_never_replaced(call: Callable[..., Any], tmp_path: Path, name: str) -> None:
+    """Not even by force, as in `make demo`."""
+    (tmp_path / name).write_text("mine")
+    for words in ([], ["--force"]):
+        outcome = call("demo", str(tmp_path), *words)
+        assert outcome.code == 2
+        assert f"{name}: expected no file, or that of a demonstration, found another; choose a new" in outcome.err
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [(name, "mine")]
+
+
 def test_a_demo_is_replaced_only_by_force(call: Callable[..., Any], tmp_path: Path) -> None:
-    (tmp_path / "config.yaml").write_text("mine")
+    (tmp_path / "config.yaml").write_text(config_text())
     outcome = call("demo", str(tmp_path))
     assert outcome.code == 2
     assert "config.yaml: the file exists; use --force to replace it" in outcome.err

@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import yaml
 
 from stereophd.commands.batches import calibrate_logs
 from stereophd.commands.calibrate import calibrate as calibrate_on_all_cores
@@ -21,6 +22,7 @@ from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.calibration.adjustment import marginal
 from stereophd.errors import GateError, InputError
+from stereophd.report.summaries import summary_text
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "calibration.yaml"
 THREE = CONFIG.parent.parent / "three_cameras_calibration.yaml"
@@ -223,6 +225,9 @@ def test_resume_refuses_what_is_not_its_own(scene: Path, tmp_path: Path) -> None
     report = calibrate(other, log, out, resume=True, time_s=0.0, plots=False)
     assert report["status"] == "undetermined"
     assert "only 1 of 1 starts found these cameras" in report["reason"]
+    # the answer is doubted: none of its values looks like a result
+    assert not {"cameras", "parameters", "observability", "scale"} & set(report)
+    assert "+- " not in summary_text(report)
     assert "calibration.time" in {one["name"] for one in report["checks"]}
 
 
@@ -233,6 +238,22 @@ def test_without_time_nothing_is_called_determined(scene: Path, tmp_path: Path) 
     sampled = loaded(scene, (*QUICK, "calibration.posterior=smc"))
     with pytest.raises(InputError, match="`time_s`: expected method annealed"):
         calibrate(sampled, scene / "detections.parquet", tmp_path / "out", time_s=1.0, force=True)
+
+
+def test_the_noise_of_the_residuals_is_that_of_cameras_and_tracks(scene: Path, tmp_path: Path) -> None:
+    stated = yaml.safe_load((scene / "guess.yaml").read_text())
+    for camera in stated["cameras"].values():
+        camera["detector"]["sigma_px"] = [4.2, 4.2]
+    (tmp_path / "guess.yaml").write_text(yaml.safe_dump(stated))
+    report = calibrate(
+        loaded(tmp_path, (*QUICK, *ONE_START)), scene / "detections.parquet", tmp_path / "out", plots=False
+    )
+    text = (tmp_path / "out" / "cameras.yaml").read_text()
+    assert "# sigma_px is the noise that the residuals show" in text
+    for name, camera in yaml.safe_load(text)["cameras"].items():
+        assert camera["detector"]["sigma_px"] == pytest.approx([4.2 * report["noise_factors"][name]] * 2)
+        assert camera["detector"]["sigma_px"] == pytest.approx([2.0**0.5] * 2, rel=0.2)
+    assert {one["status"] for one in report["checks"] if one["name"] == "tracking.noise"} == {"ok"}
 
 
 def cut(scene: Path, out: Path, keep: Callable[[dict[str, np.ndarray]], np.ndarray]) -> Path:
@@ -410,7 +431,9 @@ def test_rolling_shutters_are_taken_into_account(tmp_path: Path) -> None:
     guess = tmp_path / "scene" / "guess.yaml"
     lines = [line for line in guess.read_text().splitlines() if "readout_s" not in line]
     guess.write_text("\n".join(lines) + "\n")
-    ignored = calibrate(loaded(tmp_path / "scene", overrides), log, tmp_path / "ignored", plots=False)
+    # the evidence is that of the start: what is stated need not be tested
+    held = loaded(tmp_path / "scene", (*overrides, "calibration.model=as_stated", "calibration.select=all"))
+    ignored = calibrate(held, log, tmp_path / "ignored", plots=False)
     assert ignored["fit"]["log_evidence"] < report["fit"]["log_evidence"] - 10.0
 
 
@@ -453,6 +476,9 @@ def test_scoring_refuses_and_gates(scene: Path, result: Path, tmp_path: Path) ->
         evaluate_calibration(estimate, true, fail_above={"joint.rotation": 1.0})
     with pytest.raises(InputError, match="reference: expected one of the cameras"):
         evaluate_calibration(estimate, true, reference="middle")
+    # the bound is that of the true cameras, and the configuration has a third
+    with pytest.raises(InputError, match=r"calibration\.priors\.above: expected one of the cameras left, right"):
+        evaluate_calibration(estimate, true, loaded=load_config(THREE))
     report = evaluate_calibration(true, true, tmp_path / "out", reference="left")
     assert report["joint"]["rotation_deg"] == pytest.approx(0.0, abs=1e-6)
     assert report["joint"]["center"] == 0.0

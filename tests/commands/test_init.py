@@ -21,6 +21,8 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config, make_config
 from stereophd.errors import InputError
+from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.geometry.findings import DO_NOT_MEET
 from stereophd.pipeline.initial import acceleration
 from stereophd.pipeline.initial.acceleration import _of_windows
 
@@ -100,6 +102,25 @@ def test_cameras_of_which_nothing_is_known_are_calibrated_first(
     if with_log:
         words = ["calibrate", config, str(scene / "detections.parquet"), "--out", str(tmp_path / "out"), "--time", "1"]
         assert run(words) == 0
+
+
+@pytest.mark.parametrize("said_by", ["depths", "checks"])
+def test_cameras_whose_rays_do_not_meet_are_calibrated_first(
+    said_by: str, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No usual mistake explains it: the next command is `calibrate`, and it takes the configuration as it is."""
+    values = yaml.safe_load((scene / "cameras.yaml").read_text())
+    if said_by == "depths":
+        list(values["cameras"].values())[1]["pose"]["rotation_vector_deg"] = [5.0, 30.0, 3.0]
+    else:
+        found = Finding("geometry.rays", "warning", "the rays meet no more often than chance", cause=DO_NOT_MEET)
+        monkeypatch.setattr("stereophd.commands.init.check_log", lambda *_, **__: (found,))
+    (tmp_path / "guess.yaml").write_text(yaml.safe_dump(values))
+    log = str(scene / "detections.parquet")
+    assert run(["init", str(tmp_path / "study"), "--cameras", str(tmp_path / "guess.yaml"), "--log", log]) == 0
+    name, command, config, *_ = shlex.split(capsys.readouterr().out.splitlines()[-1])
+    assert (name, command) == ("stereophd", "calibrate")
+    assert run(["config", "check", config, "--for", "calibrate"]) == 0
 
 
 def test_noise_follows_from_one_camera_tracks_where_poses_are_unknown(scene: Path, tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ FromFarAway = Callable[[int], tuple[dict, Path]]
 TRUE = {"left": ((1.4, 1.4), 0.8, 3.0), "right": ((2.5, 0.7), 0.9, 6.0)}
 START = ((5.0, 5.0), 0.95, 10.0)
 SIMULATED = (
-    "simulate.duration_s=60.0",
+    "simulate.duration_s=40.0",
     "filter.kind=pmb",
     "filter.extraction={confirm: 0.95, release: 0.01}",
 )
@@ -51,7 +51,7 @@ def given(values: dict[str, tuple[tuple[float, float], float, float]]) -> tuple[
 
 @pytest.fixture(scope="module")
 def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Three logs of three objects seen by two cameras for 60 s, and the configuration beside them."""
+    """Three logs of three objects seen by two cameras for 40 s, and the configuration beside them."""
     folder = tmp_path_factory.mktemp("detectors")
     (folder / "scene.yaml").write_text(SCENE)
     for seed in range(3):
@@ -78,13 +78,13 @@ def from_far_away(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> FromF
 
 @pytest.fixture(scope="module")
 def short(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first 40 s of the three logs."""
+    """The first 20 s of the three logs."""
     folder = tmp_path_factory.mktemp("short")
     shutil.copy(logs / "scene.yaml", folder)
     for log in logs.glob("log*"):
         (folder / log.name).mkdir()
         table = pq.read_table(log / "detections.parquet")
-        pq.write_table(table.filter(pc.field("time_s") < 40.0), folder / log.name / "detections.parquet")
+        pq.write_table(table.filter(pc.field("time_s") < 20.0), folder / log.name / "detections.parquet")
     return folder
 
 
@@ -114,14 +114,14 @@ def test_the_true_values_are_found_from_a_start_far_away(from_far_away: FromFarA
         errors += [errors_in_deviations(found["detectors"], name) for name in TRUE]
         for name in TRUE:
             mine = found["detectors"]["cameras"][name]
-            assert mine["frames"] == 120
+            assert mine["frames"] == 80
             # three objects in view of both cameras for all but the first frames
-            assert 300 < mine["in_view"] < 360
+            assert 200 < mine["in_view"] < 240
             assert 0.7 < mine["residuals"] / (mine["in_view"] * TRUE[name][1]) < 1.1
-            # white: five standard errors of a correlation from some 300 pairs
+            # white: five standard errors of a correlation from some 200 pairs
             assert np.abs(mine["residual_correlation"]).max() < 5.0 / np.sqrt(mine["residuals"])
-            # an error of 4 % of the noise: the estimate is worth something
-            assert max(np.divide(mine["sigma_px_standard_error"], mine["sigma_px"])) < 0.07
+            # an error of 7 to 9 % of the noise: the estimate is worth something
+            assert max(np.divide(mine["sigma_px_standard_error"], mine["sigma_px"])) < 0.1
     values = np.array(errors)
     assert np.abs(values).max() < 5.0
     assert np.abs(values.mean(axis=0)).max() < 2.0
@@ -140,7 +140,7 @@ def test_tracks_with_estimated_detectors_are_as_with_the_true_ones(
     estimated(logs, outputs["true"], 0, *given(TRUE))
     estimated(logs, outputs["start"], 0, *given(dict.fromkeys(TRUE, START)))
     for name, out in outputs.items():
-        report = evaluate(out / "tracks.parquet", logs / "log0" / "truth.parquet", cutoff=20.0, from_s=12.0)
+        report = evaluate(out / "tracks.parquet", logs / "log0" / "truth.parquet", cutoff=20.0, from_s=8.0)
         scores[name] = (report["position_error"]["median"], report["nees"]["position"])
     assert scores["estimated"][0] < 1.1 * scores["true"][0]
     assert abs(scores["estimated"][1] - scores["true"][1]) < 0.5
@@ -165,7 +165,7 @@ def test_only_the_cameras_that_ask_for_it(short: Path, tmp_path: Path) -> None:
 
 
 def test_for_a_phd_filter_too_and_the_same_again(short: Path, tmp_path: Path) -> None:
-    overrides = ("filter.kind=phd", "simulate.duration_s=60.0", "detector=estimate")
+    overrides = ("filter.kind=phd", "detector=estimate")
     first = estimated(short, tmp_path / "one", 2, *overrides)
     again = estimated(short, tmp_path / "two", 2, *overrides)
     assert first == again
@@ -264,12 +264,12 @@ def test_a_text_that_is_not_estimate(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("start_px", [0.08, 30.0])
-def test_a_noise_that_rays_hardly_know_is_where_the_log_is_most_probable(logs: Path, start_px: float) -> None:
+def test_a_noise_that_rays_hardly_know_is_where_the_log_is_most_probable(short: Path, start_px: float) -> None:
     """From a noise that is wrong by two stated errors; no tracks begin with the small one."""
-    loaded = load_config(logs / "scene.yaml", (*SIMULATED, *given(TRUE)), 1)
+    loaded = load_config(short / "scene.yaml", (*SIMULATED, *given(TRUE)), 1)
     sigma = np.full(2, start_px)
     cameras = tuple(replace(one, detector=replace(one.detector, sigma=sigma)) for one in loaded.build_cameras())
-    parts = stretches(open_stream(loaded.config, cameras, logs / "log0" / "detections.parquet"))
+    parts = stretches(open_stream(loaded.config, cameras, short / "log0" / "detections.parquet"))
     found, report = estimate_detectors(
         cameras, {name: NoisePrior(sigma, 1.5) for name in TRUE},
         lambda used: build_labelled_filter(loaded.config, used, "scene.yaml", 1), parts,

@@ -27,14 +27,15 @@ def cameras_text(
     length_unit: str,
     provenance: Mapping[str, Any] | None = None,
     covariance: CovarianceRows | None = None,
+    note: str = "",
 ) -> str:
     """Return the text of a ``cameras.yaml``; reading it gives back equal cameras, to the last bit.
 
     Cameras are by name, in order; centres are in `length_unit`. A comment gives version, command, seed and hash of the
     configuration from the provenance, which is as `stereophd.io.outputs.provenance.provenance` returns it; the
-    covariance of what calibrated cameras leave uncertain is in the rows of a lower triangle.
+    covariance of what calibrated cameras leave uncertain is in the rows of a lower triangle. `note` is a comment.
     """
-    text = CONVENTIONS
+    text = CONVENTIONS + (f"# {note}\n" if note else "")
     if provenance is not None:
         version, command, seed = provenance["version"], provenance["command"], provenance["seed"]
         text += f"# Made by stereophd {version} {command}, {'' if seed is None else f'seed {seed}, '}"
@@ -52,9 +53,10 @@ def write_cameras(
     length_unit: str,
     provenance: Mapping[str, Any] | None = None,
     covariance: CovarianceRows | None = None,
+    note: str = "",
 ) -> None:
     """Write a ``cameras.yaml``; parameters as `cameras_text`."""
-    Path(path).write_text(cameras_text(cameras, length_unit, provenance, covariance), encoding="utf-8")
+    Path(path).write_text(cameras_text(cameras, length_unit, provenance, covariance, note), encoding="utf-8")
 
 
 def plain_cameras(cameras: Mapping[str, CameraConfig]) -> dict[str, Any]:

@@ -81,6 +81,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     return Outcome(
         parameters, adjustment.values, adjustment.covariance, draws, weights, result.history, "", result.doubt,
         result.fit, result.remarks, result.moves, result.world, details,
+        1.0 if problem.noise_in_log else believed.noise,
     )  # fmt: skip
 
 
@@ -171,7 +172,7 @@ def _result_report(result: Calibrated, best: Start) -> dict[str, Any]:
                 strict=True,
             )
         ),
-        "freed": list(believed.freed),
+        "freed": [name for suspicion in believed.given_up for name in suspicion.group.names],
         "stated": _statements(result),
         "fit": _fit_report(best, result.fit),
     }
@@ -198,15 +199,15 @@ def _statements(result: Calibrated) -> list[dict[str, Any]]:
     return [
         {
             "unknowns": {
-                enlarged.parameters.names[place]: {"value": float(value), "std": float(std)}
-                for place, value, std in zip(suspicion.group.places, suspicion.values, suspicion.stds, strict=True)
+                name: {"value": float(value), "std": float(std)}
+                for name, value, std in zip(suspicion.group.names, suspicion.values, suspicion.stds, strict=True)
             },
             "log_evidence": suspicion.log_evidence,
             "contradicted": suspicion.is_contradicted,
             "moves_stds": suspicion.moves,
             "expected_move_stds": suspicion.expected_move,
         }
-        for enlarged, suspicion in result.believed.suspicions
+        for suspicion in (*result.believed.given_up, *result.believed.held)
     ]
 
 

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +53,7 @@ class CalibrationProblem:
     scale: ScaleMeasurement | None  # A known baseline
     counts: dict[str, int]  # Counts of the log, as in ``report.json``
     control: WorldControl | None = None
+    noise_in_log: bool = False  # Whether the log states the noise of every detection
 
     def frames(self, most: int | None = None) -> NDArray[np.int64]:
         """Return the frames of the recording, at most about `most`."""
@@ -110,6 +111,15 @@ class Outcome:
     moves: TrackMoves | None = None  # How tracks move with the values, of method annealed
     world: World | None = None  # That of the control track
     details: dict[str, Any] = field(default_factory=dict)  # For the report
+    noise: Array | float = 1.0  # That residuals show over that of the detectors, (c,) or of all
+
+    def build_cameras(self) -> tuple[Camera, ...]:
+        """Return the cameras of the result, with the noise that the residuals show."""
+        cameras = self.parameters.build(self.values)
+        return tuple(
+            replace(camera, detector=replace(camera.detector, sigma=factor * camera.detector.sigma))
+            for camera, factor in zip(cameras, np.broadcast_to(self.noise, len(cameras)).tolist(), strict=True)
+        )
 
 
 def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurement | None:
@@ -147,7 +157,7 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str, is_placed: bool = T
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
     _check_method(loaded, parameters)
     return CalibrationProblem(
-        parameters, reference, recording, scale, counts, build_control(loaded, parameters.cameras)
+        parameters, reference, recording, scale, counts, build_control(loaded, parameters.cameras), stream.has_noise
     )
 
 

@@ -26,13 +26,11 @@ NAMED_PART = 0.3
 
 
 def status_of(problem: CalibrationProblem, outcome: Outcome) -> tuple[str, str, Observability | None]:
-    """Status, what is wrong if anything, and the observability if there is a posterior."""
-    if outcome.reason:
-        return UNDETERMINED, outcome.reason, None
+    """Status, what is wrong if anything, and the observability if there is a posterior that is believed."""
+    if why := outcome.reason or outcome.doubt:
+        return UNDETERMINED, why, None
     moves = None if outcome.moves is None else outcome.moves.relative_move
     found = observability(outcome.parameters, problem.reference, outcome.values, outcome.covariance, moves)
-    if outcome.doubt:
-        return UNDETERMINED, outcome.doubt, found
     reservations = [remark.text for remark in outcome.remarks if remark.is_reservation]
     if found.status == DETERMINED and not reservations:
         return DETERMINED, "", found

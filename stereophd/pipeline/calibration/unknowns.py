@@ -140,7 +140,7 @@ def draw_guess(loaded: LoadedConfig, seed: np.random.SeedSequence) -> dict[str, 
 def with_quantities(
     configs: Mapping[str, CameraConfig], cameras: Sequence[Camera], source: str = "a calibrated value"
 ) -> dict[str, CameraConfig]:
-    """Return the configurations of cameras with the quantities of others; what is the same stays as it was written.
+    """Return the configurations of cameras with the quantities and the noise of others; what is the same stays as is.
 
     Raises InputError when a value is beyond the bounds of its key; the message begins with `source`, its origin.
     """
@@ -153,7 +153,9 @@ def with_quantities(
             _merge(values, quantity.entry(camera))
         if (camera.fx, camera.fy) != (before.fx, before.fy):
             values["intrinsics"]["unknown"] = False
-        if changed:
+        if noise := camera.detector.sigma.tolist() != before.detector.sigma.tolist():
+            values["detector"]["sigma_px"] = tuple(camera.detector.sigma.tolist())
+        if changed or noise:
             try:
                 config = CameraConfig.model_validate(values)
             except ValidationError as error:

@@ -40,13 +40,15 @@ def check_log(
     most = MOST_FRAMES if thorough else QUICK_FRAMES
     samples = sample_log(covered(cameras, reader, str(log_path)), cameras, most)
     whole = sum(len(sample.times) for sample in samples) < most * len(cameras)
-    # a noise that is not stated is what it is about one-camera tracks, whatever poses and clocks are
+    # a noise that is not stated, or contradicted, is what it is about one-camera tracks, whatever poses and clocks are
     estimated = loaded.estimated_cameras
     samples = [one.with_measured_noise if one.camera.name in estimated else one for one in samples]
     if config.object.shape != "point":
         samples = [one.with_noise_of_middles for one in samples]
     # a quick check precedes a run, which states what it drops
     findings = [*(check_rows(reader.counts) if thorough else ()), *_of_files(loaded, samples, whole)]
+    contradicted = {found.camera for found in warnings_of(tuple(findings)) if found.name == "detector.sigma"}
+    samples = [one.with_measured_noise if one.camera.name in contradicted else one for one in samples]
     if any(found.cause == "pixels_normalised" for found in findings):
         return tuple(findings)
     if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:

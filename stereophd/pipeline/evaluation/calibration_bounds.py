@@ -8,8 +8,6 @@ import numpy as np
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
-from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.geometry.camera import Camera
 from stereophd.core.numerics.random_streams import RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene
 from stereophd.errors import InputError
@@ -19,21 +17,20 @@ from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.simulation import build_scene
 
 
-def bound_figures(loaded: LoadedConfig, true: list[Camera]) -> dict[str, Any]:
-    """Cramer-Rao bound of the configuration's calibration in its own simulated scenario (run 0).
+def bound_figures(loaded: LoadedConfig) -> dict[str, Any]:
+    """Cramer-Rao bound of the configuration's calibration in its own simulated scenario (run 0), its cameras the true.
 
-    The errors are root mean squares. Raises InputError if the configuration has no section ``simulate``.
+    The errors are root mean squares. Raises InputError as `build_parameters` does, for priors of cameras that it does
+    not have, and if the configuration has no section ``simulate``.
     """
-    parameters, reference = build_parameters(loaded)
-    by_name = {camera.name: camera for camera in true}
-    truth = ParameterSet(tuple(by_name[c.name] for c in parameters.cameras), parameters.parameters)
+    truth, reference = build_parameters(loaded)
     if loaded.config.simulate is None:
         raise InputError(f"{loaded.path}: simulate: expected the scenario of the bound, found none")
     scene = build_scene(loaded.config, truth.cameras, RUN_OBJECTS.seed(loaded.config.seed, 0))
     values, positions = np.zeros(truth.size), scene_positions(scene)
     covariance = calibration_bound(truth, values, reference, scene.motion, positions, build_scale(loaded, truth))
     cameras = {}
-    for name in posed_cameras(parameters):
+    for name in posed_cameras(truth):
         spread = pose_spread(truth, reference, values, covariance, name)
         cameras[name] = {
             "rotation_deg": finite_or_none(math.degrees(spread.rotation)),
@@ -42,7 +39,7 @@ def bound_figures(loaded: LoadedConfig, true: list[Camera]) -> dict[str, Any]:
             "center": finite_or_none(spread.center),
         }
     std = np.sqrt(np.diag(covariance))
-    return {"cameras": cameras, "parameters": dict(zip(parameters.names, std.tolist(), strict=True))}
+    return {"cameras": cameras, "parameters": dict(zip(truth.names, std.tolist(), strict=True))}
 
 
 def scene_positions(scene: Scene) -> TruePositions:

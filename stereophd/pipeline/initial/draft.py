@@ -48,6 +48,7 @@ UNCERTAIN, CUTOFF = 0.1, 0.1
 CAUSES_OF_DETECTORS = ("clutter", "sigma")
 # Figures of a filter that concern points only.
 UNUSED_BY_BODIES = {"region.depth", "report.max_position_std", "evaluation.cutoff"}
+HARDLY_MEET = "not from the log, whose rays hardly meet: the depths that two cameras have in view"
 
 
 def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
@@ -62,7 +63,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     samples = sample_log(reader, cameras, SAMPLE_FRAMES)
     draft, unknown = _with_known_detectors(draft, samples)
     draft = _with_frame_rates(draft, samples)
-    only_boxes, is_placed = all(sample.box_height_px is not None for sample in samples), not draft.must_be_calibrated
+    only_boxes, is_placed = all(sample.box_height_px is not None for sample in samples), not draft.is_unplaced
     bodies = _with_bodies(draft, cameras, unknown, log_path) if only_boxes and is_placed else None
     if bodies is not None:
         return replace(bodies, calibration=tuple(_calibration(bodies)))
@@ -86,7 +87,9 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
         usual, draft = draft, draft.with_choices(rough)
         # tracks of wrong cameras tell nothing either
         draft = draft if cause else _with_filter(draft, usual, priors, log_path)
-    return replace(draft, calibration=tuple(_calibration(draft)))
+    calibration = tuple(_calibration(draft))
+    rays_meet = not calibration or draft.choices["filter.birth.depth_range"].reason != HARDLY_MEET
+    return replace(draft, calibration=calibration, rays_meet=rays_meet)
 
 
 def _mistake(draft: Draft, samples: list[CameraSample]) -> str | None:
@@ -140,27 +143,26 @@ def _with_bodies(
 
 
 def _calibration(draft: Draft) -> Iterator[str]:
-    """Yield a commented section ``calibration``, with priors of the size that the noise and the depths suggest."""
+    """Yield a section ``calibration``, with priors of the size that the noise and the depths suggest."""
     names = list(draft.cameras)
     cameras = [camera.build(name) for name, camera in draft.cameras.items()]
     if len(names) < 2 or not all(camera.pose.is_static for camera in cameras):
         return
     depths = draft.choices["filter.birth.depth_range"].value
     middle = float(np.sqrt(depths[0] * depths[1]))
-    yield "# For `stereophd calibrate`: poses that are known roughly, within these standard deviations."
-    yield "# calibration:"
-    yield f"#   reference: {scalar(names[0])}"
-    yield "#   priors:"
+    yield "calibration:"
+    yield f"  reference: {scalar(names[0])}"
+    yield "  priors:"
     for name, camera in zip(names[1:], cameras[1:], strict=True):
         angle = max(LEAST_ANGLE_DEG, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
         apart = float(np.linalg.norm(camera.pose.center - cameras[0].pose.center))
         std = max(np.deg2rad(angle) * middle, LEAST_CENTER * apart)
-        yield f"#     {scalar(name)}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
+        yield f"    {scalar(name)}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
     apart = float(np.linalg.norm(cameras[1].pose.center - cameras[0].pose.center))
-    yield "#   # Moving objects do not show the scale. A distance that you have measured, such as that of two cameras,"
-    yield f"#   # fixes it ({draft.unit}); without it the scale is that of the centres above, as far as they are known."
+    yield "  # Moving objects do not show the scale. A distance that you have measured, such as that of two cameras,"
+    yield f"  # fixes it ({draft.unit}); without it the scale is that of the centres above, as far as they are known."
     yield (
-        f"#   scale: {{kind: baseline, cameras: {scalar(names[:2])}, distance: {rounded(apart, 4)}, "
+        f"  scale: {{kind: baseline, cameras: {scalar(names[:2])}, distance: {rounded(apart, 4)}, "
         f"std: {rounded(0.005 * apart)}}}"
     )
 
@@ -240,7 +242,7 @@ def _rough(draft: Draft, samples: list[CameraSample]) -> dict[str, Choice] | Non
         if shared is None:
             return None
         near, middle, far = shared.tolist()
-        why = "not from the log, whose rays hardly meet: the depths that two cameras have in view"
+        why = HARDLY_MEET
     choices = {
         "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
         "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),

@@ -58,8 +58,9 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
             lines += [f"{section}:", *_entries(draft, values[section], section, 1)]
             smoothing = section == "report" and "smooth" not in values["report"]
             lines += [*(SMOOTHING if smoothing else ()), ""]
-    if "calibration" not in values:
-        lines += draft.calibration
+    if "calibration" not in values and draft.calibration:
+        lines += ["# For `stereophd calibrate`: poses that are known roughly, within these standard deviations."]
+        lines += [f"# {line}" if draft.rays_meet else line for line in draft.calibration]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -130,12 +131,13 @@ class Draft:
     camera_notes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # Comments on each camera
     head: tuple[str, ...] = ()  # Comments at the top of the file
     findings: tuple[Finding, ...] = ()  # What is doubtful of the estimates
-    calibration: tuple[str, ...] = ()  # Lines at the end of the file: a section ``calibration`` to uncomment
+    calibration: tuple[str, ...] = ()  # Lines at the end of the file: a section ``calibration``, to uncomment
+    rays_meet: bool = True  # If not, that section is in use
     given: frozenset[str] = frozenset()  # Keys and sections that the user states: nothing changes them
 
     @property
-    def must_be_calibrated(self) -> bool:
-        """Whether a pose or a clock is unknown, so that `calibrate` must come before `track`."""
+    def is_unplaced(self) -> bool:
+        """Whether a pose or a clock is unknown."""
         return any(camera.must_be_found for camera in self.cameras.values())
 
     def with_choices(self, changes: Mapping[str, Choice]) -> Draft:
@@ -224,7 +226,7 @@ def template(unit: str, cameras: dict[str, CameraConfig], kind: Kind) -> Draft:
         ),
     }
     draft = Draft(unit, cameras, choices)
-    if draft.must_be_calibrated:
+    if draft.is_unplaced:
         known = [name for name, camera in cameras.items() if not camera.must_be_found]
         reason = (
             "poses and clocks that are unknown are found from the tracks; this camera is the origin, with the true "

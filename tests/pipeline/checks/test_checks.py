@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from stereophd.config.loading import make_config
+from stereophd.config.loading import load_config, make_config
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.pose import Pose
 from stereophd.io.logs.reading import Frame
@@ -27,6 +28,7 @@ from stereophd.pipeline.checks.geometry.rays import (
 from stereophd.pipeline.checks.log import sample as sampling
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
+from stereophd.pipeline.checks.run import check_samples
 from stereophd.pipeline.checks.run_figures import (
     check_detections,
     check_estimated_detectors,
@@ -440,6 +442,18 @@ def test_noise_is_asked_whatever_the_detector_states_of_misses(sigma: float, sta
     missed = sample_log(_missed(_frames(CAMERAS, count=300)), CAMERAS)
     wrong = [one.with_camera(replace(one.camera, detector=Detector([sigma] * 2, p_detect, 1.0))) for one in missed]
     assert [one.status for one in check_files(wrong) if one.name == "detector.sigma"] == [status] * 2
+
+
+@pytest.mark.parametrize("thorough", [False, True])
+def test_a_contradicted_noise_is_no_mistake_of_poses_and_clocks(thorough: bool) -> None:
+    """Rays that miss each other by five stated deviations: a rate of 0.999 would let more of them meet by chance."""
+    loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml")
+    seen = sample_log(_frames(CAMERAS, count=300), CAMERAS)
+    wrong = [one.with_camera(replace(one.camera, detector=Detector([0.15] * 2, 0.95, 1.0))) for one in seen]
+    found = check_samples(loaded, wrong, thorough, whole=True)
+    geometry = [one for one in found if one.name.startswith("geometry.")]
+    assert {one.status for one in geometry} == {"ok"}
+    assert [one.value for one in geometry if one.name == "geometry.residuals"] == [pytest.approx(1.0, abs=0.3)]
 
 
 def test_a_check_that_cannot_be_made_is_listed(samples: list[CameraSample]) -> None:

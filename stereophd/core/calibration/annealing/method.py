@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.marginal import exact_covariance
 from stereophd.core.calibration.adjustment.noise import estimate_noise
 from stereophd.core.calibration.adjustment.problem import Problem
@@ -45,6 +45,8 @@ from stereophd.core.calibration.annealing.starts import (
 )
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
 from stereophd.core.calibration.unknowns.held import EnlargedSet, enlarge, free_of
+from stereophd.core.calibration.unknowns.observability import posed_cameras
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import scale_is_free
 from stereophd.core.calibration.unknowns.unknown_sets import candidates
 from stereophd.core.numerics.random_streams import NOISE_SEED
@@ -123,8 +125,8 @@ class Believed:
     task: Task  # With the scale, the noise and the unknowns of the answer.
     answer: Answer
     noise: Array  # Noise (c,) of each camera's detections over what is stated.
-    suspicions: tuple[tuple[EnlargedSet, Suspicion], ...]  # Statements that were given up, and those that are held.
-    freed: tuple[str, ...]  # Names of unknowns that were stated as known, and contradicted.
+    given_up: tuple[Suspicion, ...]  # Of statements that the data contradict, which were estimated.
+    held: tuple[Suspicion, ...]  # Of the statements that the answer holds.
     doubtful: Array  # (m, k): Root of the covariance that the held statements add to that of the answer.
     remarks: tuple[Remark, ...]
 
@@ -176,7 +178,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
         by = known.kind if known is not None else "baseline" if task.scale is not None else ""
         doubt = f"with the known {by} {against}" if by else against
     history, moves = history_of(task, answer.fit, fit), track_moves(problem_of(task, fit), fit.adjustment)
-    remarks += prior_remarks(task, values)
+    remarks += (*statement_remarks(believed, is_doubted=bool(doubt)), *prior_remarks(task, values))
     return Calibrated(believed, fit, history, pairs, moves, doubt, remarks, world)
 
 
@@ -262,15 +264,15 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
     """
     count = len(task.parameters.cameras)
     noise, shared = np.full(count, noise_of_fit), np.zeros(count)
-    freed, given_up = tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
-    loosened, suspicions, held = np.zeros(count, dtype=np.int64), list[Suspicion](), tuple[Remark, ...]()
+    given_up, held = list[Suspicion](), list[Suspicion]()
+    loosened, remarks = np.zeros(count, dtype=np.int64), tuple[Remark, ...]()
     answer: Answer | None = None
     comparison: Comparison | None = None  # With the present noise, if any
     for number in range(MOST_ROUNDS):
         if not task.limit.begin(f"what the answer assumes is tested, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and tested: these cameras are the best so far"
             answer = answer or Answer(fit, 1.0, None)
-            suspicions, held = [], (Remark("time", text, is_reservation=True),)
+            held, remarks = [], (Remark("time", text, is_reservation=True),)
             break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         if answer is None:
@@ -302,21 +304,18 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
                 fit, answer = chosen_anew(task, readjusted(task, fit)), None
                 continue
             answer = replace(answer, comparison=comparison)
-        enlarged, suspicions = suspected(task, answer)
-        held = held_remarks(enlarged, suspicions)
-        wrong = next((s for s in suspicions if s.is_contradicted and may_be_freed(s, choices)), None)
+        enlarged, held = suspected(task, answer)
+        wrong = next((s for s in held if s.is_contradicted and may_be_freed(s, choices, task.parameters)), None)
         if wrong is None or last:
             break
-        given_up.append((enlarged, wrong))
-        freed += tuple(enlarged.parameters.names[place] for place in wrong.group.places)
+        given_up.append(wrong)
         task, fit = with_freed(task, fit, enlarged, wrong)
         answer, comparison = None, None
     assert answer is not None
     size = task.parameters.size
-    doubtful = np.hstack([np.zeros((size, 0)), *(suspicion.spread[:size] for suspicion in suspicions)])
-    tested = (*given_up, *((enlarged, suspicion) for suspicion in suspicions))
-    remarks = (*noise_remarks(task, noise), *freed_remarks(given_up), *held)
-    return Believed(task, answer, noise, tested, freed, doubtful, remarks)
+    doubtful = np.hstack([np.zeros((size, 0)), *(suspicion.spread[:size] for suspicion in held)])
+    remarks = (*noise_remarks(task, noise), *remarks)
+    return Believed(task, answer, noise, tuple(given_up), tuple(held), doubtful, remarks)
 
 
 def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
@@ -356,15 +355,20 @@ def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[
     return replace(answer, fit=fit), (remark,) if factor > SAID_FACTOR else ()
 
 
-def may_be_freed(suspicion: Suspicion, choices: Choices) -> bool:
+def may_be_freed(suspicion: Suspicion, choices: Choices, parameters: ParameterSet) -> bool:
     """Whether a contradicted statement may be given up."""
-    return choices.model != AS_STATED and (choices.model == FREE or suspicion.group.is_absent_lens)
+    is_asked = choices.model == FREE or (choices.model != AS_STATED and suspicion.group.is_absent_lens)
+    return is_asked and is_shown(suspicion, parameters)
+
+
+def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
+    """Whether the data can show what a statement is about: two cameras of unknown pose fit many focal lengths."""
+    return suspicion.group.quantity != "focal" or len(parameters.cameras) > 2 or not posed_cameras(parameters)
 
 
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
     """Return the task with what was contradicted among its unknowns, and the fit from the values that fit."""
-    parameters = enlarged.freed(suspicion.group.places)
-    task = replace(task, parameters=parameters)
+    task = replace(task, parameters=enlarged.freed(task.parameters, suspicion.group.places))
     values = np.append(fit.adjustment.values, suspicion.values)
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
     return task, chosen_anew(task, readjusted(task, begin))
@@ -411,44 +415,46 @@ def noise_remarks(task: Task, noise: Array) -> tuple[Remark, ...]:
     )
 
 
-def freed_remarks(given_up: list[tuple[EnlargedSet, Suspicion]]) -> tuple[Remark, ...]:
-    """Say which statements were given up."""
-    return tuple(
+def statement_remarks(believed: Believed, is_doubted: bool) -> tuple[Remark, ...]:
+    """Say which statements were given up, which the data contradict, and on which an answer depends.
+
+    Of an answer that is doubted nothing is said but what the data contradict.
+    """
+    remarks = [
         Remark(
             "model",
-            f"the data contradict what is stated: {fitting(enlarged, suspicion)} fits; it was estimated "
+            f"the data contradict what is stated: {fitting(suspicion, is_doubted)} fits; it was estimated "
             "(calibration.model: as_stated keeps the statement)",
         )
-        for enlarged, suspicion in given_up
-    )
-
-
-def held_remarks(enlarged: EnlargedSet, suspicions: list[Suspicion]) -> tuple[Remark, ...]:
-    """Return remarks on values that the answer holds: those that the data contradict, and those it depends on."""
-    remarks = []
-    contradicted = next((s for s in suspicions if s.is_contradicted), None)
+        for suspicion in believed.given_up
+    ]
+    contradicted = next((s for s in believed.held if s.is_contradicted), None)
     if contradicted is not None:
-        text = (
-            f"the data contradict what is stated: {fitting(enlarged, contradicted)} fits; state it, give it a prior, "
-            "or let it be estimated (calibration.model: free)"
-        )
+        can_tell = is_shown(contradicted, believed.task.parameters)
+        remedy = "measure it: two cameras do not show it"
+        if can_tell:
+            remedy = "state it, give it a prior, or let it be estimated (calibration.model: free)"
+        text = f"the data contradict what is stated: {fitting(contradicted, is_doubted or not can_tell)} fits; {remedy}"
         remarks.append(Remark("model", text, is_reservation=True))
-    largest = max(suspicions, key=lambda s: s.expected_move, default=None)
-    if contradicted is None and largest is not None and largest.expected_move > LARGEST_MOVE:
+    largest = max(believed.held, key=lambda s: s.expected_move, default=None)
+    if contradicted is None and not is_doubted and largest is not None and largest.expected_move > LARGEST_MOVE:
         text = (
-            f"the answer depends on what is stated: the data allow {fitting(enlarged, largest)} too, which moves "
-            f"tracks by {largest.expected_move:.1f} of their stated standard deviations"
+            f"the answer depends on what is stated: the data allow {fitting(largest)} too, which moves tracks by "
+            f"{largest.expected_move:.1f} of their stated standard deviations"
         )
         remarks.append(Remark("sensitivity", text, is_reservation=True))
     return tuple(remarks)
 
 
-def fitting(enlarged: EnlargedSet, suspicion: Suspicion) -> str:
-    """Name the unknowns of a suspicion and the values that fit."""
-    places: Integers = suspicion.group.places
+def fitting(suspicion: Suspicion, is_doubted: bool = False) -> str:
+    """Name the unknowns of a suspicion, with the values that fit if they are of an answer that is not doubted."""
+    if is_doubted:
+        return f"another {', '.join(suspicion.group.names)}"
     return ", ".join(
-        f"{enlarged.parameters.names[place]} {value:+.3g} +- {std:.2g}"
-        for place, value, std in zip(places.tolist(), suspicion.values.tolist(), suspicion.stds.tolist(), strict=True)
+        f"{name} {value:+.3g} +- {std:.2g}"
+        for name, value, std in zip(
+            suspicion.group.names, suspicion.values.tolist(), suspicion.stds.tolist(), strict=True
+        )
     )
 
 

@@ -24,7 +24,13 @@ from stereophd.core.calibration.discovery.two_cameras import (
     PairResult,
     find_pair,
 )
-from stereophd.core.calibration.discovery.verdict import doubts_of_pair, doubts_of_tracks
+from stereophd.core.calibration.discovery.verdict import (
+    MORE_OBJECTS,
+    Doubt,
+    doubts_of_pair,
+    doubts_of_tracks,
+    sentences,
+)
 from stereophd.core.calibration.time_limit import ENDLESS, TIME_OVER, TimeLimit
 from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.geometry.lens import Lens
@@ -93,7 +99,7 @@ def discover(
     results: dict[tuple[int, int], PairResult | None] = {}
     placed, links = {reference: _Place(np.eye(3), 0.0, 1.0, np.zeros(3), ())}, []
     while waiting := [number for number in range(len(views)) if number not in placed]:
-        joined: tuple[int, list[str], Link, _Place] | None = None
+        joined: tuple[int, list[Doubt], Link, _Place] | None = None
         for new, old in product(waiting, placed):
             two = (min(new, old), max(new, old))
             if two not in results:
@@ -112,7 +118,7 @@ def discover(
             return Discovery(None, f"no tracks of {missing} agree with those of {known} at any offset")
         new, _, pair, placed[new] = joined
         links.append(pair)
-    doubts: list[str] = []
+    doubts: list[Doubt] = []
     for number, place in list(placed.items())[1:]:
         # judged by all others, but for those that were placed by it
         others = {other: at for other, at in placed.items() if other != number and number not in at.chain}
@@ -120,11 +126,12 @@ def discover(
         if last is not None:
             doubts += last[0]
             if place.distance(last[2])[0] > OTHER_ANGLE:
-                doubts.append(f"the cameras do not agree where {names[number]} is: record more objects that all see")
-    rig = _rig(views, placed, links, doubts)
+                doubts.append((f"the cameras do not agree where {names[number]} is", MORE_OBJECTS))
+    said = sentences(doubts)
+    rig = _rig(views, placed, links, said)
     if rig is None:
         few = "no object is seen by three cameras at one time: the baselines cannot be compared"
-        return Discovery(None, "; ".join(doubts or [few]))
+        return Discovery(None, "; ".join(said or [few]))
     return Discovery(rig, "; ".join(rig.doubts))
 
 
@@ -187,7 +194,7 @@ def _link(
     placed: Mapping[int, _Place],
     new: int,
     names: Sequence[str],
-) -> tuple[list[str], Link, _Place] | None:
+) -> tuple[list[Doubt], Link, _Place] | None:
     """Join a camera to those that are placed, where all pairs with them gain most: doubts, pair and place.
 
     None if none of them pairs. An optimum of one pair gains what the optima of the others gain that turn the camera and
@@ -240,7 +247,7 @@ def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, f
 
 
 def _rig(
-    views: Sequence[View], placed: Mapping[int, _Place], pairs: Sequence[Link], doubts: Sequence[str]
+    views: Sequence[View], placed: Mapping[int, _Place], pairs: Sequence[Link], doubts: tuple[str, ...]
 ) -> FoundRig | None:
     """Give cameras that are placed their centres, along the pairs; None if the baselines cannot be compared."""
     scales = _scales(pairs)
@@ -263,7 +270,7 @@ def _rig(
         ))  # fmt: skip
         rotation, direction, offset_std = np.sqrt(place.variances).tolist()
         spreads.append(Spread(rotation, direction, offset_std, focal_std))
-    return FoundRig(tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts))
+    return FoundRig(tuple(cameras), tuple(spreads), tuple(pairs), doubts)
 
 
 def _averaged(pairs: Sequence[Link], camera: int, component: int) -> tuple[float, float]:

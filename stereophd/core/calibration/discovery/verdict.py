@@ -12,6 +12,9 @@ from stereophd.core.calibration.discovery.pair_fit import PairFit
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
 from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, Link
 
+# What is wrong with which cameras, and the remedy.
+Doubt = tuple[str, str]
+
 # Largest deviations of rotation and direction, rad, of a pair that others start from; gain over the next optimum's.
 MOST_ROTATION, MOST_DIRECTION, LEAST_GAP = np.deg2rad(6.0), np.deg2rad(10.0), 2.0
 # Quadratic pieces that two cameras need in common: fewer can agree by chance.
@@ -20,6 +23,7 @@ LEAST_PIECES = 4.0
 MOST_RESIDUAL = 3.0
 # Median parallax, rad, below which the cameras stand at one place; thickness over extent of a scene that is a plane.
 LEAST_PARALLAX, PLANE = np.deg2rad(1.0), 0.02
+MORE_OBJECTS = "record more objects that all see"
 
 
 def doubts_of_tracks(found: SlopeTracks, names: Sequence[str]) -> str | None:
@@ -35,7 +39,15 @@ def doubts_of_tracks(found: SlopeTracks, names: Sequence[str]) -> str | None:
     return f"no object can be followed before {', '.join(still)}: record fewer false detections, or more frames"
 
 
-def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[str]:
+def sentences(doubts: Sequence[Doubt]) -> tuple[str, ...]:
+    """Say each doubt and each remedy once."""
+    by_remedy: dict[str, dict[str, None]] = {}
+    for what, remedy in doubts:
+        by_remedy.setdefault(remedy, {})[what] = None
+    return tuple(f"{', '.join(what)}: {remedy}" for remedy, what in by_remedy.items())
+
+
+def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[Doubt]:
     """Return why two cameras that were found may be wrong; empty if they are believed.
 
     Where pairs close a loop, what each leaves open (focal lengths above all) may be determined by all: the final answer
@@ -43,51 +55,40 @@ def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[str]:
     """
     fit = pair.best
     two = " and ".join(names[number] for number in pair.cameras)
-    doubts: list[str] = []
+    doubts: list[Doubt] = []
     if fit.parallax < LEAST_PARALLAX:
-        doubts.append(
-            f"rays of {two} meet at {np.rad2deg(fit.parallax):.1f} degrees: the cameras stand at one place, or the "
-            "objects are too far; move the cameras apart or the objects nearer"
-        )
+        remedy = "the cameras stand at one place, or the objects are too far; move them apart or the objects nearer"
+        doubts.append((f"rays of {two} meet at {np.rad2deg(fit.parallax):.1f} degrees", remedy))
     if fit.pieces < LEAST_PIECES:
-        doubts.append(
-            f"the tracks that {two} share are too few or too straight ({fit.pieces:.1f} pieces of a curve, "
-            f"{LEAST_PIECES:g} are needed): record objects that turn, or more of them"
-        )
+        few = f"the tracks that {two} share are too few or too straight ({fit.pieces:.1f} pieces of a curve)"
+        doubts.append((few, f"{LEAST_PIECES:g} pieces are needed, record objects that turn, or more of them"))
     if doubts:
         return doubts  # what follows from them says no more
     if fit.front < LEAST_FRONT:
-        doubts.append(
-            f"only {100.0 * fit.front:.0f} % of the points lie in front of {two}: their tracks agree by chance; record "
-            "the same moving objects with both, at one time, and state the lenses"
-        )
+        few = f"only {100.0 * fit.front:.0f} % of the points lie in front of {two}"
+        remedy = "record the same moving objects with both, at one time, and state the lenses"
+        doubts.append((few, f"their tracks agree by chance; {remedy}"))
     if fit.residual > MOST_RESIDUAL:
-        doubts.append(
-            f"rays of {two} miss each other by {fit.residual:.1f} times the noise: a lens, a focal length or a clock "
-            "is unlike what is stated"
-        )
+        remedy = "a lens, a focal length or a clock is unlike what is stated"
+        doubts.append((f"rays of {two} miss each other by {fit.residual:.1f} times the noise", remedy))
     if pair.gap < LEAST_GAP:
         doubts.append(_second_optimum(pair, two))
     if pair.agreeing <= pair.opposed:
-        doubts.append(
-            f"the pose of {two} contradicts other pairs of cameras ({pair.opposed}): record more objects that all see"
-        )
+        doubts.append((f"the pose of {two} contradicts other pairs of cameras ({pair.opposed})", MORE_OBJECTS))
     if pair.agreeing == 1 and (fit.rotation_std > MOST_ROTATION or fit.direction_std > MOST_DIRECTION):
         kind = "; the objects move in one plane" if _is_plane(fit) else ""
-        doubts.append(
-            f"the tracks leave {two} open by {np.rad2deg(fit.rotation_std):.1f} degrees in rotation and "
-            f"{np.rad2deg(fit.direction_std):.1f} in direction{kind}: record objects at more depths and heights"
-        )
+        rotation, direction = np.rad2deg([fit.rotation_std, fit.direction_std])
+        left = f"the tracks leave {two} open by {rotation:.1f} degrees in rotation and {direction:.1f} in direction"
+        doubts.append((f"{left}{kind}", "record objects at more depths and heights"))
     return doubts
 
 
-def _second_optimum(pair: Link, two: str) -> str:
-    """Return a sentence: how the second-best pose of a camera differs from the best."""
+def _second_optimum(pair: Link, two: str) -> Doubt:
+    """Say how the second-best pose of a camera differs from the best."""
     turn, later = pair.other
-    return (
-        f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, turned by {np.rad2deg(turn):.0f} degrees, "
-        f"{later:+.2f} s away: record objects that speed up and turn, or state the clock"
-    )
+    away = f"turned by {np.rad2deg(turn):.0f} degrees, {later:+.2f} s away"
+    another = f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, {away}"
+    return another, "record objects that speed up and turn, or state the clock"
 
 
 def _is_plane(fit: PairFit) -> bool:

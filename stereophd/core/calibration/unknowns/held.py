@@ -28,7 +28,8 @@ class HeldGroup:
     """Unknowns that explain one kind of contradiction: a quantity of one camera, or of all cameras that hold it."""
 
     quantity: str
-    places: Integers  # Places of its values in the enlarged set.
+    names: tuple[str, ...]  # Of its values.
+    places: Integers  # Where they are in the enlarged set.
     is_absent_lens: bool  # Whether the statement is that the cameras have no lens.
 
     @property
@@ -44,14 +45,10 @@ class EnlargedSet:
     parameters: ParameterSet
     groups: tuple[HeldGroup, ...]
 
-    def freed(self, places: Integers) -> ParameterSet:
+    def freed(self, known: ParameterSet, places: Integers) -> ParameterSet:
         """Return the unknowns of the calibration together with some of those that it holds."""
-        chosen = sorted({*range(self._count), *places.tolist()})
-        return replace(self.parameters, parameters=tuple(self.parameters.parameters[i] for i in chosen))
-
-    @property
-    def _count(self) -> int:
-        return min((int(group.places.min()) for group in self.groups), default=self.parameters.size)
+        more = tuple(self.parameters.parameters[i] for i in places.tolist())
+        return replace(self.parameters, parameters=(*known.parameters, *more))
 
 
 def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> EnlargedSet:
@@ -76,12 +73,14 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
             places = np.arange(size + len(extra), size + len(extra) + len(names))
             extra += [Parameter(name, camera.name, 0.0, stds[name]) for name in names]
             is_absent_lens = quantity == "distortion" and camera.name in without_lens
-            by_quantity.setdefault(quantity, []).append(HeldGroup(quantity, places, is_absent_lens))
+            group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, is_absent_lens)
+            by_quantity.setdefault(quantity, []).append(group)
     for quantity, each in by_quantity.items():
         groups += each
         if len(each) > 1:
+            together = tuple(name for group in each for name in group.names)
             places = np.concatenate([group.places for group in each])
-            groups.append(HeldGroup(quantity, places, all(group.is_absent_lens for group in each)))
+            groups.append(HeldGroup(quantity, together, places, all(group.is_absent_lens for group in each)))
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
 
 

@@ -13,7 +13,7 @@ association-based MeMBer", IEEE Trans. AES 51 (3), 2015.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -50,7 +50,7 @@ from stereophd.core.multi.swaps.history import ClaimedDetections, DeferredPairs,
 from stereophd.core.multi.swaps.swap_test import SwapTest
 from stereophd.core.numerics.compilation.compiled import compiled
 
-NO_HISTORY, NO_PAIRS = History(), np.empty((0, 2), dtype=np.int64)
+NO_HISTORY = History()
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class PmbFilter(DisparityFilter):
             self.reduction, self.claims,
         )  # fmt: skip
         counters = state.next_label + len(event.points), state.next_track
-        return self._after(state, event, reduced, NO_PAIRS, updated, counters, prediction.undetected, prediction.burst)
+        return self._after(state, event, reduced, updated, counters, prediction.undetected, prediction.burst)
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
         """Predict, update, exchange swapped tracks and extract for one event, in one compiled call."""
@@ -121,32 +121,35 @@ class PmbFilter(DisparityFilter):
             (*self.report, state.next_label + len(event.points), state.next_track), self.sets.turn(state.n_events + 1),
         )  # fmt: skip
         counters = selection.next_label, selection.next_track
-        after, info = self._after(state, event, selection.mixture, pairs, updated, counters, undetected, burst)
-        if after.mixture is not selection.mixture:
-            # identities are those of the first look: a swap leaves the existence of every track as it is
-            after, estimates = self.extract(after)
-            return after, info, estimates
-        return after, info, selection.estimates()
+        after, info = self._after(state, event, selection.mixture, updated, counters, undetected, burst)
+        if not len(pairs):
+            return after, info, selection.estimates()
+        assert after.history is not None
+        mixture, history = self.swap_test.swap(
+            after.mixture, after.history, pairs, event.camera, event.time_s, state.n_events
+        )
+        after = replace(after, mixture=mixture, history=history)
+        if mixture is selection.mixture:
+            return after, info, selection.estimates()
+        # identities are those of the first look: a swap leaves the existence of every track as it is
+        after, estimates = self.extract(after)
+        return after, replace(info, n_components=mixture.size), estimates
 
     @cached_property
     def _exchanges(self) -> bool:
         return math.isfinite(self.settings.exchange_above)
 
     def _after(
-        self, state: FilterState, event: Event, mixture: GaussianMixture, pairs: Integers,
-        updated: Sequence[Any], counters: tuple[int, int], undetected: Undetected, burst: int,
+        self, state: FilterState, event: Event, mixture: GaussianMixture, updated: Sequence[Any],
+        counters: tuple[int, int], undetected: Undetected, burst: int,
     ) -> tuple[FilterState, Info]:  # fmt: skip
-        """Return the state after an event of which `_update` returns what it `updated`, and its diagnostics.
-
-        The `pairs` of tracks are tested for a swap.
-        """
+        """Return the state after an event of which `_update` returns what it `updated`, and its diagnostics."""
         log_likelihood, expected, labels, detections, claims, fewer = updated
         history, place = None, (event.camera, event.time_s)
         if self._exchanges:
             readings = event.readings(self.rig.space(*place))
             claimed = ClaimedDetections(*place, labels, detections, event.points, event.covariances, readings)
             history = (state.history or NO_HISTORY).add(claimed)
-            mixture, history = self.swap_test.swap(mixture, history, pairs, *place, state.n_events)
         left_out, room = 0, self.reduction.max_components - len(event.points)
         if state.mixture.size > room:
             tracks = np.unique(state.mixture.labels)

@@ -109,8 +109,6 @@ class SwapTest:
         self, mixture: GaussianMixture, history: History, pairs: Integers, camera: int, time_s: float, event: int
     ) -> tuple[GaussianMixture, History]:
         """Return a mixture and the history with swaps of those of the pairs that are paired crosswise."""
-        if not len(pairs):
-            return mixture, history
         prior = self.prior(self.rig.views(time_s)) if self.rig.moving else self._prior_at_rest
         deferred = history.deferred.after(event)
         for first, second in pairs.tolist():

@@ -19,6 +19,7 @@ CHANCE_SCORE, LEAST_SHARE = 2.5, 0.4
 # Standard deviations that the promise must be away from chance for a test, and by which it must be missed: the quantile
 # of 0.5 % of Student's distribution with as many degrees of freedom as the times that measure chance leave.
 POWER, LARGEST_DEFICIT = 6.0, 3.5
+DO_NOT_MEET = "rays_do_not_meet"
 
 
 def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
@@ -56,7 +57,7 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
                 value,
                 expected,
                 remedy="check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses",
-                cause="rays_do_not_meet",
+                cause=DO_NOT_MEET,
             )
         else:
             yield Finding("geometry.rays", "ok", text, value, expected)

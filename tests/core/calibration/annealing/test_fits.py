@@ -15,7 +15,7 @@ from stereophd.core.calibration.annealing.fits import (
     refitted,
     tracked_fit,
 )
-from stereophd.core.calibration.annealing.method import Choices, calibrated
+from stereophd.core.calibration.annealing.method import FREE, Choices, calibrated, may_be_freed, statement_remarks
 from stereophd.core.calibration.annealing.starts import (
     NOISE_AS_STATED,
     disagreement,
@@ -140,8 +140,24 @@ def test_core_alone_calibrates(made: MadeUp, task: Task) -> None:
     check_near_truth(made, result.fit)
     assert result.doubt == ""
     assert (result.believed.noise == 1.0).all()
-    assert result.believed.freed == ()
+    assert result.believed.given_up == ()
     assert not any(remark.is_reservation for remark in result.remarks)
+    # of an answer that is doubted no values are said
+    first = next(one for one in result.believed.held if one.group.quantity == "principal_point")
+    contradicted = replace(first, log_evidence=1e3, values=np.full(len(first.values), 2.67e6))
+    for statements in ({"held": (contradicted,)}, {"given_up": (contradicted,)}):
+        believed = replace(result.believed, **statements)
+        said, doubted = (statement_remarks(believed, is_doubted=one)[0].text for one in (False, True))
+        assert "+2.67e+06 +- " in said
+        assert "+" not in doubted
+        assert f"stated: another {contradicted.group.names[0]}" in doubted
+    # two cameras do not show their focal lengths
+    focal = next(one for one in result.believed.held if one.group.quantity == "focal")
+    wrong = replace(focal, log_evidence=1e3)
+    assert not may_be_freed(wrong, Choices(model=FREE), task.parameters)
+    (said,) = (one for one in statement_remarks(replace(result.believed, held=(wrong,)), False) if one.topic == "model")
+    assert said.text.endswith(f"another {', '.join(focal.group.names)} fits; measure it: two cameras do not show it")
+    assert may_be_freed(first, Choices(model=FREE), task.parameters)
 
 
 def test_a_noise_that_is_stated_too_small_lets_a_start_succeed(made: MadeUp, task: Task) -> None:

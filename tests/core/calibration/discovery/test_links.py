@@ -12,7 +12,8 @@ from stereophd.core.calibration.discovery.essential import essential_of
 from stereophd.core.calibration.discovery.pair_fit import SIZE, PairFit, PairPrior, PairState
 from stereophd.core.calibration.discovery.pair_search import Hypothesis
 from stereophd.core.calibration.discovery.tracks import slope_tracks
-from stereophd.core.calibration.discovery.two_cameras import PairResult
+from stereophd.core.calibration.discovery.two_cameras import Link, PairResult
+from stereophd.core.calibration.discovery.verdict import doubts_of_pair, sentences
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 
 from .rooms import cameras, curved, tracks_of, views_of
@@ -39,7 +40,19 @@ def test_two_optima_of_one_pair_are_doubted() -> None:
     results = {(0, 2): PairResult((optimum(0.8, 20.0, 5.0), optimum(-0.5, 15.0, 5.0)), 0.1)}
     doubts, pair, _ = joined(results)
     assert pair.gap == pytest.approx(20.0 / 15.0)
-    assert "another pose of cam0 and cam2 explains 75 % as much, turned by 74 degrees" in doubts[0]
+    assert "another pose of cam0 and cam2 explains 75 % as much, turned by 74 degrees" in doubts[0][0]
+
+
+def test_a_remedy_is_said_once_of_all_cameras() -> None:
+    few, one = replace(optimum(0.8, 20.0), pieces=1.5), 0.1
+    doubts = [
+        doubt
+        for two in ((0, 1), (0, 2), (0, 1))
+        for doubt in doubts_of_pair(Link(two, replace(few, parallax=one), 9.0, (1.0, 0.0), 1, 0), NAMES)
+    ]
+    (said,) = sentences(doubts)
+    assert said.count("record objects that turn") == 1
+    assert [said.count(f"cam0 and {name} share") for name in ("cam1", "cam2")] == [1, 1]
 
 
 def test_another_pair_decides_between_two_optima() -> None:
@@ -62,8 +75,8 @@ def test_a_clock_that_differs_is_another_pose() -> None:
     }
     doubts, pair, _ = joined(results)
     assert (pair.agreeing, pair.opposed) == (1, 1)
-    assert "+1.00 s away" in doubts[0]
-    assert "contradicts other pairs of cameras (1)" in doubts[1]
+    assert "+1.00 s away" in doubts[0][0]
+    assert "contradicts other pairs of cameras (1)" in doubts[1][0]
 
 
 def test_optima_of_the_pairs_that_agree_move_the_camera_otherwise() -> None:
@@ -75,7 +88,7 @@ def test_optima_of_the_pairs_that_agree_move_the_camera_otherwise() -> None:
 
 def test_one_open_pair_is_doubted_and_two_are_not() -> None:
     wide = PairResult((optimum(0.8, 20.0, 5.0, std=0.2),), 0.1)
-    assert "open by 11.5 degrees in rotation" in joined({(0, 2): wide})[0][0]
+    assert "open by 11.5 degrees in rotation" in joined({(0, 2): wide})[0][0][0]
     other = PairResult((optimum(0.5, 10.0, 3.0, std=0.2),), 0.1)
     assert not joined({(0, 2): wide, (1, 2): other})[0]
 

@@ -48,7 +48,7 @@ def test_what_is_freed_follows_the_unknowns() -> None:
     stated = ParameterSet(cameras(Lens()), (Parameter("focal", "right", 0.0, 0.01),))
     enlarged = enlarge(stated, 0, PERIODS)
     both = next(g for g in enlarged.groups if g.quantity == "distortion" and len(g.places) == 2)
-    freed = enlarged.freed(both.places)
+    freed = enlarged.freed(stated, both.places)
     assert freed.names == ("right.focal", "left.k1", "right.k1")
     # the cameras are those of the statement, with a lens to estimate
     assert [camera.lens for camera in freed.build(np.zeros(3))] == [Lens("radial"), Lens("radial")]

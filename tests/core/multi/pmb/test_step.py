@@ -15,6 +15,7 @@ from stereophd.core.motion.static import Static
 from stereophd.core.multi.base import FilterState
 from stereophd.core.multi.pmb.filter import PmbFilter
 from stereophd.core.multi.state.estimates import Estimates, Info
+from stereophd.core.multi.swaps.swap_test import SwapTest
 from tests.core.disparity.cases import make_camera
 from tests.core.multi.pmb.test_pmb import made_up_frames, make_pmb, run
 from tests.core.multi.scenes import make_mixture
@@ -106,3 +107,19 @@ def test_a_swap_within_the_call() -> None:
     truth = PLACES + time_s * VELOCITIES
     off = [np.linalg.norm(each[2].states[:, None, :3] - truth, axis=2).min(axis=1).max() for each in (one, without)]
     assert off[0] < 2.0 < off[1]
+
+
+def test_no_swap_is_tested_without_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`update` finds no pairs, and a first event has none."""
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("a swap was tested")
+
+    monkeypatch.setattr(SwapTest, "swap", refuse)
+    multi_filter = filter_of("two cameras")
+    state = multi_filter.init()
+    for time_s, camera, pixels in made_up_frames(multi_filter)[:6]:
+        event = make_event(multi_filter.rig.cameras[camera].at(time_s), camera, time_s, pixels)
+        state, _ = multi_filter.update(state, multi_filter.predict(state, event), event)
+    assert state.history is not None
+    multi_filter.step(multi_filter.init(), event)

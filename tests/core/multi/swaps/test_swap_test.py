@@ -156,7 +156,7 @@ def put_right(
         return mixture, history
     rows, homes = np.arange(mixture.size), test.rig.spaces(mixture.cameras, mixture.times)
     pairs = swap_candidates(mixture, rows, homes, *test.search(history, camera, time_s, event)[0])
-    return test.swap(mixture, history, pairs, camera, time_s, event)
+    return test.swap(mixture, history, pairs, camera, time_s, event) if len(pairs) else (mixture, history)
 
 
 def test_a_crosswise_pair_is_put_right(steps: list[Step]) -> None:
