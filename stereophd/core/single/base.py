@@ -103,11 +103,10 @@ class SingleEstimator(ABC, Generic[State]):
         """Return the state that `estimate` describes at a time after the last event."""
         return replace(state, time_s=time_s)
 
-
-def first_density(rig: Rig, event: Event) -> float:
-    """Logarithm of the density of a detection of which nothing was known: uniform over the image."""
-    camera = rig.cameras[event.camera]
-    return -float(np.log(camera.width * camera.height))
+    def first_density(self, event: Event) -> float:
+        """Logarithm of the density of a detection of which nothing was known: uniform over the image."""
+        camera = self.rig.cameras[event.camera]
+        return -float(np.log(camera.width * camera.height))
 
 
 AnyEstimator = SingleEstimator[Any]

@@ -17,7 +17,7 @@ from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.columns import Paths
 from stereophd.report.page.frames import camera_residuals, paths_of_run
 from stereophd.report.plots.scene_plots import draw_camera_views, view_axes
-from stereophd.report.plots.views import SceneView, views
+from stereophd.report.plots.views import views
 from stereophd.report.style import (
     BLUE,
     ORANGE,
@@ -64,9 +64,8 @@ def _draw_view(run: Run, tracks: Paths, name: str) -> Figure:
     time = float(tracks.times.min()) if len(tracks.times) else 0.0
     cameras = [camera.at(time) for camera in run.cameras]
     scene = np.concatenate([points, *(camera.pose.center[None] for camera in cameras)])
-    view: SceneView = views(cameras, scene)[name]
-    title = {"top": "From above", "side": "From the side"}[name]
-    figure, axes = view_axes(view, scene, title, f" [{run.length_unit}]" if run.length_unit else "")
+    view = views(cameras, scene)[name]
+    figure, axes = view_axes(view, scene, f" [{run.length_unit}]" if run.length_unit else "")
     draw_camera_views(axes, cameras, points, view)
     drawn = view.project(points)
     for number, track_id in enumerate(tracks.ids.tolist()):
