@@ -52,10 +52,6 @@ class SingleObjectProblem:
     times: Array  # (k,): Times of the events, s, not decreasing
     cameras: NDArray[np.int64]  # (k,) of int: Camera of each event
 
-    def reported_events(self) -> NDArray[np.intp]:
-        """Events (t,) after which estimates are compared: all, of an object that moves the last of a time."""
-        return last_events(self.times) if self.motion.moves else np.arange(len(self.times))
-
 
 @dataclass(frozen=True)
 class SingleObjectRun:
@@ -91,7 +87,7 @@ def run_single_object(
             raise ValueError(f"expected the object in view of {camera.name}, found it out of view at {point}")
     events = list(EventStream(scenario.rig.cameras, frames))
     estimator = build_estimator(settings, scenario.rig, scenario.motion, scenario.prior, rng)
-    reported = scenario.reported_events()
+    reported = last_events(scenario.times) if scenario.motion.moves else np.arange(len(scenario.times))
     with clock or nullcontext():
         maps, means, covariances = _run(estimator, events, reported.tolist())
     return SingleObjectRun(scenario.times[reported], maps - states[reported], means - states[reported], covariances)

@@ -40,9 +40,13 @@ def build_estimator(
 
 def sample_sets(settings: MomentsSettings, motion: Motion, rng: np.random.Generator) -> SampleSets:
     """Return the samples of an estimator's moves; those of method ``particle`` are drawn from the generator."""
+    rows = motion.sample_rows
     if settings.method == "particle":
-        return fresh_samples(settings.samples, motion.sample_rows, int(rng.integers(2**63)))
-    return _rule(settings.method, settings.samples, motion.sample_rows, settings.max_nonlinearity)
+        # the reserve, for tails in view, is a low-discrepancy set
+        rule, sets = _rule("qmc", 64, rows), np.empty((1, rows, settings.samples))
+        seed = int(rng.integers(2**63))
+        return FreshSamples("particle", sets, rule.reserve, rule.reserve_weights, seed=seed)
+    return _rule(settings.method, settings.samples, rows, settings.max_nonlinearity)
 
 
 @dataclass(frozen=True)
@@ -58,12 +62,6 @@ class FreshSamples(SampleSets):
     def turn(self, index: int) -> Array:
         """Return the samples (rows, n) of event number `index`."""
         return np.random.default_rng((self.seed, index)).standard_normal(self.sets.shape[1:])
-
-
-def fresh_samples(samples: int, rows: int, seed: int) -> FreshSamples:
-    """Return pseudo-random samples whose reserve, for tails in view, is a low-discrepancy set."""
-    reserve = _rule("qmc", 64, rows)
-    return FreshSamples("particle", np.empty((1, rows, samples)), reserve.reserve, reserve.reserve_weights, seed=seed)
 
 
 @cache

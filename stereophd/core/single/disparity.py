@@ -13,8 +13,8 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.moments import Sources, move, world_moments
-from stereophd.core.disparity.moved import OUT_OF_VIEW
+from stereophd.core.disparity.moments import move, world_moments
+from stereophd.core.disparity.moved import OUT_OF_VIEW, Sources
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.layout import CX, CY, HEIGHT, LENS_CODE, LENS_NONE, WIDTH
 from stereophd.core.numerics.samples import SampleSets

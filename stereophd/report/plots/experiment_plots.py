@@ -8,6 +8,7 @@ import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -55,8 +56,8 @@ SIGMAS = 2.0
 POINTS = 181
 
 
-# Methods along the axis of the figure, whose values are the times of the summaries.
-Lines = Mapping[str, Summary]
+# Of each method: values along the axis of the figure (k,), and a summary of as many.
+Lines = Mapping[str, tuple[Array, Summary]]
 
 
 class _PlainNumbers(LogFormatter):
@@ -138,13 +139,12 @@ def _kinds_of_panel(results: Results, quantity: str, over: str | None) -> tuple[
 
 def _draw_ratios(axes: Axes, lines: Lines) -> None:
     """Draw what the methods reach as multiples of the bound."""
-    ratios = {
-        method: replace(line, **{name: getattr(line, name) / line.bound for name in STATISTICS})
-        for method, line in lines.items()
-    }
+    ratios = {}
+    for method, (x, line) in lines.items():
+        values: dict[str, Any] = {name: getattr(line, name) / line.bound for name in STATISTICS}
+        ratios[method] = x, replace(line, **values)
     _draw_curves(axes, ratios, marked=True)
-    values = np.concatenate([line.mean for line in ratios.values()])
-    if np.nanmax(values) > LARGEST_LINEAR_RATIO:
+    if np.nanmax(np.concatenate([line.mean for _, line in ratios.values()])) > LARGEST_LINEAR_RATIO:
         _set_logarithmic(axes)
 
 
@@ -161,7 +161,7 @@ def _panel(
     unit = next((summary.unit for cell in cells for summary in cell.summaries if summary.quantity == quantity), "")
     if over is None:
         lines = {
-            cell.method: summary
+            cell.method: (summary.times_s, summary)
             for cell in cells
             for summary in cell.summaries
             if summary.quantity == quantity and summary.times_s is not None
@@ -180,7 +180,7 @@ def _panel(
     settings = results.config.figure
     if settings.log:
         _set_logarithmic(axes)
-    elif all((line.mean[np.isfinite(line.mean)] >= 0).all() for line in lines.values()):
+    elif all((line.mean[np.isfinite(line.mean)] >= 0).all() for _, line in lines.values()):
         axes.set_ylim(bottom=0)
     if settings.most is not None:
         axes.set_ylim(top=settings.most)
@@ -210,37 +210,41 @@ def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: st
     lines = {}
     for method, points in by_method.items():
         values = {name: np.array([getattr(of, name)[0] for _, of in points]) for name in ("runs", *STATISTICS)}
-        lines[method] = replace(points[0][1], times_s=np.array([x for x, _ in points]), **values)
+        lines[method] = np.array([x for x, _ in points]), Summary(quantity, points[0][1].unit, None, **values)
     return lines
 
 
 def _draw_curves(axes: Axes, lines: Lines, marked: bool = False) -> None:
-    for number, (method, line) in enumerate(lines.items()):
+    for number, (method, (x, line)) in enumerate(lines.items()):
         colour, marker = colour_of(number), MARKERS[number % len(MARKERS)] if marked else None
-        axes.fill_between(line.times_s, line.ci_low, line.ci_high, color=colour, alpha=0.2, linewidth=0)
+        axes.fill_between(x, line.ci_low, line.ci_high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(
-            line.times_s, line.mean, color=colour, linewidth=1.4, linestyle=dash_of(number), label=method,
-            marker=marker, markersize=4,
-        )  # fmt: skip
-    bound = next((line for line in lines.values() if np.isfinite(line.bound).any()), None)
-    if bound is not None:
-        axes.plot(bound.times_s, bound.bound, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL)
+            x,
+            line.mean,
+            color=colour,
+            linewidth=1.4,
+            linestyle=dash_of(number),
+            label=method,
+            marker=marker,
+            markersize=4,
+        )
+    for x, line in [(x, line) for x, line in lines.values() if np.isfinite(line.bound).any()][:1]:
+        axes.plot(x, line.bound, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL)
     axes.margins(x=0.02)
 
 
 def _draw_points(axes: Axes, lines: Lines, names: Sequence[str]) -> None:
     """Draw methods side by side at each case, and the bound across them."""
-    for i, (method, line) in enumerate(lines.items()):
+    for i, (method, (x, line)) in enumerate(lines.items()):
         colour, marker = colour_of(i), MARKERS[i % len(MARKERS)]
-        x = line.times_s + SPREAD * ((i + 0.5) / len(lines) - 0.5)
+        beside = x + SPREAD * ((i + 0.5) / len(lines) - 0.5)
         errors = np.abs(np.array([line.mean - line.ci_low, line.ci_high - line.mean]))
         axes.errorbar(
-            x, line.mean, yerr=errors, color=colour, marker=marker, markersize=5, linestyle="none", label=method
+            beside, line.mean, yerr=errors, color=colour, marker=marker, markersize=5, linestyle="none", label=method
         )
-    bound = next((line for line in lines.values() if np.isfinite(line.bound).any()), None)
-    if bound is not None:
-        x, half = np.asarray(bound.times_s), 0.5 * SPREAD + 0.08
-        axes.hlines(bound.bound, x - half, x + half, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL)
+    for x, line in [(x, line) for x, line in lines.values() if np.isfinite(line.bound).any()][:1]:
+        half = 0.5 * SPREAD + 0.08
+        axes.hlines(line.bound, x - half, x + half, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL)
     axes.set_xticks(range(len(names)), names)
     axes.set_xlim(-0.6, len(names) - 0.4)
 

@@ -94,9 +94,14 @@ def draw_cardinality(pictures: Pictures) -> Figure:
     bins.fill_range(axes, columns["n_estimates"], step="mid", color=BLUE, alpha=0.15)
     for name, label, colour, width in (("n_truth", "truth", INK, 3.2), ("n_estimates", "estimates", BLUE, 1.4)):
         axes.plot(
-            bins.time_s, bins.mean(columns[name]), color=colour, linewidth=width, label=label, drawstyle="steps-mid",
+            bins.time_s,
+            bins.mean(columns[name]),
+            color=colour,
+            linewidth=width,
+            label=label,
+            drawstyle="steps-mid",
             **bins.style,
-        )  # fmt: skip
+        )
     axes.set_ylim(0, max(float(columns[name].max()) for name in ("n_truth", "n_estimates")) + 1)
     axes.yaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylabel("number of objects")

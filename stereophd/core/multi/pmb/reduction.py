@@ -92,6 +92,7 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
     found = take_components(mixture, picked(index, order))
     _, means, covariances, cameras, times, labels, tracks, reported = found
     weights = picked(given, order)
+    found = GaussianMixture(weights, *found[1:])
     leaders = np.empty(len(weights), dtype=np.int64)
     merged, start = 0, 0
     while start < len(weights):
@@ -106,10 +107,7 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
             merged += 1
         else:
             # what is written lies before what is still to be read
-            w, m, c, heaviest = merge_sorted(
-                weights[start:end], weights[start:end], means[start:end], covariances[start:end], cameras[start:end],
-                times[start:end], distance, True
-            )  # fmt: skip
+            w, m, c, heaviest = merge_sorted(slice_components(found, start, end), weights[start:end], distance, True)
             for i in range(len(w)):
                 weights[merged] = w[i]
                 copy_gaussian(m, c, i, means, covariances, merged)
