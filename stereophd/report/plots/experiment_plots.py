@@ -160,7 +160,7 @@ def _panel(
     """Draw one panel, of a quantity or of its ratio to the bound, and return the unit of the quantity."""
     unit = next((summary.unit for cell in cells for summary in cell.summaries if summary.quantity == quantity), "")
     if over is None:
-        lines = {
+        lines: Lines = {
             cell.method: (summary.times_s, summary)
             for cell in cells
             for summary in cell.summaries

@@ -8,9 +8,7 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from stereophd.errors import InputError
 from stereophd.pipeline.inspection.runs import Run
@@ -111,7 +109,14 @@ def _draw_residuals(run: Run, tracks: Paths) -> Figure:
     figure = new_figure(9.0, 0.9 + 1.7 * max(len(by_camera), 1))
     grid = figure.subplots(max(len(by_camera), 1), 1, sharex=True, squeeze=False)[:, 0]
     for axes, camera, (times, values, _) in zip(grid, run.cameras, by_camera, strict=False):
-        _draw_camera_residuals(axes, times, values)
+        order = np.argsort(times, kind="stable")
+        parts = [part for part in np.array_split(order, max(1, min(40, len(order) // 15))) if len(part)]
+        middle = [float(times[part].mean()) for part in parts]
+        for axis, (name, colour) in enumerate((("u", BLUE), ("v", ORANGE))):
+            axes.scatter(times, values[:, axis], s=3, color=colour, linewidths=0, alpha=0.4, rasterized=True)
+            mean = [float(values[part, axis].mean()) for part in parts]
+            axes.plot(middle, mean, color=colour, linewidth=1.6, label=f"mean along {name}")
+        axes.legend(loc="upper right", fontsize=7, ncols=2)
         rms = float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
         axes.set_title(f"{camera.name}: root mean square {rms:.2f} px", fontsize=10)
         axes.set_ylabel("px")
@@ -119,15 +124,3 @@ def _draw_residuals(run: Run, tracks: Paths) -> Figure:
     if not by_camera:
         grid[-1].text(0.5, 0.5, "no associations were kept", transform=grid[-1].transAxes, ha="center")
     return figure
-
-
-def _draw_camera_residuals(axes: Axes, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-    for axis, (name, colour) in enumerate((("u", BLUE), ("v", ORANGE))):
-        axes.scatter(times, values[:, axis], s=3, color=colour, linewidths=0, alpha=0.4, rasterized=True)
-        order = np.argsort(times, kind="stable")
-        parts = np.array_split(order, max(1, min(40, len(order) // 15)))
-        parts = [part for part in parts if len(part)]
-        middle = [float(times[part].mean()) for part in parts]
-        mean = [float(values[part, axis].mean()) for part in parts]
-        axes.plot(middle, mean, color=colour, linewidth=1.6, label=f"mean along {name}")
-    axes.legend(loc="upper right", fontsize=7, ncols=2)
