@@ -27,15 +27,15 @@ from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.metrics.errors import nees
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import RUN_SINGLE_OBJECT
+from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.simulation.objects import walk
 from stereophd.core.single.base import SingleEstimate
 from stereophd.core.single.build import build_estimator
-from stereophd.core.single.settings import EstimatorSettings, SingleSettings
+from stereophd.core.single.settings import EstimatorChoice, SingleSettings
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series, method_clock
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.single import estimator_settings
 
 # Memory of an observation, bytes (measured).
 OBSERVATION_BYTES = 5e3
@@ -69,7 +69,8 @@ class SingleObjectRun:
 
 def run_single_object(
     scenario: SingleObjectProblem,
-    settings: EstimatorSettings,
+    settings: EstimatorChoice,
+    moments: MomentsSettings,
     rng: np.random.Generator,
     clock: AbstractContextManager[None] | None = None,
 ) -> SingleObjectRun:
@@ -90,7 +91,7 @@ def run_single_object(
             raise ValueError(f"expected the object in view of {camera.name}, found it out of view at {point}")
         frames.append(Frame(time_s, index, number, (pixel + camera.detector.sigma * noise)[seen]))
     events = list(EventStream(scenario.rig.cameras, frames))
-    estimator = build_estimator(settings, scenario.rig, scenario.motion, scenario.prior, rng)
+    estimator = build_estimator(settings, moments, scenario.rig, scenario.motion, scenario.prior, rng)
     reported = last_events(scenario.times) if scenario.motion.moves else np.arange(len(scenario.times))
     wanted, estimates = set(reported.tolist()), []
     with clock or nullcontext():
@@ -204,8 +205,9 @@ def series_of_errors(
     The NEES are those about the mean. The times (t,) of the reported events can be others than those of the scenario.
     """
     rng = np.random.default_rng(RUN_SINGLE_OBJECT.seed(loaded.config.seed, number))
-    result = run_single_object(scenario, estimator_settings(loaded.config), rng, method_clock())
-    reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
+    settings = single_config(loaded)
+    result = run_single_object(scenario, settings.estimator, loaded.config.moments, rng, method_clock())
+    reported = result.map_errors if settings.point == "map" else result.mean_errors
     times_s = result.times if times_s is None else times_s
     series = []
     for name, unit, part in _parts(loaded, scenario.motion.moves):

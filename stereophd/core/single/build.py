@@ -16,21 +16,32 @@ from stereophd.core.single.cartesian import CartesianEstimator
 from stereophd.core.single.disparity import DisparityEstimator, RectifiedEstimator
 from stereophd.core.single.inverse_depth import InverseDepthEstimator
 from stereophd.core.single.particle import ParticleEstimator
-from stereophd.core.single.settings import CartesianSettings, DisparitySettings, EstimatorSettings, ParticleSettings
+from stereophd.core.single.settings import (
+    CartesianSettings,
+    DisparityChoice,
+    EstimatorChoice,
+    ParticleSettings,
+    RectifiedChoice,
+)
 
 
 def build_estimator(
-    settings: EstimatorSettings, rig: Rig, motion: Motion, prior: InitialPrior, rng: np.random.Generator
+    settings: EstimatorChoice,
+    moments: MomentsSettings,
+    rig: Rig,
+    motion: Motion,
+    prior: InitialPrior,
+    rng: np.random.Generator,
 ) -> AnyEstimator:
-    """Return the estimator that the settings describe.
+    """Return the estimator that the settings describe; one on disparity space carries its Gaussian by these moments.
 
     All its randomness comes from `rng`: pseudo-random samples and particles, not low-discrepancy points (they are a
     rule, not draws). Raises ValueError if the estimator cannot work with these cameras (Algorithm 1 with cameras that
     are not rectified).
     """
-    if isinstance(settings, DisparitySettings):
-        kind = RectifiedEstimator if settings.rectified else DisparityEstimator
-        return kind(rig, motion, prior, sample_sets(settings.moments, motion, rng))
+    if isinstance(settings, DisparityChoice | RectifiedChoice):
+        kind = RectifiedEstimator if settings.kind == "rectified" else DisparityEstimator
+        return kind(rig, motion, prior, sample_sets(moments, motion, rng))
     if isinstance(settings, ParticleSettings):
         return ParticleEstimator(rig, motion, prior, settings, int(rng.integers(2**63)))
     if isinstance(settings, CartesianSettings):
