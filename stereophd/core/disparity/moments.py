@@ -9,12 +9,11 @@ module is rank-deficient.
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array, Booleans
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.disparity.moved import Moved, Sources, room_for_moved
 from stereophd.core.disparity.rule_move import linear_components, rule_components
 from stereophd.core.disparity.sample_move import Look, Looks, carry_components, noise_axes
@@ -63,14 +62,14 @@ def move(
     if sets.method in RULES:
         which = _low_order(sources, destination, sets, region, moved)
 
-    def run(part: slice) -> None:
-        carry_components(which[part], sources, important, looks, destination, p_detect, region, moved)
+    def run(part: Integers) -> None:
+        carry_components(part, sources, important, looks, destination, p_detect, region, moved)
 
-    slices = _slices(len(which), sets.size, threads)
-    if len(slices) == 1:
-        run(slices[0])
+    parts = _parts(len(which), sets.size, threads)
+    if parts == 1:
+        run(which)
     else:
-        list(_pool(threads).map(run, slices))
+        list(_pool(threads).map(run, np.array_split(which, parts)))
     return moved
 
 
@@ -120,12 +119,8 @@ def _low_order(sources: Sources, destination: Array, sets: SampleSets, region: A
     return todo
 
 
-def _slices(count: int, samples: int, threads: int) -> list[slice]:
-    parts = max(1, min(threads, count * samples // TRIPS_PER_THREAD))
-    if parts == 1:
-        return [slice(0, count)]
-    bounds = np.linspace(0, count, parts + 1).astype(int)
-    return [slice(int(a), int(b)) for a, b in pairwise(bounds)]
+def _parts(count: int, samples: int, threads: int) -> int:
+    return max(1, min(threads, count * samples // TRIPS_PER_THREAD))
 
 
 @cache

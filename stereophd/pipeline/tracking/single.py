@@ -86,12 +86,12 @@ class SingleTracker:
 
     def step(self, state: SingleTrackerState[Any], event: Event) -> tuple[SingleTrackerState[Any], Info, Estimates]:
         """Return the state after an event, which has at most one detection, its diagnostics, and the object."""
-        new, info = self.estimator.step(state.estimator, event)
+        new, log_likelihood = self.estimator.step(state.estimator, event)
         estimate = self.estimator.estimate(new)
         known = estimate is not None
         detected = TRACK[: len(event.points)]
         claims = Claims(detected, detected, np.ones(len(detected)))
-        full = Info(info.log_likelihood, float(known), int(known), detected, claims)
+        full = Info(log_likelihood, float(known), int(known), detected, claims)
         return SingleTrackerState(new, known), full, _estimates(estimate, self.point)
 
     def forecast(self, state: SingleTrackerState[Any], info: Info, time_s: float) -> tuple[Info, Estimates]:

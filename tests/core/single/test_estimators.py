@@ -170,15 +170,15 @@ def test_pure_and_patient(name: str) -> None:
     state = estimator.init()
     assert estimator.estimate(state) is None
     nothing = make_event(rig.cameras[0], 0, -1.0, np.empty((0, 2)))
-    state, info = estimator.step(state, nothing)
+    state, log_likelihood = estimator.step(state, nothing)
     assert estimator.estimate(state) is None
-    assert info.log_likelihood == 0.0
+    assert log_likelihood == 0.0
     for event in sequence:
         before = state
-        state, info = estimator.step(before, event)
+        state, log_likelihood = estimator.step(before, event)
         again, _ = estimator.step(before, event)
         np.testing.assert_array_equal(estimator.estimate(state).mean, estimator.estimate(again).mean)
-        assert np.isfinite(info.log_likelihood)
+        assert np.isfinite(log_likelihood)
     known = estimator.estimate(state)
     later, _ = estimator.step(state, replace(nothing, time_s=2.0))
     coasted = estimator.estimate(later)
