@@ -17,8 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.moments import Sources, move
-from stereophd.core.disparity.moved import IN_VIEW
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import IN_VIEW, Sources
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.geometry.lens import Lens

@@ -27,16 +27,19 @@ from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
-from stereophd.core.single.settings import DisparitySettings, EstimatorSettings, ParticleSettings
+from stereophd.core.single.settings import DisparityChoice, EstimatorChoice, ParticleSettings
 from stereophd.experiments.single_object import SingleObjectProblem, draw_trajectory
 
 STEPS = 300
-ESTIMATORS: dict[str, EstimatorSettings] = {
-    "disparity space, 64 qmc": DisparitySettings(MomentsSettings(method="qmc", samples=64)),
-    "disparity space, 256 qmc": DisparitySettings(MomentsSettings(method="qmc", samples=256)),
-    "disparity space, 250 particles": DisparitySettings(MomentsSettings(method="particle", samples=250)),
-    "disparity space, adaptive": DisparitySettings(MomentsSettings(method="adaptive", samples=256)),
-    "disparity space, linear": DisparitySettings(MomentsSettings(method="linear")),
+MOMENTS = {
+    "disparity space, 64 qmc": MomentsSettings(method="qmc", samples=64),
+    "disparity space, 256 qmc": MomentsSettings(method="qmc", samples=256),
+    "disparity space, 250 particles": MomentsSettings(method="particle", samples=250),
+    "disparity space, adaptive": MomentsSettings(method="adaptive", samples=256),
+    "disparity space, linear": MomentsSettings(method="linear"),
+}
+ESTIMATORS: dict[str, EstimatorChoice] = {
+    **dict.fromkeys(MOMENTS, DisparityChoice()),
     "particle filter, 250": ParticleSettings(particles=250),
     "particle filter, 500": ParticleSettings(particles=500),
     "particle filter, 1000": ParticleSettings(particles=1000),
@@ -53,7 +56,14 @@ def main() -> int:
     scenario = figure_eleven()
     events = draw_events(scenario, np.random.default_rng(1))
     estimators = {
-        name: build_estimator(settings, scenario.rig, scenario.motion, scenario.prior, np.random.default_rng(2))
+        name: build_estimator(
+            settings,
+            MOMENTS.get(name, MomentsSettings()),
+            scenario.rig,
+            scenario.motion,
+            scenario.prior,
+            np.random.default_rng(2),
+        )
         for name, settings in ESTIMATORS.items()
     }
     for estimator in estimators.values():

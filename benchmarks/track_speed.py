@@ -39,8 +39,8 @@ from numpy.typing import NDArray
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
-from stereophd.core.disparity.moments import Sources, move
-from stereophd.core.disparity.moved import IN_VIEW
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import IN_VIEW, Sources
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.disparity.trips import moving_trips, view_mask
 from stereophd.core.motion.constant_velocity import ConstantVelocity

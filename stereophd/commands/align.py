@@ -9,8 +9,7 @@ from scipy.linalg import block_diag
 
 from stereophd.commands.options import AlignOptions
 from stereophd.config.loading import load_cameras
-from stereophd.core.alignment.cameras import moved_camera
-from stereophd.core.alignment.frames import GRAVITY, camera_frame, floor_frame, gravity_frame
+from stereophd.core.alignment.frames import GRAVITY, camera_frame, floor_frame, gravity_frame, moved_camera
 from stereophd.core.alignment.to_points import ControlPoints, align_to_points
 from stereophd.core.alignment.to_track import align_to_track
 from stereophd.core.geometry.camera import Camera

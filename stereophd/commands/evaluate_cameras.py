@@ -12,7 +12,7 @@ from pydantic import ValidationError
 from stereophd.commands.options import EvaluateCamerasOptions
 from stereophd.config.loading import LoadedConfig, load_cameras
 from stereophd.config.model import Config
-from stereophd.core.alignment.cameras import moved_camera
+from stereophd.core.alignment.frames import moved_camera
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import SUFFIXES

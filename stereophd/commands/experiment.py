@@ -20,7 +20,7 @@ from stereophd.experiments.engine.results import (
     read_results,
     write_results,
 )
-from stereophd.experiments.engine.summary import QuantityCheck
+from stereophd.experiments.engine.summary import check_quantities
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, experiment_section, memory_of, plan_parts
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.locks import output_lock
@@ -57,8 +57,8 @@ def experiment(
         with store.held(options.resume, options.force):
             bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
             wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
-            check = QuantityCheck(loaded, [(part.method, part.case) for part in parts if part.method != BOUND_METHOD])
-            execute(wanted, store, options.jobs, options.dask, progress, check.see)
+            cells = [(part.method, part.case) for part in parts if part.method != BOUND_METHOD]
+            execute(wanted, store, options.jobs, options.dask, progress, check_quantities(loaded, cells))
             results, runs = gather_results(loaded, settings, parts, read_runs(store))
             with OutputFolder(out, [*FILES, *UNFINISHED_FILES], force=True) as files:
                 write_results(results, runs, loaded, files)

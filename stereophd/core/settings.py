@@ -100,21 +100,11 @@ def parameter(
 ) -> Any:
     """Declare a field of `settings`.
 
-    Parameters
-    ----------
-    meaning : str
-        The description of the value in the schema and on the reference page.
-    default : object, optional
-        Without it the value is required.
-    default_factory : callable, optional
-        Instead of `default`, for a section of its own.
-    unit : str
-        ``length``, ``length/s``, ``px``, ``s``, ``deg``, ...; empty for plain numbers and words. ``length`` is the
-        unit that the configuration names.
-    discriminator : str
-        The field that distinguishes the members of a union of settings.
-    advice : str
-        How to choose the value: printed on the reference page only.
+    The meaning is the description of the value in the schema and on the reference page, the advice how to choose it:
+    printed on that page only. Without a default, or a factory of it for a section of its own, the value is required.
+    The unit is ``length``, ``length/s``, ``px``, ``s``, ``deg``, ..., where ``length`` is the unit that the
+    configuration names; empty for plain numbers and words. `discriminator` is the field that distinguishes the members
+    of a union of settings.
     """
     extra = {key: value for key, value in (("unit", unit), ("advice", advice)) if value}
     # these are the names under which pydantic reads what it needs from the metadata of a dataclass
@@ -141,14 +131,8 @@ def members(package: str, attribute: str = "SETTINGS") -> Mapping[str, Any]:
     """Return what the modules of a package and of its plug-ins offer under one name, by the word of the module.
 
     This is how kinds are registered: a new module in the package is found without an entry in any list, and one of
-    another distribution by its entry point (`stereophd.plugins`). Modules without the attribute are not members.
-
-    Parameters
-    ----------
-    package : str
-        Full name of the package, such as ``stereophd.core.multi.filter_settings``.
-    attribute : str
-        What each module defines.
+    another distribution by its entry point (`stereophd.plugins`). Modules without the attribute are not members. The
+    package is named in full, such as ``stereophd.core.multi.filter_settings``.
     """
     modules = {word: import_member(package, word) for word in module_names(package)}
     found = {name: getattr(module, attribute) for name, module in modules.items() if hasattr(module, attribute)}

@@ -4,7 +4,7 @@ The data of a run are drawn first and depend on the scenario and the generator a
 given generators of the same seed see the same detections.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
 
@@ -21,24 +21,26 @@ from stereophd.core.bounds.cramer_rao import (
     prior_information,
     state_jacobian,
 )
-from stereophd.core.disparity.events import Event, Rig, make_rig
+from stereophd.core.disparity.events import Rig, make_rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.metrics.errors import nees
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import RUN_SINGLE_OBJECT
+from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.simulation.objects import walk
-from stereophd.core.single.base import AnyEstimator
+from stereophd.core.single.base import SingleEstimate
 from stereophd.core.single.build import build_estimator
-from stereophd.core.single.settings import EstimatorSettings, SingleSettings
+from stereophd.core.single.settings import EstimatorChoice, SingleSettings
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series, method_clock
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.single import estimator_settings
 
 # Memory of an observation, bytes (measured).
 OBSERVATION_BYTES = 5e3
+# The estimate of an object that was not seen yet.
+NOWHERE = SingleEstimate(np.full(6, np.nan), np.full(6, np.nan), np.full((6, 6), np.nan))
 
 
 @dataclass(frozen=True)
@@ -51,10 +53,6 @@ class SingleObjectProblem:
     prior: InitialPrior  # Prior of disparity in the camera that sees the object first, and of velocity
     times: Array  # (k,): Times of the events, s, not decreasing
     cameras: NDArray[np.int64]  # (k,) of int: Camera of each event
-
-    def reported_events(self) -> NDArray[np.intp]:
-        """Events (t,) after which estimates are compared: all, of an object that moves the last of a time."""
-        return last_events(self.times) if self.motion.moves else np.arange(len(self.times))
 
 
 @dataclass(frozen=True)
@@ -71,7 +69,8 @@ class SingleObjectRun:
 
 def run_single_object(
     scenario: SingleObjectProblem,
-    settings: EstimatorSettings,
+    settings: EstimatorChoice,
+    moments: MomentsSettings,
     rng: np.random.Generator,
     clock: AbstractContextManager[None] | None = None,
 ) -> SingleObjectRun:
@@ -84,16 +83,26 @@ def run_single_object(
     frames = []
     looks = zip(scenario.times.tolist(), scenario.cameras.tolist(), states[:, :3], strict=True)
     for number, (time_s, index, point) in enumerate(looks):
-        camera = scenario.rig.cameras[index]
-        p_detect = camera.detector.p_detect if scenario.motion.moves else 1.0
-        frames.append(_draw_frame(scenario.rig, index, number, time_s, point, p_detect, rng))
-        if not (scenario.motion.moves or len(frames[-1].pixels)):
+        camera = scenario.rig.cameras[index].at(time_s)
+        noise, uniform = rng.standard_normal(2), rng.random()
+        pixel = camera.project(point[None])
+        seen = camera.contains(pixel) & (uniform < (camera.detector.p_detect if scenario.motion.moves else 1.0))
+        if not (scenario.motion.moves or seen.any()):
             raise ValueError(f"expected the object in view of {camera.name}, found it out of view at {point}")
+        frames.append(Frame(time_s, index, number, (pixel + camera.detector.sigma * noise)[seen]))
     events = list(EventStream(scenario.rig.cameras, frames))
-    estimator = build_estimator(settings, scenario.rig, scenario.motion, scenario.prior, rng)
-    reported = scenario.reported_events()
+    estimator = build_estimator(settings, moments, scenario.rig, scenario.motion, scenario.prior, rng)
+    reported = last_events(scenario.times) if scenario.motion.moves else np.arange(len(scenario.times))
+    wanted, estimates = set(reported.tolist()), []
     with clock or nullcontext():
-        maps, means, covariances = _run(estimator, events, reported.tolist())
+        state = estimator.init()
+        for number, event in enumerate(events):
+            state, _ = estimator.step(state, event)
+            if number in wanted:
+                estimates.append(estimator.estimate(state) or NOWHERE)
+    maps, means, covariances = (
+        np.array([getattr(each, name) for each in estimates]) for name in ("map", "mean", "covariance")
+    )
     return SingleObjectRun(scenario.times[reported], maps - states[reported], means - states[reported], covariances)
 
 
@@ -167,33 +176,6 @@ def last_events(times: Array) -> NDArray[np.intp]:
     return np.flatnonzero(np.append(np.diff(times) > 0.0, True))
 
 
-def _draw_frame(
-    rig: Rig, index: int, number: int, time_s: float, point: Array, p_detect: float, rng: np.random.Generator
-) -> Frame:
-    """Draw the frame of one camera that sees a point (3,) of the world, if it is in view and detected."""
-    camera = rig.cameras[index].at(time_s)
-    noise, uniform = rng.standard_normal(2), rng.random()
-    pixel = camera.project(point[None])
-    seen = camera.contains(pixel) & (uniform < p_detect)
-    return Frame(time_s, index, number, (pixel + camera.detector.sigma * noise)[seen])
-
-
-def _run(estimator: AnyEstimator, events: list[Event], report: Iterable[int]) -> tuple[Array, Array, Array]:
-    """Modes (k, 6), means (k, 6) and covariances (k, 6, 6) after the events with these numbers."""
-    state = estimator.init()
-    wanted = set(report)
-    maps, means, covariances = [], [], []
-    for number, event in enumerate(events):
-        state, _ = estimator.step(state, event)
-        if number not in wanted:
-            continue
-        estimate = estimator.estimate(state)
-        maps.append(np.full(6, np.nan) if estimate is None else estimate.map)
-        means.append(np.full(6, np.nan) if estimate is None else estimate.mean)
-        covariances.append(np.full((6, 6), np.nan) if estimate is None else estimate.covariance)
-    return np.array(maps), np.array(means), np.array(covariances)
-
-
 def single_config(loaded: LoadedConfig) -> SingleSettings:
     """Return the section ``filter``, or raise InputError if it is not of kind single."""
     settings = loaded.config.filter
@@ -223,8 +205,9 @@ def series_of_errors(
     The NEES are those about the mean. The times (t,) of the reported events can be others than those of the scenario.
     """
     rng = np.random.default_rng(RUN_SINGLE_OBJECT.seed(loaded.config.seed, number))
-    result = run_single_object(scenario, estimator_settings(loaded.config), rng, method_clock())
-    reported = result.map_errors if single_config(loaded).point == "map" else result.mean_errors
+    settings = single_config(loaded)
+    result = run_single_object(scenario, settings.estimator, loaded.config.moments, rng, method_clock())
+    reported = result.map_errors if settings.point == "map" else result.mean_errors
     times_s = result.times if times_s is None else times_s
     series = []
     for name, unit, part in _parts(loaded, scenario.motion.moves):

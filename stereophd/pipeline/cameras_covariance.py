@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from stereophd.core.alignment.cameras import moved_camera
+from stereophd.core.alignment.frames import moved_camera
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet

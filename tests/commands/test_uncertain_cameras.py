@@ -13,7 +13,7 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.evaluate_cameras import Posterior, in_frame
 from stereophd.commands.track import track
 from stereophd.config.loading import load_cameras
-from stereophd.core.alignment.cameras import moved_camera
+from stereophd.core.alignment.frames import moved_camera
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty, CommonPart
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look

@@ -14,7 +14,7 @@ import pytest
 
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.numerics.samples import MomentsSettings
-from stereophd.core.single.settings import DisparitySettings, EstimatorSettings, InverseDepthSettings, ParticleSettings
+from stereophd.core.single.settings import DisparityChoice, EstimatorChoice, InverseDepthSettings, ParticleSettings
 from stereophd.experiments.single_object import (
     SingleObjectProblem,
     draw_trajectory,
@@ -25,15 +25,19 @@ from stereophd.experiments.single_object import (
 )
 from tests.core.single import scenes
 
+MOMENTS = MomentsSettings()
+
 
 def _root_trace(covariances: np.ndarray) -> np.ndarray:
     """Root mean square errors at the bound."""
     return np.asarray(np.sqrt(np.trace(covariances, axis1=-2, axis2=-1)))
 
 
-def mean_norm(scenario: SingleObjectProblem, settings: EstimatorSettings, runs: int) -> np.ndarray:
+def mean_norm(scenario: SingleObjectProblem, settings: EstimatorChoice, runs: int) -> np.ndarray:
     """Mean length of the error of the mode after each observation."""
-    errors = [run_single_object(scenario, settings, np.random.default_rng((9, k))).map_errors for k in range(runs)]
+    errors = [
+        run_single_object(scenario, settings, MOMENTS, np.random.default_rng((9, k))).map_errors for k in range(runs)
+    ]
     return np.asarray(np.linalg.norm(np.array(errors)[:, :, :3], axis=2).mean(axis=0))
 
 
@@ -41,9 +45,7 @@ def mean_norm(scenario: SingleObjectProblem, settings: EstimatorSettings, runs: 
 def test_table_two_is_on_the_bound(depth: float) -> None:
     runs = 800
     scenario = scenes.table_two(depth, 6.0, 4.0)
-    ratio = mean_norm(scenario, DisparitySettings(), runs)[-1] / mean_error_norm(
-        localisation_bound(scenario, False)[-1]
-    )
+    ratio = mean_norm(scenario, DisparityChoice(), runs)[-1] / mean_error_norm(localisation_bound(scenario, False)[-1])
     margin = 5.0 * 0.7 / np.sqrt(runs)
     assert 1.0 - margin < ratio < 1.02 + margin
 
@@ -63,7 +65,7 @@ def test_figure_ten() -> None:
     scenario = scenes.figure_ten()
     bound = np.array([mean_error_norm(c) for c in localisation_bound(scenario, with_prior=True)])
     runs = 100
-    ratio = mean_norm(scenario, DisparitySettings(), runs) / bound
+    ratio = mean_norm(scenario, DisparityChoice(), runs) / bound
     # sampling noise of the moves adds up over the steps: 5 % of the error is what it may cost
     assert (ratio[1:] < 1.05 + 5.0 * 0.7 / np.sqrt(runs)).all()
     inverse = mean_norm(scenario, InverseDepthSettings(), runs)
@@ -74,7 +76,7 @@ def test_figure_ten() -> None:
 def test_figure_eleven_on_the_bound_and_consistent() -> None:
     scenario, runs = scenes.figure_eleven(100), 30
     seeds = [(9, k) for k in range(runs)]
-    found = [run_single_object(scenario, DisparitySettings(), np.random.default_rng(seed)) for seed in seeds]
+    found = [run_single_object(scenario, DisparityChoice(), MOMENTS, np.random.default_rng(seed)) for seed in seeds]
     # the trajectory is drawn first: the bound along those of the runs themselves
     bounds = np.mean([tracking_bound(scenario, np.random.default_rng(seed), 1) for seed in seeds], axis=0)
     errors = np.array([run.map_errors for run in found])
@@ -91,11 +93,13 @@ def test_figure_eleven_on_the_bound_and_consistent() -> None:
 def test_figure_eleven_particle_filter_is_worse() -> None:
     scenario = scenes.figure_eleven(60)
 
-    def rms(settings: EstimatorSettings) -> float:
-        errors = [run_single_object(scenario, settings, np.random.default_rng((9, k))).mean_errors for k in range(12)]
+    def rms(settings: EstimatorChoice) -> float:
+        errors = [
+            run_single_object(scenario, settings, MOMENTS, np.random.default_rng((9, k))).mean_errors for k in range(12)
+        ]
         return float(np.sqrt((np.array(errors)[:, 20:, :3] ** 2).sum(axis=2).mean()))
 
-    ours = rms(DisparitySettings())
+    ours = rms(DisparityChoice())
     regularised = rms(ParticleSettings(particles=1000, regularised=True))
     assert 3.0 * ours < regularised < rms(ParticleSettings(particles=1000)) < rms(ParticleSettings(particles=250))
 
@@ -103,10 +107,10 @@ def test_figure_eleven_particle_filter_is_worse() -> None:
 def test_same_generator_same_data() -> None:
     """Every estimator sees the same trajectory and detections; a run is repeated exactly."""
     scenario = scenes.figure_eleven(5)
-    one = run_single_object(scenario, DisparitySettings(), np.random.default_rng(3))
-    two = run_single_object(scenario, DisparitySettings(), np.random.default_rng(3))
+    one = run_single_object(scenario, DisparityChoice(), MOMENTS, np.random.default_rng(3))
+    two = run_single_object(scenario, DisparityChoice(), MOMENTS, np.random.default_rng(3))
     np.testing.assert_array_equal(one.map_errors, two.map_errors)
-    other = run_single_object(scenario, DisparitySettings(MomentsSettings(method="linear")), np.random.default_rng(3))
+    other = run_single_object(scenario, DisparityChoice(), MomentsSettings(method="linear"), np.random.default_rng(3))
     np.testing.assert_allclose(other.map_errors[-1], one.map_errors[-1], atol=0.2)
 
 
@@ -141,4 +145,4 @@ def test_last_events() -> None:
 def test_object_out_of_view() -> None:
     scenario = replace(scenes.table_two(100.0, 6.0, 4.0), start=np.array([200.0, 0.0, 100.0, 0.0, 0.0, 0.0]))
     with pytest.raises(ValueError, match="in view of left"):
-        run_single_object(scenario, DisparitySettings(), np.random.default_rng(1))
+        run_single_object(scenario, DisparityChoice(), MOMENTS, np.random.default_rng(1))

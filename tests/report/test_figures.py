@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.lens import Lens
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.metrics.truth.interpolation import Truth
-from stereophd.report.plots.views import SceneView, convex_hull, field_of_view, limits, viewing_depth, views
+from stereophd.report.plots.views import SceneView, field_of_view, limits, viewing_depth, views
 from stereophd.report.scores import scores_text
 from tests import scenes
 
@@ -70,11 +73,11 @@ def test_field_of_view_is_the_pyramid_of_the_image():
     assert viewing_depth(one, np.zeros((0, 3))) == 0.0
 
 
-def test_convex_hull():
-    square = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1]])
-    inside = np.random.default_rng(0).uniform(0, 1, (50, 2))
-    hull = convex_hull(np.concatenate([inside, square]))
-    assert {tuple(corner) for corner in hull} == {tuple(corner) for corner in square}
+def test_field_of_view_of_a_lens_that_reaches_the_middle_of_the_image_alone():
+    one = replace(camera(FORWARD_ALONG_Z), lens=Lens("radial", k1=-10.0))
+    outline = field_of_view(one, 10.0, SceneView(0, 2))
+    assert np.ptp(outline[:, 0]) < 1e-9
+    assert outline[:, 1].max() == pytest.approx(10.0)
 
 
 def pictures(scans: int):

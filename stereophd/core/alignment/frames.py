@@ -1,12 +1,17 @@
 """Frames without a control track: a camera's own, the floor that objects stand on, and the fall of objects in flight.
 
+With them, how a camera is brought into the frame and onto the clock of a world.
+
 A frame has x right, y down, z forward. The floor and gravity give the vertical; the origin is the foot of a camera, or
 its centre, and forward is where that camera looks.
 """
 
+from dataclasses import replace
+
 import numpy as np
 
 from stereophd.core.arrays import Array
+from stereophd.core.geometry.camera import Camera, Clock
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.metrics.truth.registration import Alignment, Registration, TrackedPlaces
 
@@ -19,6 +24,26 @@ STEPS = 20
 STRETCHES, ALIKE, LEAST_STRETCHES, LEAST_PART = (10, 20, 40, 80), 0.15, 3, 0.3
 # Standard acceleration of gravity, m/s^2.
 GRAVITY = 9.80665
+
+
+def moved_camera(camera: Camera, registration: Registration) -> Camera:
+    """Return a camera in the world; its pose still holds at ``pose.time_s``, now on the world's clock.
+
+    Raises ValueError for a camera on a known trajectory, or whose pose changes from a time on.
+    """
+    if camera.pose.path is not None:
+        raise ValueError(f"camera {camera.name} follows a known trajectory, or changes its pose: its frame stays")
+    at = camera.pose.at(float(registration.track_times(np.array(camera.pose.time_s))))
+    pose = Pose(
+        at.rotation @ registration.rotation.T,
+        registration.positions(at.center),
+        registration.velocities(at.velocity),
+        at.rotation_rate / registration.rate,
+        camera.pose.time_s,
+    )
+    offset = float(registration.times(np.array(camera.clock.offset_s)))
+    clock = Clock(offset, registration.rate * camera.clock.rate)
+    return replace(camera, pose=pose, clock=clock, readout_s=registration.rate * camera.readout_s)
 
 
 def camera_frame(pose: Pose) -> Alignment:

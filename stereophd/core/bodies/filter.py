@@ -42,6 +42,7 @@ from stereophd.core.multi.association.exact_association import association_margi
 from stereophd.core.multi.births.undetected import Undetected, all_undetected, birth_rates, expected_births
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.state.estimates import Estimates, Info
+from stereophd.core.multi.state.inputs import EventNumbers
 
 # Gate of each value of a box, standard deviations, and of all together (squared).
 GATE, GATE_SQUARED = 5.0, 36.0
@@ -137,12 +138,10 @@ class BodyFilter:
             means[moves], covariances[moves], elapsed, self.motion, self.shape
         )
         weights = hypotheses.weights * self.settings.survival_per_s**elapsed
-        weights = np.where(self._is_in_reach(means, time_s), weights, weights * self._fading(elapsed))
+        fading = math.exp(-elapsed / self.settings.out_of_view_s)
+        weights = np.where(self._is_in_reach(means, time_s), weights, weights * fading)
         hypotheses = hypotheses._replace(weights=weights, means=means, covariances=covariances)
         return replace(state, hypotheses=hypotheses, time_s=time_s)
-
-    def _fading(self, elapsed: float) -> float:
-        return math.exp(-elapsed / self.settings.out_of_view_s)
 
     def _is_in_reach(self, states: Array, time_s: float) -> Booleans:
         """Which bodies (n,) are in the view of some camera, and touch the region."""
@@ -174,10 +173,14 @@ class BodyFilter:
 
         detector, birth = camera.detector, self.settings.birth
         known = float((weights * detection).sum())
-        births, undetected, burst = expected_births(
-            state.undetected or all_undetected(len(self.rig.cameras)), birth_rates(birth), self._left[event.camera],
-            event.camera, elapsed, len(event.points), detector.p_detect, detector.clutter_per_frame, known
+        numbers = EventNumbers(
+            event.camera, event.time_s, elapsed, state.next_label, len(event.points), detector.p_detect, 0.0,
+            float(camera.width * camera.height), 1.0, self.settings.out_of_view_s, detector.clutter_per_frame, 0.0,
         )  # fmt: skip
+        before = state.undetected or all_undetected(len(self.rig.cameras))
+        births, undetected, burst = expected_births(
+            before, birth_rates(birth), self._left[event.camera], numbers, known
+        )
         clutter = max(detector.clutter_per_frame, float(burst), 1e-12)
         pairs = self._pairs(hypotheses, projected, slopes, hidden, boxes, camera)
         with np.errstate(over="ignore"):

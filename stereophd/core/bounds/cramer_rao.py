@@ -80,12 +80,8 @@ def localisation_bounds(information: Iterable[Array], prior: Array | None = None
     The information (3, 3) about the position in each is in the world, or all in one disparity space; `prior` is that
     before the first. Infinite where the position is not determined.
     """
-    total = np.zeros((3, 3)) if prior is None else np.array(prior, dtype=float)
-    out = []
-    for value in information:
-        total = total + value
-        out.append(inverse_information(total))
-    return np.array(out)
+    before = np.zeros((3, 3)) if prior is None else prior
+    return inverse_information(np.cumsum([before, *information], axis=0)[1:])
 
 
 def inverse_information(information: Array) -> Array:

@@ -43,11 +43,6 @@ class AssociatedDetections(ArrayRows):
     points: Array  # (m, 2): Undistorted pixels
     whitening: Array  # (m, 2, 2): W with W^T W the inverse of the noise covariance
 
-    def until(self, time_s: float) -> AssociatedDetections:
-        """Return the detections up to a time."""
-        end = int(np.searchsorted(self.time_s, time_s, side="right"))
-        return self.take(slice(end))
-
 
 @dataclass(frozen=True)
 class _Paths:
@@ -89,7 +84,7 @@ def noiseless_paths(
     covariances = np.full((len(times_s), count, 6, 6), np.nan)
     seen = paths.start_s[None, :] <= times_s[:, None]
     for k, time_s in enumerate(times_s):
-        data = detections.until(float(time_s))
+        data = detections.take(slice(int(np.searchsorted(detections.time_s, time_s, side="right"))))
         known = seen[k]
         if not known.any():
             continue

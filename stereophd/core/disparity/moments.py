@@ -9,18 +9,15 @@ module is rank-deficient.
 
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from itertools import pairwise
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array, Booleans
-from stereophd.core.disparity.moved import Moved, room_for_moved
+from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.disparity.moved import Moved, Sources, room_for_moved
 from stereophd.core.disparity.rule_move import linear_components, rule_components
 from stereophd.core.disparity.sample_move import Look, Looks, carry_components, noise_axes
 from stereophd.core.disparity.world_moments import world_components
-from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SampleSets, cubature_points
 
@@ -38,16 +35,6 @@ TRIPS_PER_THREAD = 20_000
 def minimum_in_view(samples: int) -> int:
     """Fewest samples in view from which a Gaussian is fitted: 24, or an eighth, of at least 48."""
     return max(min(FEWEST_SAMPLES, samples // 2), samples // 8)
-
-
-class Sources(NamedTuple):
-    """Gaussians to be carried: where they are, and how their objects move until they arrive."""
-
-    # (n, d), (n, d, d): Gaussians in the disparity spaces of their home cameras; d is 6, or 3 for static objects
-    means: Array
-    covariances: Array
-    homes: Array  # (n, 30): Packed home space of each component (`DisparitySpace.packed`), at the component's time
-    intervals: MotionArrays  # The motion in the world from each component's time to the arrival (`Motion.arrays`)
 
 
 def move(
@@ -68,26 +55,21 @@ def move(
     count as a new one. Objects can be in the `region` (r,) only (`stereophd.core.geometry.region`).
     Components are shared out over the threads; the result does not depend on their number.
     """
-    means, covariances, homes, intervals = sources
-    first, second = looks_at(sets, turn)
-    moved = room_for_moved(*means.shape)
+    looks, moved = looks_at(sets, turn), room_for_moved(*sources.means.shape)
     region = NO_REGION if region is None else region
-    important = np.zeros(len(means), dtype=bool) if important is None else important
-    which = np.arange(len(means))
+    important = np.zeros(len(sources.means), dtype=bool) if important is None else important
+    which = np.arange(len(sources.means))
     if sets.method in RULES:
         which = _low_order(sources, destination, sets, region, moved)
 
-    def run(part: slice) -> None:
-        carry_components(
-            which[part], means, covariances, homes, intervals, important, first, second, destination, p_detect,
-            region, moved
-        )  # fmt: skip
+    def run(part: Integers) -> None:
+        carry_components(part, sources, important, looks, destination, p_detect, region, moved)
 
-    slices = _slices(len(which), sets.size, threads)
-    if len(slices) == 1:
-        run(slices[0])
+    parts = _parts(len(which), sets.size, threads)
+    if parts == 1:
+        run(which)
     else:
-        list(_pool(threads).map(run, slices))
+        list(_pool(threads).map(run, np.array_split(which, parts)))
     return moved
 
 
@@ -128,25 +110,17 @@ def _rule_points(rows: int) -> Array:
 
 def _low_order(sources: Sources, destination: Array, sets: SampleSets, region: Array, moved: Moved) -> NDArray[np.intp]:
     """Move by the unscented or the linear rule; return which components still need samples."""
-    means, covariances, homes, motion = sources
-    points = _rule_points(12 if means.shape[1] == 6 else 3)
-    axes = noise_axes(destination, motion.noise_std)
-    adaptive = sets.method == "adaptive"
-    todo = rule_components(
-        means, covariances, homes, motion, points, axes, destination, region,
-        WIDEST_RULE if adaptive else np.inf, sets.max_nonlinearity if adaptive else np.inf, moved
-    )  # fmt: skip
+    points = _rule_points(12 if sources.means.shape[1] == 6 else 3)
+    axes = noise_axes(destination, sources.intervals.noise_std)
+    limits = (WIDEST_RULE, sets.max_nonlinearity) if sets.method == "adaptive" else (np.inf, np.inf)
+    todo = rule_components(sources, points, axes, destination, region, *limits, moved)
     if sets.method == "linear":
-        linear_components(means, covariances, homes, motion, axes, destination, moved.means, moved.covariances)
+        linear_components(sources, axes, destination, moved.means, moved.covariances)
     return todo
 
 
-def _slices(count: int, samples: int, threads: int) -> list[slice]:
-    parts = max(1, min(threads, count * samples // TRIPS_PER_THREAD))
-    if parts == 1:
-        return [slice(0, count)]
-    bounds = np.linspace(0, count, parts + 1).astype(int)
-    return [slice(int(a), int(b)) for a, b in pairwise(bounds)]
+def _parts(count: int, samples: int, threads: int) -> int:
+    return max(1, min(threads, count * samples // TRIPS_PER_THREAD))
 
 
 @cache

@@ -1,4 +1,4 @@
-"""Gaussians carried into the disparity space of a camera: one named tuple, the same in Python and in compiled code."""
+"""Gaussians before and after they are carried into the disparity space of a camera, in Python and in compiled code."""
 
 from typing import NamedTuple
 
@@ -6,9 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 
 OUT_OF_VIEW, PARTLY_IN_VIEW, IN_VIEW = 0, 1, 2
+
+
+class Sources(NamedTuple):
+    """Gaussians to be carried: where they are, and how their objects move until they arrive."""
+
+    # (n, d), (n, d, d): Gaussians in the disparity spaces of their home cameras; d is 6, or 3 for static objects
+    means: Array
+    covariances: Array
+    homes: Array  # (n, 30): Packed home space of each component (`DisparitySpace.packed`), at the component's time
+    intervals: MotionArrays  # The motion in the world from each component's time to the arrival (`Motion.arrays`)
 
 
 class Moved(NamedTuple):

@@ -22,9 +22,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, Moved
+from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, Moved, Sources
 from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
-from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, condition, squared_distance
 from stereophd.core.numerics.moments import weighted_moments
@@ -37,10 +36,7 @@ STEP = 0.05
 
 @compiled
 def rule_components(
-    means: Array,
-    covariances: Array,
-    homes: Array,
-    motion: MotionArrays,
+    sources: Sources,
     points: Array,
     axes: Array,
     destination: Array,
@@ -57,6 +53,7 @@ def rule_components(
     mirror images, then the mean; `axes` (3, 3) are those of `motion_noise`. Other parameters are those of
     `stereophd.core.disparity.sample_move.carry_components`; `moved` is filled where the rule does.
     """
+    means, covariances, homes, motion = sources
     out_means, out_covariances, fraction, status, _, _, inside = moved
     size = means.shape[1]
     count = points.shape[1]
@@ -126,20 +123,14 @@ def _nonlinearity(images: Array, factor: Array) -> float:
 
 @compiled
 def linear_components(
-    means: Array,
-    covariances: Array,
-    homes: Array,
-    motion: MotionArrays,
-    axes: Array,
-    destination: Array,
-    out_means: Array,
-    out_covariances: Array,
+    sources: Sources, axes: Array, destination: Array, out_means: Array, out_covariances: Array
 ) -> None:
     """Carry every component over to first order, overwriting `out_means` (n, d) and `out_covariances` (n, d, d).
 
     Other parameters as in `rule_components`. A component whose covariance is not positive definite, before or after,
     keeps what the arrays hold.
     """
+    means, covariances, homes, motion = sources
     size = means.shape[1]
     rows = 12 if size == 6 else 3
     count = 4 * rows + 1

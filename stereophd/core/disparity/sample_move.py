@@ -7,10 +7,9 @@ compute moments; components of which only a corner is in view are moved again wi
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array, Integers
-from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved
+from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved, Sources
 from stereophd.core.disparity.trips import (
     REGION_SLACK,
     motion_noise,
@@ -20,7 +19,6 @@ from stereophd.core.disparity.trips import (
     view_mask,
 )
 from stereophd.core.geometry.layout import ROTATION
-from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, condition
 from stereophd.core.numerics.moments import weighted_moments
@@ -48,13 +46,9 @@ class Looks(NamedTuple):
 @compiled
 def carry_components(
     which: Integers,
-    means: Array,
-    covariances: Array,
-    homes: Array,
-    motion: MotionArrays,
-    important: NDArray[np.bool_],
-    first: Look,
-    second: Look,
+    sources: Sources,
+    important: Booleans,
+    looks: Looks,
     destination: Array,
     p_detect: float,
     region: Array,
@@ -66,8 +60,8 @@ def carry_components(
     components are shared out over threads. Parameters as in `stereophd.core.disparity.moments.move`;
     `region` is packed as for `region_mask`, or empty; `moved` is filled in place.
     """
-    move_components(which, means, covariances, homes, motion, first, destination, p_detect, region, moved)
-    fraction, status = moved.fraction, moved.status
+    move_components(which, sources, looks.first, destination, p_detect, region, moved)
+    means, covariances, fraction, status = sources.means, sources.covariances, moved.fraction, moved.status
     corners = np.empty(len(which), dtype=np.int64)
     n_corners = 0
     for k in which:
@@ -76,9 +70,7 @@ def carry_components(
             corners[n_corners] = k
             n_corners += 1
     if n_corners > 0:
-        move_components(
-            corners[:n_corners], means, covariances, homes, motion, second, destination, p_detect, region, moved
-        )
+        move_components(corners[:n_corners], sources, looks.second, destination, p_detect, region, moved)
     for k in which:
         if status[k] == OUT_OF_VIEW:
             fraction[k] = 0.0
@@ -96,21 +88,13 @@ def noise_axes(destination: Array, noise_std: Array) -> Array:
 
 @compiled
 def move_components(
-    which: Integers,
-    means: Array,
-    covariances: Array,
-    homes: Array,
-    motion: MotionArrays,
-    look: Look,
-    destination: Array,
-    p_detect: float,
-    region: Array,
-    moved: Moved,
+    which: Integers, sources: Sources, look: Look, destination: Array, p_detect: float, region: Array, moved: Moved
 ) -> None:
     """Move the components `which` into the destination's space and split them by the field of view.
 
     Component by component, with no state shared between them; parameters as in `carry_components`.
     """
+    means, covariances, homes, motion = sources
     samples, sample_weights, minimum = look
     out_means, out_covariances, fraction, status, missed_means, missed_covariances, inside = moved
     size = means.shape[1]
@@ -156,12 +140,8 @@ def move_components(
             # sums of ones are exact: their number
             for i in range(count):
                 seen_weights[i] = mask[i]
-            whole_weight, seen_weight, squares, unseen_weight = (
-                float(count),
-                float(seen),
-                float(seen),
-                float(count - seen),
-            )
+            whole_weight, seen_weight, unseen_weight = float(count), float(seen), float(count - seen)
+            squares = seen_weight
         else:
             whole_weight, seen_weight, squares, unseen_weight = _weigh(mask, weights, seen_weights)
         fraction[k] = seen_weight / whole_weight if unseen_weight > 0.0 else 1.0

@@ -79,29 +79,13 @@ def moving_trips(
     max_speed: float,
     out: Array,
 ) -> None:
-    """Carry the samples of one moving object from the source's space to the destination's.
+    """Carry the samples of one moving object from the source's packed space (30,) to the destination's.
 
-    Parameters
-    ----------
-    mean, factor : arrays (6,), (6, 6)
-        Gaussian in the source's space, its covariance as lower Cholesky factor.
-    samples : array (>= 6, n)
-        Standard-normal samples; the first six rows are the state's.
-    noise : array (6, n)
-        Motion noise in the destination's axes, before scaling: of position, then of velocity.
-    position_noise, velocity_noise : float
-        Scales of the noise for this interval.
-    source, destination : arrays (30,)
-        Packed spaces.
-    reach, keep : float
-        Displacement for each unit of velocity, s, and the part of the velocity that remains
-        (`stereophd.core.motion.arrays.MotionArrays`).
-    drift : array (6,)
-        Drift of position and velocity, in the world.
-    max_speed : float
-        Limit of speed, length/s; infinity for none.
-    out : array (7, n)
-        Filled with (u, v, d, du, dv, dd) and rho times the depth before the destination.
+    The Gaussian (6,), (6, 6) in the source's space has its covariance as lower Cholesky factor; the first six rows of
+    the standard-normal samples (>= 6, n) are the state's. The noise (6, n) is that of the motion in the destination's
+    axes, of position, then of velocity, before it is scaled by `position_noise` and `velocity_noise`; these, `reach`,
+    `keep`, `drift` and `max_speed` are those of one interval of `stereophd.core.motion.arrays.MotionArrays`. Fills
+    `out` (7, n) with (u, v, d, du, dv, dd) and rho times the depth before the destination.
     """
     r00, r01, r02, r10, r11, r12, r20, r21, r22, t0, t1, t2 = relative_pose(source, destination)
     # the drift in the destination's axes: of the position it is one more translation

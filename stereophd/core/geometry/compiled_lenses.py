@@ -67,7 +67,12 @@ def _tangential(code: int, c: Array, start: int) -> tuple[float, float]:
 
 @compiled
 def _distort(code: int, c: Array, start: int, x: float, y: float) -> tuple[float, float]:
-    """Distort a point, with the coefficients at c[start : start + 8] (no slice, hence no reference count)."""
+    """Distort one normalised point; whether it lies within the lens's max_radius is not checked.
+
+    The lens has a model, a ``LENS_`` constant of `stereophd.core.geometry.layout`, and coefficients c[start : start +
+    8] (no slice, hence no reference count): k1, k2, p1, p2, k3, k4, k5, k6; of a fisheye k1, k2, k3, k4 in the first
+    four.
+    """
     if code == LENS_NONE:
         return x, y
     s = x * x + y * y
@@ -79,20 +84,10 @@ def _distort(code: int, c: Array, start: int, x: float, y: float) -> tuple[float
 
 
 @compiled
-def distort_point(code: int, coefficients: Array, x: float, y: float) -> tuple[float, float]:
-    """Distort one normalised point; whether it lies within the lens's max_radius is not checked.
-
-    The lens has a model, a ``LENS_`` constant of `stereophd.core.geometry.layout`, and coefficients (8,): k1, k2, p1,
-    p2, k3, k4, k5, k6; of a fisheye k1, k2, k3, k4 in the first four.
-    """
-    return _distort(code, coefficients, 0, x, y)
-
-
-@compiled
 def distort_point_jacobian(
     code: int, coefficients: Array, x: float, y: float
 ) -> tuple[float, float, float, float, float, float]:
-    """Distort one normalised point as `distort_point`; return it with the rows of d(x_d, y_d) / d(x, y)."""
+    """Distort one normalised point as `_distort`; return it with the rows of d(x_d, y_d) / d(x, y)."""
     s = x * x + y * y
     g, g_slope = _scale(code, coefficients, 0, s)
     p1, p2 = _tangential(code, coefficients, 0)
@@ -148,7 +143,7 @@ def _undistort_newton(code: int, c: Array, x_d: float, y_d: float, x: float, y: 
         factor = 1.0
         improved = False
         for _ in range(MAX_HALVINGS):
-            a, b = distort_point(code, c, x - factor * step_x, y - factor * step_y)
+            a, b = _distort(code, c, 0, x - factor * step_x, y - factor * step_y)
             if (a - x_d) ** 2 + (b - y_d) ** 2 < error:
                 improved = True
                 break
@@ -164,7 +159,7 @@ def _undistort_newton(code: int, c: Array, x_d: float, y_d: float, x: float, y: 
 
 @compiled
 def undistort_point(code: int, coefficients: Array, max_radius: float, x_d: float, y_d: float) -> tuple[float, float]:
-    """Undistort one normalised point of a lens as that of `distort_point`.
+    """Undistort one normalised point of a lens as that of `_distort`.
 
     The result lies within `max_radius`, up to which the radial map is monotone (`Lens.max_radius`); NaN if there is
     none.

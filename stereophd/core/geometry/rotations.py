@@ -1,4 +1,4 @@
-"""Many rotations at once: rotation vectors, matrices and quaternions, in arrays with a leading axis."""
+"""Many rotations at once: rotation vectors and matrices, in arrays with a leading axis."""
 
 import numpy as np
 
@@ -34,27 +34,3 @@ def left_jacobians(vectors: Array) -> Array:
     second = np.where(angle < 1e-4, 0.5, (1.0 - np.cos(safe)) / safe**2)
     third = np.where(angle < 1e-4, 1.0 / 6.0, (safe - np.sin(safe)) / safe**3)
     return np.asarray(np.eye(3) + second * cross + third * cross @ cross)
-
-
-def quaternion_matrices(quaternions: Array) -> Array:
-    """Rotation matrices (n, 3, 3) of unit quaternions (n, 4) in the order w, x, y, z."""
-    w, vector = quaternions[:, 0, None, None], quaternions[:, 1:]
-    cross = cross_matrices(vector)
-    return np.asarray(np.eye(3) + 2.0 * w * cross + 2.0 * cross @ cross)
-
-
-def quaternion_products(first: Array, second: Array) -> Array:
-    """Products (n, 4) of quaternions in the order w, x, y, z: the rotation `second`, then `first`."""
-    w, v = first[:, :1], first[:, 1:]
-    other_w, other_v = second[:, :1], second[:, 1:]
-    scalar = w * other_w - (v * other_v).sum(axis=1, keepdims=True)
-    return np.concatenate([scalar, w * other_v + other_w * v + np.cross(v, other_v)], axis=1)
-
-
-def quaternion_vectors(quaternions: Array) -> Array:
-    """Rotation vectors (n, 3), rad, of unit quaternions (n, 4); the shorter way round."""
-    q = np.where(quaternions[:, :1] < 0.0, -quaternions, quaternions)
-    sine = np.linalg.norm(q[:, 1:], axis=1)
-    small = sine < 1e-12
-    angle = 2.0 * np.arctan2(sine, q[:, 0])
-    return np.asarray(np.where(small, 2.0, angle / np.where(small, 1.0, sine))[:, None] * q[:, 1:])

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array
-from stereophd.core.geometry.rotations import quaternion_matrices, quaternion_products, quaternion_vectors, rotations
+from stereophd.core.geometry.rotations import rotations
 
 # A quaternion whose norm differs more than this from 1 is refused rather than normalised.
 LARGEST_NORM_DEFECT = 1e-3
@@ -85,18 +85,13 @@ class BodyTrajectory(EqualByValue):
         return float(self.poses[0, 0]), float(self.poses[-1, 0])
 
     @cached_property
-    def _body_axes(self) -> Array:
-        """Rotations (n, 3, 3) from world to body axes."""
-        quaternions = self.poses[:, 4:] / np.linalg.norm(self.poses[:, 4:], axis=1)[:, None]
-        return np.swapaxes(quaternion_matrices(quaternions), 1, 2)
+    def _turns(self) -> tuple[Array, Array]:
+        """Rotations (n, 3, 3) from world to body axes, and rates (n - 1, 3) about those in each segment, rad/s."""
+        from scipy.spatial.transform import Rotation  # only here: costly to import
 
-    @cached_property
-    def _rates(self) -> Array:
-        """Angular velocity (n - 1, 3) of each segment about the body's own axes, rad/s."""
-        quaternions = self.poses[:, 4:] / np.linalg.norm(self.poses[:, 4:], axis=1)[:, None]
-        backwards = quaternions * [1.0, -1.0, -1.0, -1.0]
-        turns = quaternion_vectors(quaternion_products(backwards[:-1], quaternions[1:]))
-        return np.asarray(turns / np.diff(self.poses[:, 0])[:, None])
+        turns = Rotation.from_quat(self.poses[:, 4:], scalar_first=True)
+        steps = (turns[:-1].inv() * turns[1:]).as_rotvec()
+        return turns.inv().as_matrix(), steps / np.diff(self.poses[:, 0])[:, None]
 
     def at(self, times: Array) -> Motions:
         """Return the poses of the body at times (n,), s; beyond its ends the trajectory stands still."""
@@ -106,8 +101,8 @@ class BodyTrajectory(EqualByValue):
         elapsed = (inside - self.poses[segment, 0])[:, None]
         step = (self.poses[segment + 1, 0] - self.poses[segment, 0])[:, None]
         velocities = (self.poses[segment + 1, 1:4] - self.poses[segment, 1:4]) / step
-        rates = self._rates[segment]
-        turned = rotations(-elapsed * rates) @ self._body_axes[segment]
+        body_axes, rates = (values[segment] for values in self._turns)
+        turned = rotations(-elapsed * rates) @ body_axes
         moving = ((times >= first) & (times <= last))[:, None]
         return Motions(
             turned, self.poses[segment, 1:4] + elapsed * velocities, velocities * moving, rates * moving

@@ -13,6 +13,7 @@ these two: transitions, what compiled moves read, drawn noise, and the interpola
 
 import math
 from abc import ABC, abstractmethod
+from dataclasses import dataclass
 from typing import ClassVar, NamedTuple
 
 import numpy as np
@@ -194,16 +195,28 @@ class Motion(ABC):
         return math.inf if largest == 0.0 else float((np.sqrt(3.0) * deviation / largest) ** (2.0 / 3.0))
 
 
-def accelerations(values: ArrayLike) -> tuple[float, float, float]:
-    """Return one acceleration or three as three numbers; ValueError if they are not finite numbers >= 0."""
-    given = np.asarray(values, dtype=np.float64)
-    if given.shape not in ((), (3,)) or not ((given >= 0.0) & np.isfinite(given)).all():
-        raise ValueError(f"motion: expected three accelerations >= 0, found {values!r}")
-    first, second, third = np.broadcast_to(given, 3).tolist()
-    return first, second, third
+@dataclass(frozen=True)
+class Accelerated(Motion):
+    """A model of objects whose velocity white acceleration changes, independent on each axis of the world.
 
+    `acceleration_std`, one or three, is the standard deviation of the mean acceleration over 1 s, length/s^2: the
+    spectral density of the acceleration is ``acceleration_std**2`` times 1 s. `max_speed` is a physical limit on the
+    speed, length/s, for those who draw samples; `transition` is linear and ignores it. Raises ValueError if
+    acceleration_std is not finite numbers >= 0, or max_speed is not positive.
+    """
 
-def check_speed(max_speed: float | None) -> None:
-    """Raise `ValueError` unless a limit of speed is positive."""
-    if max_speed is not None and not max_speed > 0.0:
-        raise ValueError(f"motion: expected a positive max_speed, found {max_speed}")
+    acceleration_std: ArrayLike = 0.0
+    max_speed: float | None = None
+
+    def __post_init__(self) -> None:
+        given = np.asarray(self.acceleration_std, dtype=np.float64)
+        if given.shape not in ((), (3,)) or not ((given >= 0.0) & np.isfinite(given)).all():
+            raise ValueError(f"motion: expected three accelerations >= 0, found {self.acceleration_std!r}")
+        object.__setattr__(self, "acceleration_std", tuple(np.broadcast_to(given, 3).tolist()))
+        if self.max_speed is not None and not self.max_speed > 0.0:
+            raise ValueError(f"motion: expected a positive max_speed, found {self.max_speed}")
+
+    @property
+    def noise_std(self) -> Array:
+        """`acceleration_std` (3,), length/s^2."""
+        return np.array(self.acceleration_std, dtype=np.float64)

@@ -11,11 +11,10 @@ from functools import cached_property, lru_cache
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.motion.base import Flow, Motion, Noise, accelerations, check_speed
+from stereophd.core.motion.base import Accelerated, Flow, Noise
 from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
 from stereophd.core.settings import PositiveLength, parameter, settings
 
@@ -41,26 +40,8 @@ _kept_constants = lru_cache(maxsize=64)(_constants)
 
 
 @dataclass(frozen=True)
-class ConstantVelocity(Motion):
-    """Constant velocity disturbed by white acceleration, independent on each axis of the world.
-
-    `acceleration_std`, one or three, is the standard deviation of the mean acceleration over 1 s, length/s^2: the
-    spectral density of the acceleration is ``acceleration_std**2`` times 1 s. `max_speed` is a physical limit on the
-    speed, length/s, for those who draw samples; `transition` is linear and ignores it. Raises ValueError if
-    acceleration_std is not finite numbers >= 0, or max_speed is not positive.
-    """
-
-    acceleration_std: ArrayLike = 0.0
-    max_speed: float | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "acceleration_std", accelerations(self.acceleration_std))
-        check_speed(self.max_speed)
-
-    @property
-    def noise_std(self) -> Array:
-        """`acceleration_std` (3,), length/s^2."""
-        return np.array(self.acceleration_std, dtype=np.float64)
+class ConstantVelocity(Accelerated):
+    """Constant velocity disturbed by white acceleration; see `Accelerated` for its fields and errors."""
 
     def flow(self, dt: Array) -> Flow:
         """Return the mean motion over intervals (...): the velocity stays."""

@@ -7,14 +7,13 @@ Aerospace and Electronic Systems 39 (4), 2003 (there one derivative higher, as R
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array
-from stereophd.core.motion.base import Flow, Motion, Noise, accelerations, check_speed
+from stereophd.core.motion.base import Accelerated, Flow, Noise
 from stereophd.core.motion.settings import Acceleration, acceleration_parameter, speed_parameter, stated
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.settings import PositiveDuration, PositiveLength, parameter, settings
@@ -28,28 +27,18 @@ SERIES = np.array([(-1.0) ** n * (2.0 - 2.0 ** (n - 1)) / math.factorial(n) for 
 
 
 @dataclass(frozen=True)
-class DampedVelocity(Motion):
-    """Velocity that decays with a time constant, disturbed by white acceleration on each axis of the world.
+class DampedVelocity(Accelerated):
+    """Velocity that decays with a time constant, disturbed by white acceleration; see `Accelerated`.
 
-    `acceleration_std` and `max_speed` are those of `ConstantVelocity`; `time_constant_s` is the time after which 1/e of
-    the velocity remains. Raises ValueError if acceleration_std is not finite numbers >= 0, or another value is not
-    positive.
+    `time_constant_s` is the time after which 1/e of the velocity remains; ValueError if it is not positive.
     """
 
-    acceleration_std: ArrayLike
-    time_constant_s: float
-    max_speed: float | None = None
+    time_constant_s: float = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "acceleration_std", accelerations(self.acceleration_std))
-        check_speed(self.max_speed)
+        super().__post_init__()
         if not self.time_constant_s > 0.0:
             raise ValueError(f"motion: expected a positive time_constant_s, found {self.time_constant_s}")
-
-    @property
-    def noise_std(self) -> Array:
-        """`acceleration_std` (3,), length/s^2."""
-        return np.array(self.acceleration_std, dtype=np.float64)
 
     def flow(self, dt: Array) -> Flow:
         """Return the mean motion over intervals (...): e^-x of the velocity remains, x in time constants."""
@@ -104,7 +93,7 @@ class DampedVelocitySettings:
 
     def build(self) -> DampedVelocity:
         """Return the motion model."""
-        return DampedVelocity(stated(self.acceleration_std), self.time_constant_s, self.max_speed)
+        return DampedVelocity(stated(self.acceleration_std), self.max_speed, time_constant_s=self.time_constant_s)
 
 
 SETTINGS = DampedVelocitySettings

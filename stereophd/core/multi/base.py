@@ -16,8 +16,8 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.initial import FirstSight
-from stereophd.core.disparity.moments import NO_REGION, RULES, Sources, looks_at, move
-from stereophd.core.disparity.moved import Moved, room_for_moved
+from stereophd.core.disparity.moments import NO_REGION, RULES, looks_at, move
+from stereophd.core.disparity.moved import Moved, Sources, room_for_moved
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT
 from stereophd.core.multi.births.undetected import (
@@ -32,7 +32,7 @@ from stereophd.core.multi.extract import Report, select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.prediction import Bare, predict_event
 from stereophd.core.multi.state.estimates import Estimates, Info
-from stereophd.core.multi.state.inputs import Detections, EventArrays, EventNumbers, with_newborns
+from stereophd.core.multi.state.inputs import Detections, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
 from stereophd.core.multi.swaps.history import History
 from stereophd.core.numerics.samples import SampleSets
@@ -128,14 +128,6 @@ class DisparityFilter(ABC):
         return
 
     @property
-    def split_missed(self) -> bool:
-        """Whether a component that is partly in view loses the part in view when it is missed (paper VI-C).
-
-        Otherwise it keeps its shape and only becomes less probable.
-        """
-        return self.settings.missed == "split"
-
-    @property
     def state_size(self) -> int:
         """Size of the states: 6, or 3 for static objects."""
         return self.motion.state_size
@@ -197,11 +189,9 @@ class DisparityFilter(ABC):
         self, undetected: Undetected | None, elapsed: float, event: Event
     ) -> tuple[float, Undetected, int]:
         """Return the births of an event, what it leaves, and its burst of clutter, where no object is known."""
-        p_detect, clutter, _ = self._detectors[event.camera]
-        return expected_births(
-            undetected or self._at_start[1], self._birth_rates, self._remaining_shares[event.camera],
-            int(event.camera), elapsed, len(event.points), p_detect, clutter, 0.0,
-        )  # fmt: skip
+        numbers = self.event_numbers(None, event, 0)._replace(elapsed=elapsed)
+        remaining = self._remaining_shares[event.camera]
+        return expected_births(undetected or self._at_start[1], self._birth_rates, remaining, numbers, 0.0)
 
     def extract(self, state: FilterState) -> tuple[FilterState, Estimates]:
         """Report the objects of a state, in the world at the state's time."""
@@ -244,10 +234,6 @@ class DisparityFilter(ABC):
         _, estimates = self.extract(later)
         return replace(info, log_likelihood=0.0, cardinality_mean=info.cardinality_mean * faded), estimates
 
-    def event_arrays(self, event: Event) -> EventArrays:
-        """Return an event's detections, and the objects that they may have given birth to, for compiled code."""
-        return with_newborns(*self.detections(event), self.state_size)
-
     def detections(self, event: Event) -> tuple[Detections, FirstSight]:
         """Return an event's detections, and the prior of the objects that they may have given birth to."""
         space = self.rig.space(event.camera, event.time_s)
@@ -266,7 +252,7 @@ class DisparityFilter(ABC):
         elapsed = 0.0 if before_s is None else max(event.time_s - before_s, 0.0)
         return EventNumbers(
             int(event.camera), float(event.time_s), elapsed, next_label, len(event.points), p_detect,
-            p_detect if self.split_missed else 0.0, area, self.settings.survival_per_s**elapsed,
+            p_detect if self.settings.missed == "split" else 0.0, area, self.settings.survival_per_s**elapsed,
             float(self.settings.out_of_view_s), clutter, 0.0,
         )  # fmt: skip
 

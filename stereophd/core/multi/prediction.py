@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.disparity.moved import Moved, allocate_moved
+from stereophd.core.disparity.moved import Moved, Sources, allocate_moved
 from stereophd.core.disparity.sample_move import Look, Looks, carry_components
 from stereophd.core.disparity.space import PACKED_SIZE
 from stereophd.core.motion.arrays import MotionArrays
@@ -49,15 +49,11 @@ def predict_components(
     space; `moved` has the others there already. `views` (c, 30) are the spaces of all cameras at the time of the event.
     """
     weights = mixture.weights * numbers.survival
+    sources = Sources(mixture.means, mixture.covariances, homes, motion)
     carry_components(
-        which, mixture.means, mixture.covariances, homes, motion, weights >= IMPORTANT_WEIGHT, looks.first,
-        looks.second, homes[-1], numbers.shape_p_detect, region, moved
+        which, sources, weights >= IMPORTANT_WEIGHT, looks, homes[-1], numbers.shape_p_detect, region, moved
     )  # fmt: skip
-    total = keep_surviving_weights(
-        weights, moved.status, moved.inside, mixture.means, mixture.tracks, mixture.cameras, homes, motion.reach,
-        motion.drift, views, numbers.camera, numbers.elapsed, numbers.out_of_view_s
-    )  # fmt: skip
-    return weights, total
+    return weights, keep_surviving_weights(weights, mixture, moved, homes, motion, views, numbers)
 
 
 @compiled
@@ -81,7 +77,6 @@ def predict_event(mixture: Bare, given: Bare) -> tuple[Array, Moved, Array, floa
         components, event, homes, MotionArrays(*motion), views, region, Looks(Look(*first), Look(*second)), which, moved
     )  # fmt: skip
     births, undetected, burst = expected_births(
-        Undetected(*before), rates, remaining, event.camera, event.elapsed, event.n_detections,
-        event.p_detect, event.clutter, event.p_detect * total
+        Undetected(*before), rates, remaining, event, event.p_detect * total
     )  # fmt: skip
     return weights, moved, homes, births, undetected, burst

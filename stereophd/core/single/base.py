@@ -44,15 +44,6 @@ class SingleEstimate:
 
 
 @dataclass(frozen=True)
-class SingleInfo:
-    """Diagnostics of an event."""
-
-    # Logarithm of the density of the detection given all earlier ones, over distorted pixels: of the first detection
-    # uniform over the image, of an event without one 0.
-    log_likelihood: float
-
-
-@dataclass(frozen=True)
 class SingleEstimator(ABC, Generic[State]):
     """An estimator of the state of one object."""
 
@@ -69,23 +60,24 @@ class SingleEstimator(ABC, Generic[State]):
     def init(self) -> State:
         """Return the state before the first detection."""
 
-    def step(self, state: State, event: Event) -> tuple[State, SingleInfo]:
-        """Return the state after an event; without a detection it stays where it is.
+    def step(self, state: State, event: Event) -> tuple[State, float]:
+        """Return the state after an event, and its log-likelihood; without a detection the state stays where it is.
 
-        Raises ValueError if the event has several detections, or its camera moves while a rolling shutter reads:
-        points of such events refer to the pose of the frame.
+        That is the logarithm of the density of the detection given all earlier ones, over distorted pixels: of the
+        first detection uniform over the image, of an event without one 0. Raises ValueError if the event has several
+        detections, or its camera moves while a rolling shutter reads: points of such events refer to the pose of the
+        frame.
         """
         count = len(event.points)
         if count > 1:
             raise ValueError(f"expected at most one detection an event, found {count} at {instant(event.time_s)} s")
         if count == 0:
-            return self._unchanged(state, event), SingleInfo(0.0)
+            return self._unchanged(state, event), 0.0
         if event.travels is not None:
             raise ValueError("expected a camera at rest where a rolling shutter sees one object, found it moving")
         # a rolling shutter reads the row of the detection later than the first
         time_s = event.time_s + (0.0 if event.delays is None else float(event.delays[0]))
-        after, log_likelihood = self._detected(state, event, self.rig.space(event.camera, time_s), time_s)
-        return after, SingleInfo(log_likelihood)
+        return self._detected(state, event, self.rig.space(event.camera, time_s), time_s)
 
     def _unchanged(self, state: State, event: Event) -> State:
         """Return the state after an event that says nothing of the object."""
@@ -103,11 +95,10 @@ class SingleEstimator(ABC, Generic[State]):
         """Return the state that `estimate` describes at a time after the last event."""
         return replace(state, time_s=time_s)
 
-
-def first_density(rig: Rig, event: Event) -> float:
-    """Logarithm of the density of a detection of which nothing was known: uniform over the image."""
-    camera = rig.cameras[event.camera]
-    return -float(np.log(camera.width * camera.height))
+    def first_density(self, event: Event) -> float:
+        """Logarithm of the density of a detection of which nothing was known: uniform over the image."""
+        camera = self.rig.cameras[event.camera]
+        return -float(np.log(camera.width * camera.height))
 
 
 AnyEstimator = SingleEstimator[Any]

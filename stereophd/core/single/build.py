@@ -16,21 +16,32 @@ from stereophd.core.single.cartesian import CartesianEstimator
 from stereophd.core.single.disparity import DisparityEstimator, RectifiedEstimator
 from stereophd.core.single.inverse_depth import InverseDepthEstimator
 from stereophd.core.single.particle import ParticleEstimator
-from stereophd.core.single.settings import CartesianSettings, DisparitySettings, EstimatorSettings, ParticleSettings
+from stereophd.core.single.settings import (
+    CartesianSettings,
+    DisparityChoice,
+    EstimatorChoice,
+    ParticleSettings,
+    RectifiedChoice,
+)
 
 
 def build_estimator(
-    settings: EstimatorSettings, rig: Rig, motion: Motion, prior: InitialPrior, rng: np.random.Generator
+    settings: EstimatorChoice,
+    moments: MomentsSettings,
+    rig: Rig,
+    motion: Motion,
+    prior: InitialPrior,
+    rng: np.random.Generator,
 ) -> AnyEstimator:
-    """Return the estimator that the settings describe.
+    """Return the estimator that the settings describe; one on disparity space carries its Gaussian by these moments.
 
     All its randomness comes from `rng`: pseudo-random samples and particles, not low-discrepancy points (they are a
     rule, not draws). Raises ValueError if the estimator cannot work with these cameras (Algorithm 1 with cameras that
     are not rectified).
     """
-    if isinstance(settings, DisparitySettings):
-        kind = RectifiedEstimator if settings.rectified else DisparityEstimator
-        return kind(rig, motion, prior, sample_sets(settings.moments, motion, rng))
+    if isinstance(settings, DisparityChoice | RectifiedChoice):
+        kind = RectifiedEstimator if settings.kind == "rectified" else DisparityEstimator
+        return kind(rig, motion, prior, sample_sets(moments, motion, rng))
     if isinstance(settings, ParticleSettings):
         return ParticleEstimator(rig, motion, prior, settings, int(rng.integers(2**63)))
     if isinstance(settings, CartesianSettings):
@@ -40,9 +51,13 @@ def build_estimator(
 
 def sample_sets(settings: MomentsSettings, motion: Motion, rng: np.random.Generator) -> SampleSets:
     """Return the samples of an estimator's moves; those of method ``particle`` are drawn from the generator."""
+    rows = motion.sample_rows
     if settings.method == "particle":
-        return fresh_samples(settings.samples, motion.sample_rows, int(rng.integers(2**63)))
-    return _rule(settings.method, settings.samples, motion.sample_rows, settings.max_nonlinearity)
+        # the reserve, for tails in view, is a low-discrepancy set
+        rule, sets = _rule("qmc", 64, rows), np.empty((1, rows, settings.samples))
+        seed = int(rng.integers(2**63))
+        return FreshSamples("particle", sets, rule.reserve, rule.reserve_weights, seed=seed)
+    return _rule(settings.method, settings.samples, rows, settings.max_nonlinearity)
 
 
 @dataclass(frozen=True)
@@ -58,12 +73,6 @@ class FreshSamples(SampleSets):
     def turn(self, index: int) -> Array:
         """Return the samples (rows, n) of event number `index`."""
         return np.random.default_rng((self.seed, index)).standard_normal(self.sets.shape[1:])
-
-
-def fresh_samples(samples: int, rows: int, seed: int) -> FreshSamples:
-    """Return pseudo-random samples whose reserve, for tails in view, is a low-discrepancy set."""
-    reserve = _rule("qmc", 64, rows)
-    return FreshSamples("particle", np.empty((1, rows, samples)), reserve.reserve, reserve.reserve_weights, seed=seed)
 
 
 @cache

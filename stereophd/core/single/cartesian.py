@@ -14,17 +14,17 @@ from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.numerics.linear_algebra import condition
 from stereophd.core.numerics.samples import cubature_points
-from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
+from stereophd.core.single.base import SingleEstimate
 from stereophd.core.single.gaussian import (
-    UNSEEN,
+    Gaussian,
+    GaussianEstimator,
     GaussianState,
+    Observation,
     center,
     first_gaussian,
-    linear_update,
     place,
     project,
     rotation,
-    unseen_state,
 )
 from stereophd.core.single.settings import CartesianSettings
 
@@ -33,69 +33,52 @@ FARTHEST = 10.0
 
 
 @dataclass(frozen=True)
-class CartesianEstimator(SingleEstimator[GaussianState]):
+class CartesianEstimator(GaussianEstimator):
     """The filters; see `SingleEstimator` for their other fields."""
 
     settings: CartesianSettings
 
-    def init(self) -> GaussianState:
-        """Return the state before the first detection."""
-        return unseen_state()
+    def _observed(self, state: GaussianState, predicted: Gaussian, event: Event, space: Array) -> Observation:
+        """Observe by the rule of the settings."""
+        mean, covariance = predicted
+        if self.settings.rule == "unscented":
+            pixel, matrix, spread = _regression(lambda states: _pixels(space, states), mean, covariance)
+            return pixel, matrix, event.covariances[0] + spread
+        pixel, jacobian = project(space, rotation(space) @ (mean[:3] - center(space)))
+        matrix = np.zeros((2, len(mean)))
+        matrix[:, :3] = jacobian @ rotation(space)
+        return pixel, matrix, event.covariances[0]
 
-    def _detected(
-        self, state: GaussianState, event: Event, camera: Array, time_s: float
-    ) -> tuple[GaussianState, float]:
-        """Predict, and update by the rule of the settings."""
-        times = (event.time_s, time_s, state.n_events + 1)
-        if state.camera == UNSEEN:
-            return GaussianState(*times, *self._first(event, camera), event.camera), first_density(self.rig, event)
-        mean, covariance = self._predicted(state, time_s)
-        point, noise = event.points[0], event.covariances[0]
-        if self.settings.rule == "extended":
-            pixel, jacobian = project(camera, rotation(camera) @ (mean[:3] - center(camera)))
-            matrix = np.zeros((2, len(mean)))
-            matrix[:, :3] = jacobian @ rotation(camera)
-        else:
-            pixel, matrix, spread = _regression(lambda states: _pixels(camera, states), mean, covariance)
-            noise = noise + spread
-        if not np.isfinite(matrix).all():
-            return self._unchanged(state, event), 0.0
-        mean, covariance, log_density = linear_update(mean, covariance, matrix, pixel, point, noise)
-        after = GaussianState(*times, mean, covariance, event.camera)
-        return after, log_density + float(np.log(event.areas[0]))
-
-    def _first(self, event: Event, camera: Array) -> tuple[Array, Array]:
-        """Gaussian in the world of a first detection and the prior."""
-        first, whole = first_gaussian(self.prior, camera, event, self.state_size)
+    def _first(self, event: Event, space: Array) -> Gaussian:
+        """Return the Gaussian in the world."""
+        first, whole = first_gaussian(self.prior, space, event, self.state_size)
         local, covariance = first[:3], whole[:3, :3]
         if self.settings.rule == "extended":
-            position, jacobian = place(camera, local)
+            position, jacobian = place(space, local)
             spread = jacobian @ covariance @ jacobian.T
         else:
             samples = local + (np.linalg.cholesky(covariance) @ cubature_points(3)).T
             rays = np.column_stack([samples[:, :2], np.ones(len(samples))])
             depths = 1.0 / np.maximum(samples[:, 2:], local[2] / FARTHEST)
-            points = rays * depths @ rotation(camera) + center(camera)
+            points = rays * depths @ rotation(space) + center(space)
             position = points.mean(axis=0)
             spread = (points - position).T @ (points - position) / len(points)
         mean = np.append(position, first[3:])
         whole[:3, :3] = spread
         return mean, whole
 
-    def _predicted(self, state: GaussianState, time_s: float) -> tuple[Array, Array]:
-        """Exact prediction: (mean, covariance) at a time."""
+    def _predicted(self, state: GaussianState, space: Array, time_s: float) -> Gaussian:
+        """Return the exact prediction."""
         dt = time_s - state.home_s
         if self.state_size == 3 or dt == 0.0:
             return state.mean, state.covariance
         return self.motion.transition(dt).predict(state.mean, state.covariance)
 
-    def estimate(self, state: GaussianState) -> SingleEstimate | None:
+    def _estimate(self, state: GaussianState) -> SingleEstimate:
         """Return the mean, which is the mode, and the covariance."""
-        if state.camera == UNSEEN:
-            return None
         size = self.state_size
         mean, covariance = np.zeros(6), np.zeros((6, 6))
-        mean[:size], covariance[:size, :size] = self._predicted(state, state.time_s)
+        mean[:size], covariance[:size, :size] = self._predicted(state, state.home, state.time_s)
         return SingleEstimate(mean, mean, covariance)
 
 

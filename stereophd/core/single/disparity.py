@@ -7,21 +7,19 @@ into the disparity space of the next event's camera. With one object and no clut
 object, so that samples out of the camera's view are left out of the Gaussian (V-B).
 """
 
-import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event, Rig
-from stereophd.core.disparity.moments import Sources, move, world_moments
-from stereophd.core.disparity.moved import OUT_OF_VIEW
+from stereophd.core.disparity.moments import move, world_moments
+from stereophd.core.disparity.moved import OUT_OF_VIEW, Sources
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.layout import CX, CY, HEIGHT, LENS_CODE, LENS_NONE, WIDTH
-from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SampleSets
-from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
-from stereophd.core.single.gaussian import UNSEEN, GaussianState, linear_update, state_in_world, unseen_state
+from stereophd.core.single.base import SingleEstimate
+from stereophd.core.single.gaussian import Gaussian, GaussianEstimator, GaussianState, Observation, state_in_world
 
 IMPORTANT = np.array([True])
 # H of eq. 4, by the size of the state.
@@ -32,66 +30,48 @@ WIDE = 1e7
 RECTIFIED_TOLERANCE = 1e-6
 
 
-def _sources(motion: Motion, state: GaussianState, home: Array, time_s: float) -> Sources:
-    """Return a state as it is carried from its home space to a time."""
-    intervals = motion.arrays(np.array([time_s - state.home_s]))
-    return Sources(state.mean[None], state.covariance[None], home[None], intervals)
-
-
 @dataclass(frozen=True)
-class DisparityEstimator(SingleEstimator[GaussianState]):
+class DisparityEstimator(GaussianEstimator):
     """Algorithm 2: any cameras, the state in the disparity space of the camera that saw the object last."""
 
     sets: SampleSets  # Samples of the moves, and with them the method
 
-    def init(self) -> GaussianState:
-        """Return the state before the first detection."""
-        return unseen_state()
+    def _first(self, event: Event, space: Array) -> Gaussian:
+        means, covariances = self.prior.moments(event.points, event.covariances, space, self.state_size)
+        return means[0], covariances[0]
 
-    def _detected(self, state: GaussianState, event: Event, space: Array, time_s: float) -> tuple[GaussianState, float]:
-        """Carry the state into the event's disparity space and update it (Algorithm 2).
-
-        A detection that no sample of the state can have made starts it anew.
-        """
-        moved = None if state.camera == UNSEEN else self._moved(state, space, event.camera, time_s)
-        if moved is None:
-            means, covariances = self.prior.moments(event.points, event.covariances, space, self.state_size)
-            mean, covariance, log_likelihood = means[0], covariances[0], first_density(self.rig, event)
-        else:
-            mean, covariance, log_density = linear_update(
-                moved[0], moved[1], OBSERVATION[self.state_size], moved[0][:2], event.points[0], event.covariances[0]
-            )
-            log_likelihood = log_density + math.log(event.areas[0])
-        after = GaussianState(event.time_s, time_s, state.n_events + 1, mean, covariance, event.camera)
-        return after, log_likelihood
-
-    def _moved(self, state: GaussianState, space: Array, camera: int, time_s: float) -> tuple[Array, Array] | None:
-        """Mean and covariance in `space`: of the part in view, else of the part in front of the camera."""
-        still = time_s == state.home_s or (not self.motion.moves and not self.rig.moving)
-        if still and camera == state.camera:
+    def _predicted(self, state: GaussianState, space: Array, time_s: float) -> Gaussian | None:
+        """Return the Gaussian of the part in view, else of the part in front of the camera (Algorithm 2)."""
+        still = time_s == state.home_s or not self.motion.moves
+        if still and np.array_equal(space, state.home):
             return state.mean, state.covariance
-        for shift in (0.0, WIDE):
-            moved = move(
-                _sources(self.motion, state, self._home(state), time_s),
-                space if shift == 0.0 else widened(space),
-                self.sets,
-                state.n_events,
-                important=IMPORTANT,
-            )
-            if moved.status[0] != OUT_OF_VIEW:
-                mean = moved.means[0]
-                mean[:2] -= shift
-                return mean, moved.covariances[0]
-        return None
+        return self._moved(state, space, time_s, 0.0) or self._moved(state, space, time_s, WIDE)
 
-    def _home(self, state: GaussianState) -> Array:
-        return self.rig.space(state.camera, state.home_s)
-
-    def estimate(self, state: GaussianState) -> SingleEstimate | None:
-        """Return the mean and covariance in the world by moments, and the mode in disparity space, mapped."""
-        if state.camera == UNSEEN:
+    def _moved(self, state: GaussianState, space: Array, time_s: float, shift: float) -> Gaussian | None:
+        """Carry a state to a time in a space, whose image is widened by a shift on all sides; None if out of view."""
+        intervals = self.motion.arrays(np.array([time_s - state.home_s]))
+        sources = Sources(state.mean[None], state.covariance[None], state.home[None], intervals)
+        destination = widened(space) if shift else space
+        moved = move(sources, destination, self.sets, state.n_events, important=IMPORTANT)
+        if moved.status[0] == OUT_OF_VIEW:
             return None
-        return world_estimate(state, self._home(state), self.motion, self.sets)
+        mean = moved.means[0]
+        mean[:2] -= shift
+        return mean, moved.covariances[0]
+
+    def _observed(self, state: GaussianState, predicted: Gaussian, event: Event, space: Array) -> Observation:
+        """Observe the pixel, a part of the state."""
+        return predicted[0][:2], OBSERVATION[self.state_size], event.covariances[0]
+
+    def _estimate(self, state: GaussianState) -> SingleEstimate:
+        """Return the mean and covariance in the world by moments, and the mode in disparity space, mapped."""
+        elapsed = np.array([state.time_s - state.home_s])
+        means, covariances = world_moments(
+            state.mean[None], state.covariance[None], state.home[None], elapsed, self.motion, self.sets, state.n_events
+        )
+        return SingleEstimate(
+            means[0], state_in_world(state.mean, state.home, self.motion.arrays(elapsed)), covariances[0]
+        )
 
 
 @dataclass(frozen=True)
@@ -113,39 +93,27 @@ class RectifiedEstimator(DisparityEstimator):
         for name, maps in zip(("matrices", "offsets"), rectified_maps(self.rig), strict=True):
             object.__setattr__(self, name, maps)
 
-    def _detected(self, state: GaussianState, event: Event, space: Array, time_s: float) -> tuple[GaussianState, float]:
-        """Predict the state in the shared space, and update it (Algorithm 1)."""
-        size = self.state_size
-        if state.camera == UNSEEN:
-            means, covariances = self.prior.moments(event.points, event.covariances, space, size)
-            back = np.linalg.inv(self.matrices[event.camera])
-            whole = np.kron(np.eye(size // 3), back)
-            means[0, :3] -= self.offsets[event.camera]
-            mean, covariance = whole @ means[0], whole @ covariances[0] @ whole.T
-            log_likelihood = first_density(self.rig, event)
-        else:
-            mean, covariance = self._predicted(state, time_s)
-            matrix = np.zeros((2, size))
-            matrix[:, :3] = self.matrices[event.camera][:2]
-            predicted = matrix @ mean + self.offsets[event.camera][:2]
-            mean, covariance, log_density = linear_update(
-                mean, covariance, matrix, predicted, event.points[0], event.covariances[0]
-            )
-            log_likelihood = log_density + math.log(event.areas[0])
-        # the state's home is always the first camera
-        return GaussianState(event.time_s, time_s, state.n_events + 1, mean, covariance, 0), log_likelihood
+    def _home(self, state: GaussianState | None, space: Array) -> Array:
+        return np.asarray(self.rig.packed[0])
 
-    def _predicted(self, state: GaussianState, time_s: float) -> tuple[Array, Array]:
-        """Particle prediction, whether or not the object is in the first camera's image."""
-        if not self.motion.moves or time_s == state.home_s:
-            return state.mean, state.covariance
-        home = self.rig.space(0, time_s)
-        moved = move(_sources(self.motion, state, home, time_s), widened(home), self.sets, state.n_events)
-        if moved.status[0] == OUT_OF_VIEW:
-            return state.mean, state.covariance
-        mean = moved.means[0]
-        mean[:2] -= WIDE
-        return mean, moved.covariances[0]
+    def _first(self, event: Event, space: Array) -> Gaussian:
+        mean, covariance = super()._first(event, space)
+        whole = np.kron(np.eye(self.state_size // 3), np.linalg.inv(self.matrices[event.camera]))
+        mean[:3] -= self.offsets[event.camera]
+        return whole @ mean, whole @ covariance @ whole.T
+
+    def _observed(self, state: GaussianState, predicted: Gaussian, event: Event, space: Array) -> Observation:
+        """Observe a linear function of the shared state (Algorithm 1)."""
+        matrix = np.zeros((2, self.state_size))
+        matrix[:, :3] = self.matrices[event.camera][:2]
+        return matrix @ predicted[0] + self.offsets[event.camera][:2], matrix, event.covariances[0]
+
+    def _predicted(self, state: GaussianState, space: Array, time_s: float) -> Gaussian:
+        """Return the particle prediction, whether or not the object is in the first camera's image."""
+        moved = None
+        if self.motion.moves and time_s != state.home_s:
+            moved = self._moved(state, state.home, time_s, WIDE)
+        return moved or (state.mean, state.covariance)
 
 
 def rectified_maps(rig: Rig) -> tuple[Array, Array]:
@@ -182,13 +150,3 @@ def widened(space: Array) -> Array:
     wide[[WIDTH, HEIGHT]] += 2.0 * WIDE
     wide[LENS_CODE] = LENS_NONE
     return wide
-
-
-def world_estimate(state: GaussianState, home: Array, motion: Motion, sets: SampleSets) -> SingleEstimate:
-    """Estimate in the world at the state's time, of a Gaussian in the packed space `home`."""
-    dt = state.time_s - state.home_s
-    means, covariances = world_moments(
-        state.mean[None], state.covariance[None], home[None], np.array([dt]), motion, sets, state.n_events
-    )
-    mode = state_in_world(state.mean, home, motion.arrays(np.array([dt])))
-    return SingleEstimate(means[0], mode, covariances[0])

@@ -4,6 +4,7 @@ Cameras are packed (`stereophd.core.geometry.layout`), pixels undistorted.
 """
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,10 +17,12 @@ from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.geometry.projection import pinhole
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.single.base import SingleState
+from stereophd.core.single.base import SingleEstimate, SingleEstimator, SingleState
 
-# Camera of a state that has seen no detection yet.
-UNSEEN = -1
+# Mean (d,) and covariance (d, d).
+Gaussian = tuple[Array, Array]
+# Predicted pixel (2,), its derivative (2, d), and the noise (2, 2) of the detection.
+Observation = tuple[Array, Array, Array]
 
 
 @dataclass(frozen=True)
@@ -29,12 +32,58 @@ class GaussianState(SingleState):
     # `mean`, `covariance`: arrays (d,), (d, d): Empty before the first detection.
     mean: Array
     covariance: Array
-    camera: int  # Camera (index in the rig) that the space belongs to, `UNSEEN` before the first detection
+    home: Array  # (30,): Packed space that the Gaussian belongs to, as it was then; empty before the first detection
 
 
-def unseen_state() -> GaussianState:
-    """Return the state before the first detection."""
-    return GaussianState(0.0, 0.0, 0, np.empty(0), np.empty((0, 0)), UNSEEN)
+@dataclass(frozen=True)
+class GaussianEstimator(SingleEstimator[GaussianState]):
+    """An estimator of Gaussian states; see `SingleEstimator` for its fields."""
+
+    def init(self) -> GaussianState:
+        """Return the state before the first detection."""
+        return GaussianState(0.0, 0.0, 0, np.empty(0), np.empty((0, 0)), np.empty(0))
+
+    def _detected(self, state: GaussianState, event: Event, space: Array, time_s: float) -> tuple[GaussianState, float]:
+        """Predict and update; a detection that the state cannot have made starts it anew.
+
+        What cannot be linearised at the predicted mean leaves the state as it is.
+        """
+        predicted = self._predicted(state, space, time_s) if len(state.mean) else None
+        if predicted is None:
+            mean, covariance = self._first(event, space)
+            home, log_likelihood = self._home(None, space), self.first_density(event)
+        else:
+            pixel, matrix, noise = self._observed(state, predicted, event, space)
+            if not (np.isfinite(pixel).all() and np.isfinite(matrix).all()):
+                return self._unchanged(state, event), 0.0
+            mean, covariance, log_density = linear_update(*predicted, matrix, pixel, event.points[0], noise)
+            home, log_likelihood = self._home(state, space), log_density + math.log(event.areas[0])
+        after = GaussianState(event.time_s, time_s, state.n_events + 1, mean, covariance, home)
+        return after, log_likelihood
+
+    def _home(self, state: GaussianState | None, space: Array) -> Array:
+        """Return the home of the next state: the space of its detection; the state is None where it starts anew."""
+        return space
+
+    @abstractmethod
+    def _first(self, event: Event, space: Array) -> Gaussian:
+        """Return the Gaussian of a first detection and the prior."""
+
+    @abstractmethod
+    def _predicted(self, state: GaussianState, space: Array, time_s: float) -> Gaussian | None:
+        """Return the Gaussian at a time, before a detection in a packed space (30,); None if it can make none there."""
+
+    @abstractmethod
+    def _observed(self, state: GaussianState, predicted: Gaussian, event: Event, space: Array) -> Observation:
+        """Return what a predicted state expects of the detection of an event, whose camera has a packed space (30,)."""
+
+    def estimate(self, state: GaussianState) -> SingleEstimate | None:
+        """Return where the object is at the state's time; None before its first detection."""
+        return self._estimate(state) if len(state.mean) else None
+
+    @abstractmethod
+    def _estimate(self, state: GaussianState) -> SingleEstimate:
+        """Return where an object that was seen is."""
 
 
 def rotation(camera: Array) -> Array:
@@ -63,12 +112,6 @@ def ray(camera: Array, pixel: Array) -> Array:
     return np.array([(pixel[0] - camera[CX]) / camera[FX], (pixel[1] - camera[CY]) / camera[FY], 1.0])
 
 
-def inverse_depth_prior(prior: InitialPrior, space: Array) -> tuple[float, float]:
-    """Mean and standard deviation of the inverse depth: rho = d / (f b)."""
-    mean, std = prior.disparity_moments(space)
-    return mean / disparity_scale(space), std / disparity_scale(space)
-
-
 def velocity_covariance(prior: InitialPrior, space: Array, pixel: Array, rho: float) -> Array:
     """Prior covariance (3, 3) of the velocity in the world, about 0, of an object of known inverse depth."""
     if prior.disparity_velocity_std_px_s is None:
@@ -80,12 +123,13 @@ def velocity_covariance(prior: InitialPrior, space: Array, pixel: Array, rho: fl
     return np.asarray(jacobian @ np.diag(np.square(prior.disparity_velocity_std_px_s)) @ jacobian.T)
 
 
-def first_gaussian(prior: InitialPrior, camera: Array, event: Event, size: int) -> tuple[Array, Array]:
+def first_gaussian(prior: InitialPrior, camera: Array, event: Event, size: int) -> Gaussian:
     """Gaussian (d,), (d, d) of an object seen for the first time: slopes and inverse depth, and velocity in the world.
 
     Slopes and inverse depth (a, b, rho) are in the camera's axes.
     """
-    rho, rho_std = inverse_depth_prior(prior, camera)
+    # rho = d / (f b)
+    rho, rho_std = (value / disparity_scale(camera) for value in prior.disparity_moments(camera))
     mean, covariance = np.zeros(size), np.zeros((size, size))
     mean[:3] = ray(camera, event.points[0])
     mean[2] = rho

@@ -18,67 +18,49 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
-from stereophd.core.single.base import SingleEstimate, SingleEstimator, first_density
+from stereophd.core.single.base import SingleEstimate
 from stereophd.core.single.gaussian import (
-    UNSEEN,
+    Gaussian,
+    GaussianEstimator,
     GaussianState,
+    Observation,
     center,
     first_gaussian,
-    linear_update,
     place,
     project,
     rotation,
-    unseen_state,
 )
 
 
 @dataclass(frozen=True)
-class InverseDepthState(GaussianState):
-    """A Gaussian on (a, b, rho) or (a, b, rho, vx, vy, vz)."""
+class InverseDepthEstimator(GaussianEstimator):
+    """The filter; the home of a state, a Gaussian on (a, b, rho) or (a, b, rho, vx, vy, vz), is its anchor."""
 
-    anchor: Array  # (30,): Packed space of the camera that saw the object first, as it was then
+    def _home(self, state: GaussianState | None, space: Array) -> Array:
+        return space if state is None else state.home
 
+    def _first(self, event: Event, space: Array) -> Gaussian:
+        return first_gaussian(self.prior, space, event, self.state_size)
 
-@dataclass(frozen=True)
-class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
-    """The filter; see `SingleEstimator` for its fields."""
-
-    def init(self) -> InverseDepthState:
-        """Return the state before the first detection."""
-        state = unseen_state()
-        return InverseDepthState(0.0, 0.0, 0, state.mean, state.covariance, UNSEEN, np.empty(0))
-
-    def _detected(
-        self, state: InverseDepthState, event: Event, camera: Array, time_s: float
-    ) -> tuple[InverseDepthState, float]:
-        """Predict and update to first order."""
-        times = (event.time_s, time_s, state.n_events + 1)
-        if state.camera == UNSEEN:
-            mean, covariance = first_gaussian(self.prior, camera, event, self.state_size)
-            return InverseDepthState(*times, mean, covariance, event.camera, camera), first_density(self.rig, event)
-        mean, covariance = self._predicted(state, time_s)
+    def _observed(self, state: GaussianState, predicted: Gaussian, event: Event, space: Array) -> Observation:
+        """Observe to first order."""
+        mean, back = predicted[0], rotation(state.home).T
         # d (rho times the point in the camera's axes) / d (a, b, rho)
-        in_world = np.column_stack([rotation(state.anchor).T[:, :2], center(state.anchor) - center(camera)])
-        scaled = in_world @ mean[:3] + rotation(state.anchor).T[:, 2]
-        pixel, jacobian = project(camera, rotation(camera) @ scaled)
+        in_world = np.column_stack([back[:, :2], center(state.home) - center(space)])
+        scaled = in_world @ mean[:3] + back[:, 2]
+        pixel, jacobian = project(space, rotation(space) @ scaled)
         matrix = np.zeros((2, len(mean)))
-        matrix[:, :3] = jacobian @ rotation(camera) @ in_world
-        if not np.isfinite(pixel).all():
-            return self._unchanged(state, event), 0.0
-        mean, covariance, log_density = linear_update(
-            mean, covariance, matrix, pixel, event.points[0], event.covariances[0]
-        )
-        after = InverseDepthState(*times, mean, covariance, state.camera, state.anchor)
-        return after, log_density + float(np.log(event.areas[0]))
+        matrix[:, :3] = jacobian @ rotation(space) @ in_world
+        return pixel, matrix, event.covariances[0]
 
-    def _predicted(self, state: InverseDepthState, time_s: float) -> tuple[Array, Array]:
-        """First-order prediction: (mean, covariance) at a time."""
+    def _predicted(self, state: GaussianState, space: Array, time_s: float) -> Gaussian:
+        """Return the prediction to first order."""
         dt = time_s - state.home_s
         if self.state_size == 3 or dt == 0.0:
             return state.mean, state.covariance
         moved, noise, drift = self.motion.transition(dt)
         reach, keep = moved[0, 3], moved[3, 3]
-        axes = rotation(state.anchor)
+        axes = rotation(state.home)
         rho, velocity = state.mean[2], state.mean[3:]
         h = np.array([state.mean[0], state.mean[1], 1.0]) + rho * reach * axes @ velocity + rho * axes @ drift[:3]
         mean = state.mean.copy()
@@ -100,14 +82,12 @@ class InverseDepthEstimator(SingleEstimator[InverseDepthState]):
         into[:3, :3] = jacobian[:, 6:]
         return mean, transition @ state.covariance @ transition.T + into @ noise @ into.T
 
-    def estimate(self, state: InverseDepthState) -> SingleEstimate | None:
+    def _estimate(self, state: GaussianState) -> SingleEstimate:
         """Return the mean mapped to the world, with its covariance to first order."""
-        if state.camera == UNSEEN:
-            return None
-        mean, covariance = self._predicted(state, state.time_s)
+        mean, covariance = self._predicted(state, state.home, state.time_s)
         if not mean[2] > 0.0:
             return SingleEstimate(np.full(6, np.nan), np.full(6, np.nan), np.full((6, 6), np.nan))
         out, jacobian = np.zeros(6), np.eye(6, len(mean))
-        out[:3], jacobian[:3, :3] = place(state.anchor, mean)
+        out[:3], jacobian[:3, :3] = place(state.home, mean)
         out[3 : len(mean)] = mean[3:]
         return SingleEstimate(out, out, jacobian @ covariance @ jacobian.T)

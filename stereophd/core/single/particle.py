@@ -18,7 +18,8 @@ from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.resampling import SCHEMES
-from stereophd.core.single.base import SingleEstimate, SingleEstimator, SingleState, first_density
+from stereophd.core.numerics.weights import normalised
+from stereophd.core.single.base import SingleEstimate, SingleEstimator, SingleState
 from stereophd.core.single.gaussian import states_in_world
 from stereophd.core.single.settings import ParticleSettings
 
@@ -75,32 +76,12 @@ def _disturb(particles: Array, index: NDArray[np.int64], motion: MotionArrays, n
     return out
 
 
-@compiled
-def _weigh(log_weights: Array, log_likelihood: Array) -> tuple[Array, Array, float]:
-    """Logarithmic weights after an update, the same normalised, and the logarithm of their sum before."""
-    updated = log_weights + log_likelihood
-    largest = updated.max()
-    weights = np.exp(updated - largest)
-    total = weights.sum()
-    return weights / total, updated - largest - math.log(total), largest + math.log(total)
-
-
-@compiled
 def _moments(particles: Array, weights: Array) -> tuple[Array, Array]:
     """Mean (6,) and covariance (6, 6) of weighted particles (d, n)."""
-    size, count = particles.shape
-    mean = np.zeros(6)
-    covariance = np.zeros((6, 6))
-    for a in range(size):
-        for i in range(count):
-            mean[a] += weights[i] * particles[a, i]
-    for a in range(size):
-        for b in range(a + 1):
-            total = 0.0
-            for i in range(count):
-                total += weights[i] * (particles[a, i] - mean[a]) * (particles[b, i] - mean[b])
-            covariance[a, b] = total
-            covariance[b, a] = total
+    size = len(particles)
+    mean, covariance = np.zeros(6), np.zeros((6, 6))
+    mean[:size] = particles @ weights
+    covariance[:size, :size] = np.cov(particles, aweights=weights, ddof=0)
     return mean, covariance
 
 
@@ -121,7 +102,7 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
         if len(state.weights) == 0:
             particles = self._first(event, space, rng)
             weights = np.full(particles.shape[1], 1.0 / particles.shape[1])
-            log_weights, log_likelihood = np.log(weights), first_density(self.rig, event)
+            log_weights, log_likelihood = np.log(weights), self.first_density(event)
         else:
             particles, weights, log_weights = self._predict(state, time_s, rng)
             likelihood = log_likelihoods(particles, space, event.points[0], event.covariances[0])
@@ -185,7 +166,8 @@ class ParticleEstimator(SingleEstimator[ParticleState]):
             if total > 0.0:
                 return updated / total, log_weights, math.log(total)
         elif log_likelihood.max() > -np.inf:
-            return _weigh(log_weights, log_likelihood)
+            log_weights, evidence = normalised(log_weights + log_likelihood)
+            return np.exp(log_weights), log_weights, evidence
         # no particle can have made the detection: the smallest number there is
         return weights, log_weights, math.log(np.finfo(float).tiny)
 

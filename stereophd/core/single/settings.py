@@ -2,26 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
 from typing import Annotated, Literal, TypeAlias
 
 from annotated_types import Interval
 
 from stereophd.core.disparity.prior import InitialPrior
-from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.core.settings import Fraction, parameter, settings
 
 Resampling = Literal["systematic", "stratified", "residual", "multinomial"]
 Weights = Literal["logarithmic", "linear"]
-
-
-@dataclass(frozen=True)
-class DisparitySettings:
-    """Gaussian on disparity space: the paper's Algorithm 2, or Algorithm 1 if `rectified`."""
-
-    # How the Gaussian is carried from one disparity space to another.
-    moments: MomentsSettings = field(default_factory=MomentsSettings)
-    rectified: bool = False  # Algorithm 1: one disparity space for all cameras, which must be rectified
 
 
 @settings
@@ -71,7 +60,6 @@ class CartesianSettings:
     )
 
 
-EstimatorSettings: TypeAlias = DisparitySettings | ParticleSettings | InverseDepthSettings | CartesianSettings
 EstimatorChoice: TypeAlias = (
     DisparityChoice | RectifiedChoice | ParticleSettings | InverseDepthSettings | CartesianSettings
 )

@@ -135,20 +135,11 @@ def add_residual(sums: Array, slope: Array, residual: tuple[float, float], covar
 
 
 def find_change(sums: Array, factor: float) -> PoseChange | None:
-    """Find a change of a camera's pose in the last one, two, ... blocks, against all before.
+    """Find the change of a camera's pose in the last one, two, ... blocks, against all before, of largest evidence.
 
-    Parameters
-    ----------
-    sums : array (b, 2, 6, 7)
-        Information and gradient of each block, from each half of the tracks, as `add_residual` makes them. The first
-        block is all that was before.
-    factor : float
-        Of the variances of the sums.
-
-    Returns
-    -------
-    PoseChange or None
-        The one with the largest evidence; None where nothing is known.
+    The sums (b, 2, 6, 7) are information and gradient of each block, from each half of the tracks, as `add_residual`
+    makes them, with this factor of their variances; the first block is all that was before. None where nothing is
+    known.
     """
     diagonal = sums.sum(axis=(0, 1)).diagonal()
     if not (diagonal.all() and np.isfinite(sums).all()):

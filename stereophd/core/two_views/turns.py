@@ -75,37 +75,18 @@ def look_at_frame(
 ) -> tuple[Array, Array, Array, Booleans, Array]:  # fmt: skip
     """Return tracks predicted into an image and what detections are about them; add what these say about the poses.
 
-    Parameters
-    ----------
-    tracks : tuple
-        States (n, 6), covariances (n, 6, 6), which of them are in view (n,), and the time since then, s.
-    followed : tuple
-        Rows of the tracks that are looked at (t,), -1 for none; which of those count (t,), their responses (t, 6, 6 c)
-        to the poses of all c cameras, and the time since these, s. The responses become those after the frame.
-    pose : tuple of arrays
-        Rotation (3, 3) and centre (3,).
-    camera : tuple
-        fx, fy, cx, cy, px.
-    index : int
-        Number of the camera.
-    detections : tuple of arrays
-        Undistorted pixels (m, 2) and their covariances (m, 2, 2), px^2.
-    noise : tuple
-        Squared residual, in variances, within which a detection is a track's, and the factor of the variances of sums.
-    sums : array (2, c, 6, 7)
-        Information about the pose of each camera, and gradient, from every other one of the tracks looked at: the frame
-        is added.
+    The tracks are states (n, 6), covariances (n, 6, 6), which of them are in view (n,), and the time since then, s.
+    `followed` has the rows of those that are looked at (t,), -1 for none; which of those count (t,), their responses
+    (t, 6, 6 c) to the poses of all c cameras, which become those after the frame, and the time since these, s. The pose
+    is rotation (3, 3) and centre (3,), the camera fx, fy, cx, cy, px, and its number the index; detections are
+    undistorted pixels (m, 2) and their covariances (m, 2, 2), px^2. The noise is the squared residual, in variances,
+    within which a detection is a track's, and the factor of the variances of `sums` (2, c, 6, 7): information about the
+    pose of each camera, and gradient, from every other one of the tracks looked at, to which the frame is added.
 
-    Returns
-    -------
-    pixels, covariances : array (k, 2), (k, 2, 2)
-        Of the tracks looked at that count and are in view, and of a detection about them.
-    squares : array (k,)
-        Squared residuals of their nearest detections, in variances.
-    free : array (m,)
-        Which detections belong to no other track.
-    mean : array (2,)
-        Sum of those residuals that are within the limit, in its standard deviations; NaN without any.
+    Returns, of the tracks looked at that count and are in view, pixels (k, 2) and the covariances (k, 2, 2) of a
+    detection about them, squared residuals (k,) of their nearest detections, in variances; which detections (m,) belong
+    to no other track; and the sum (2,) of those residuals that are within the limit, in its standard deviations, NaN
+    without any.
     """
     states, covariances, in_view, since_s = tracks
     rows, counting, responses, passed_s = followed
@@ -179,17 +160,10 @@ def turn_ratios(
 ) -> Array:  # fmt: skip
     """Log-likelihood ratios (n, h) of a frame for each of n predicted points alone, of each turn against none.
 
-    Each of the detections (m, 2) may be the point's; it is missed with the probability `missed`, and `weight` is the
-    probability that it is detected over the density of detections in the image, px^2. Pixels are undistorted.
-
-    Parameters
-    ----------
-    points, covariances : array (n, 2), (n, 2, 2)
-        Predicted pixels, with the covariance of a detection about them, px^2.
-    camera : tuple
-        fx, fy, cx, cy, px.
-    turns : tuple of arrays
-        Fields of `Turns`.
+    Points (n, 2) are predicted pixels, with the covariances (n, 2, 2) of a detection about them, px^2. Each of the
+    detections (m, 2) may be the point's; it is missed with the probability `missed`, and `weight` is the probability
+    that it is detected over the density of detections in the image, px^2. Pixels are undistorted; the camera is fx, fy,
+    cx, cy, px, and the turns are the fields of `Turns`.
     """
     fx, fy, cx, cy = camera
     shifts, linear, spread = turns

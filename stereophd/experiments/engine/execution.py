@@ -15,7 +15,7 @@ import stereophd
 from stereophd.config.loading import LoadedConfig
 from stereophd.errors import InputError, StereophdError
 from stereophd.experiments.engine.base import Series
-from stereophd.experiments.engine.work import Chunk, Part, RunOutcome, RunResult, run_chunk
+from stereophd.experiments.engine.work import Chunk, Part, RunResult, run_chunk
 from stereophd.io.outputs.provenance import sha256_of
 from stereophd.pipeline.runs.progress import Progress
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
@@ -82,10 +82,11 @@ def execute(
             for number, outcomes in complete(workers, run_chunk, chunks):
                 if outcomes is None:
                     raise StereophdError(f"workers died {ATTEMPTS} times without finishing a run; {kept}")
-                good = [outcome.result for outcome in outcomes if outcome.error is None]
+                good = [result for result in outcomes if result.error is None]
                 if good:
-                    _store(store, good)
-                failed = [outcome for outcome in outcomes if outcome.error is not None]
+                    key = json.dumps([good[0].method, good[0].case, [result.run for result in good]])
+                    store.write(hashlib.sha256(key.encode()).hexdigest()[:NAME_LENGTH], good)
+                failed = [result for result in outcomes if result.error is not None]
                 _report(failed, attempt, kept)
                 for result in good:
                     see(result.method, result.case, result.series)
@@ -93,7 +94,7 @@ def execute(
                 if progress is not None:
                     progress(total - left, total)
                 if failed:
-                    again.append(Chunk(chunks[number].part, tuple(outcome.result.run for outcome in failed)))
+                    again.append(Chunk(chunks[number].part, tuple(result.run for result in failed)))
             chunks = again
 
 
@@ -109,18 +110,12 @@ def _chunks(missing: Sequence[tuple[Part, list[int]]], workers: int) -> list[Chu
     return [chunk for _, _, chunk in sorted(pieces, key=lambda piece: piece[:2])]
 
 
-def _store(store: UnfinishedRun, runs: Sequence[RunResult]) -> None:
-    """Store the runs of a chunk that came without an error."""
-    key = json.dumps([runs[0].method, runs[0].case, [run.run for run in runs]])
-    store.write(hashlib.sha256(key.encode()).hexdigest()[:NAME_LENGTH], runs)
-
-
-def _report(failed: Sequence[RunOutcome], attempt: int, kept: str) -> None:
+def _report(failed: Sequence[RunResult], attempt: int, kept: str) -> None:
     """Report what failed; raise an error where it is the user's, or there is no further attempt."""
-    for outcome in failed:
-        name = f"{outcome.result.method or 'bounds'}, {outcome.result.case}, run {outcome.result.run}"
-        if outcome.users:
-            raise InputError(f"{name}: {outcome.error}")
+    for result in failed:
+        name = f"{result.method or 'bounds'}, {result.case}, run {result.run}"
+        if result.users:
+            raise InputError(f"{name}: {result.error}")
         if attempt == ATTEMPTS:
-            raise StereophdError(f"{name}: failed {ATTEMPTS} times: {outcome.error}; {kept}")
-        LOGGER.warning("%s: failed, will be tried again: %s", name, outcome.error)
+            raise StereophdError(f"{name}: failed {ATTEMPTS} times: {result.error}; {kept}")
+        LOGGER.warning("%s: failed, will be tried again: %s", name, result.error)

@@ -4,7 +4,7 @@ The interval of a mean is Student's, at 95 %. A root mean square R = sqrt(mean o
 the mean of e^2, through the root. The bound of a case is the same for every method.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -129,35 +129,28 @@ def _summary(quantity: str, unit: str, times_s: Array | None, values: Array, bou
     return Summary(quantity, unit, times_s, runs.astype(np.int64), mean, std, low, high, bound)
 
 
-class QuantityCheck:
-    """Raises an error for a quantity that does not exist as soon as every method has one run in every case.
+def check_quantities(loaded: LoadedConfig, cells: Iterable[tuple[str, str]]) -> Callable[..., None]:
+    """Return what takes note of method, case and series of every run, of `cells`: their names of method and case.
 
-    So the error does not wait for all runs. `cells` are the names of method and case of everything that is run.
+    As soon as every method has one run in every case, and not after all runs, it raises InputError for a quantity of
+    the table or the figure that no run gave.
     """
+    settings, left = experiment_section(loaded), set(cells)
+    wanted = {
+        "experiment.table": settings.table or (),
+        "experiment.figure.quantities": settings.figure.quantities or (),
+    }
+    known: dict[str, None] = {}
 
-    def __init__(self, loaded: LoadedConfig, cells: Iterable[tuple[str, str]]) -> None:
-        settings = experiment_section(loaded)
-        self._path, self._windows = loaded.path, settings.windows
-        self._wanted = {
-            "experiment.table": settings.table or (),
-            "experiment.figure.quantities": settings.figure.quantities or (),
-        }
-        self._left = set(cells)
-        self._known: dict[str, None] = {}
-
-    def see(self, method: str, case: str, series: Sequence[Series]) -> None:
-        """Take note of what one run gave.
-
-        Raises InputError when this was the last first run, and no run gave a quantity of the table or the figure.
-        """
-        if (method, case) not in self._left:
+    def see(method: str, case: str, series: Sequence[Series]) -> None:
+        if (method, case) not in left:
             return
-        self._left.remove((method, case))
-        summaries = summarise([with_windows(series, self._windows)], [])
-        self._known |= dict.fromkeys(summary.quantity for summary in summaries)
-        if self._left:
-            return
-        for key, names in self._wanted.items():
-            for name in names:
-                if name not in self._known:
-                    raise InputError(f"{self._path}: {key}: unknown quantity {name}{nearest(name, self._known)}")
+        left.remove((method, case))
+        summaries = summarise([with_windows(series, settings.windows)], [])
+        known.update(dict.fromkeys(summary.quantity for summary in summaries))
+        unknown = [(key, name) for key, names in wanted.items() for name in names if name not in known]
+        if unknown and not left:
+            key, name = unknown[0]
+            raise InputError(f"{loaded.path}: {key}: unknown quantity {name}{nearest(name, known)}")
+
+    return see

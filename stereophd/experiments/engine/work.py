@@ -45,23 +45,16 @@ class RunResult:
     seed: int  # That of the table; 0 of bounds and of a run that gave nothing
     series: tuple[Series, ...]
     cpu_s: float  # Processor time of the method, s
+    error: str | None = None  # What ended it, if anything did
+    users: bool = False  # Whether the error is one of the configuration: the run would fail again
 
 
-@dataclass(frozen=True)
-class RunOutcome:
-    """A run, and the error that ended it, if there was one."""
-
-    result: RunResult
-    error: str | None
-    users: bool  # Whether the error is one of the configuration: the run would fail again
-
-
-def run_chunk(chunk: Chunk) -> list[RunOutcome]:
+def run_chunk(chunk: Chunk) -> list[RunResult]:
     """Do the runs of a chunk; an error of one run leaves the others."""
     return [_run(chunk.part, run) for run in chunk.runs]
 
 
-def _run(part: Part, run: int) -> RunOutcome:
+def _run(part: Part, run: int) -> RunResult:
     start = time.thread_time()
     seconds: list[float] = []
     series: Sequence[Series] = ()
@@ -76,7 +69,7 @@ def _run(part: Part, run: int) -> RunOutcome:
             error = str(failure)
     cpu_s = sum(seconds) if seconds else time.thread_time() - start
     seed = run_number(part.config.config.seed, run) if series and run != BOUND_RUN else 0
-    return RunOutcome(RunResult(part.method, part.case, run, seed, tuple(series), cpu_s), error, users)
+    return RunResult(part.method, part.case, run, seed, tuple(series), cpu_s, error, users)
 
 
 def cases_of(settings: ExperimentConfig) -> list[tuple[str, tuple[str, ...], list[tuple[str, Settings]]]]:

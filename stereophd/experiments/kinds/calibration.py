@@ -21,7 +21,7 @@ from stereophd.core.calibration.adjustment.recording import Recording
 from stereophd.core.calibration.annealing.method import HistoryRow
 from stereophd.core.calibration.unknowns.observability import UNDETERMINED, observability, pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.calibration.unknowns.quantities.base import RADIANS
+from stereophd.core.calibration.unknowns.quantities.base import LENGTH, RADIANS, SUFFIXES
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_METHOD, RUN_OBJECTS
 from stereophd.core.numerics.times import SAME_TIME_S
@@ -143,8 +143,8 @@ def _errors(
         }
         for name in ("rotation", "direction"):
             figures[f"{name}_error_ratio"] = figures[f"{name}_error"] / limit[f"{name}_std"]
-        for j, name in enumerate(_names(parameters)):
-            figures[f"{name}_error"] = abs(mean[j] - true[j]) * _scale(parameters, j)
+        for j, (name, _, factor) in enumerate(_unknowns(parameters, unit)):
+            figures[f"{name}_error"] = abs(mean[j] - true[j]) * factor
         for name, value in figures.items():
             values.setdefault(name, np.full(len(times), np.nan))[k] = value
     units = _units(parameters, unit)
@@ -168,17 +168,17 @@ def _bound_series(
     loaded: LoadedConfig, parameters: ParameterSet, reference: int, true: Array, covariances: Array
 ) -> list[Series]:
     """Return the bounds of the root mean squares (and of one unknown, of the mean) from covariances (t, m, m)."""
-    times, units = _times(loaded), _units(parameters, loaded.config.units.length)
+    times, length = _times(loaded), loaded.config.units.length
+    units = _units(parameters, length)
     spreads = [_spreads(parameters, reference, true, covariance) for covariance in covariances]
     series = [
         Series(f"{name}_rmse", units[f"{name}_error"], np.array([spread[f"{name}_std"] for spread in spreads]), times)
         for name in ("rotation", "direction", "center")
     ]
-    for j, name in enumerate(_names(parameters)):
-        roots = np.sqrt(covariances[:, j, j]) * _scale(parameters, j)
+    for j, (name, unit, factor) in enumerate(_unknowns(parameters, length)):
+        roots = np.sqrt(covariances[:, j, j]) * factor
         means = np.array([mean_error_norm(np.array([[root**2]])) for root in roots])
-        series.append(Series(f"{name}_rmse", units[f"{name}_error"], roots, times))
-        series.append(Series(f"{name}_error", units[f"{name}_error"], means, times))
+        series += [Series(f"{name}_rmse", unit, roots, times), Series(f"{name}_error", unit, means, times)]
     return series
 
 
@@ -194,20 +194,17 @@ def _spreads(parameters: ParameterSet, reference: int, values: Array, covariance
     }
 
 
-def _names(parameters: ParameterSet) -> list[str]:
-    return [name.replace(".", "_") for name in parameters.names]
-
-
-def _scale(parameters: ParameterSet, index: int) -> float:
-    return math.degrees(1.0) if parameters.parameters[index].unit == RADIANS else 1.0
+def _unknowns(parameters: ParameterSet, length: str) -> list[tuple[str, str, float]]:
+    """Return name and unit of every unknown, angles in degrees, and the factor to that unit."""
+    named = zip(parameters.names, (parameter.unit for parameter in parameters.parameters), strict=True)
+    shown = [(name, unit.replace(RADIANS, "deg").replace(LENGTH, length), SUFFIXES[unit][1]) for name, unit in named]
+    return [(name.replace(".", "_"), unit, factor) for name, unit, factor in shown]
 
 
 def _units(parameters: ParameterSet, length: str) -> dict[str, str]:
-    units = dict[str, str]()
+    units = {f"{name}_error": unit for name, unit, _ in _unknowns(parameters, length)}
     for kind in ("error", "std"):
         units |= {f"rotation_{kind}": "deg", f"direction_{kind}": "deg", f"center_{kind}": length}
-    for j, name in enumerate(_names(parameters)):
-        units[f"{name}_error"] = "deg" if parameters.parameters[j].unit == RADIANS else length
     return units
 
 

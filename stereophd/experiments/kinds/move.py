@@ -14,8 +14,8 @@ from stereophd.config.experiment import MoveScenario
 from stereophd.config.loading import LoadedConfig
 from stereophd.config.model import Config
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.moments import Sources, move
-from stereophd.core.disparity.moved import OUT_OF_VIEW
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import OUT_OF_VIEW, Sources
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import MOVE_REFERENCE, RUN_SINGLE_OBJECT

@@ -99,10 +99,8 @@ def filtered_points(
 def points_of_estimates(estimates: Sequence[Estimates]) -> PointSets:
     """Return reported objects as sets of points, one per scan."""
     start = np.concatenate([[0], np.cumsum([len(scan.track_ids) for scan in estimates])]).astype(np.int64)
-    states = np.concatenate([scan.states for scan in estimates])
-    covariances = np.concatenate([scan.covariances for scan in estimates])
-    labels = np.concatenate([scan.track_ids for scan in estimates])
-    return PointSets(start, states[:, :3], states[:, 3:], labels, covariances[:, :3, :3])
+    every = estimates[0].join(*estimates[1:])
+    return PointSets(start, every.states[:, :3], every.states[:, 3:], every.track_ids, every.covariances[:, :3, :3])
 
 
 def associated(

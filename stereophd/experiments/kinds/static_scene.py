@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from stereophd.config.experiment import StaticSceneScenario
 from stereophd.config.loading import LoadedConfig
@@ -20,6 +19,7 @@ from stereophd.core.bounds.known_association import AssociatedDetections, sight
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import projective
 from stereophd.core.metrics.distances.ospa import score_scans
+from stereophd.core.metrics.matching.near_pairs import least_cost
 from stereophd.core.metrics.scans import PointSets
 from stereophd.core.simulation.detections import CLUTTER_ID
 from stereophd.errors import InputError
@@ -135,10 +135,9 @@ def _assigned(camera: Camera, frame: Frame, positions: Array, covariances: Array
     spread = (slopes @ covariances @ np.swapaxes(slopes, 1, 2))[:, None] + noise[None]
     errors = seen.points[None] - pixels[:, None]
     distance = np.einsum("nmi,nmij,nmj->nm", errors, np.linalg.inv(spread), errors)
-    cost = np.where(visible[:, None], np.minimum(distance, GATE), GATE)
-    chosen, columns = linear_sum_assignment(cost)
-    kept = cost[chosen, columns] < GATE
-    return chosen[kept], columns[kept]
+    landmarks, detections = np.nonzero(visible[:, None] & (distance < GATE))
+    chosen = least_cost(landmarks, detections, distance[landmarks, detections], GATE)
+    return landmarks[chosen], detections[chosen]
 
 
 def _views(loaded: LoadedConfig, number: int) -> _Views:

@@ -17,7 +17,7 @@ from pydantic import BaseModel
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig, NoScale
 from stereophd.config.loading import LoadedConfig, variant
-from stereophd.core.alignment.cameras import moved_camera
+from stereophd.core.alignment.frames import moved_camera
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.control import World
 from stereophd.core.calibration.discovery.rig import FoundRig, View, discover

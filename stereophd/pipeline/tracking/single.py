@@ -16,13 +16,7 @@ from stereophd.core.multi.association.attribution import Claims
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.numerics.random_streams import SINGLE_ESTIMATOR
 from stereophd.core.single.base import AnyEstimator, SingleEstimate, SingleState
-from stereophd.core.single.settings import (
-    DisparityChoice,
-    DisparitySettings,
-    EstimatorSettings,
-    RectifiedChoice,
-    SingleSettings,
-)
+from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
 from stereophd.pipeline.stream import EventStream
 from stereophd.wording import instant
@@ -30,15 +24,6 @@ from stereophd.wording import instant
 # The object's identity in ``tracks.parquet``.
 TRACK = np.zeros(1, dtype=np.int64)
 NOTHING = Estimates(TRACK[:0], np.empty((0, 6)), np.empty((0, 6, 6)), np.empty(0), TRACK[:0])
-
-
-def estimator_settings(config: Config) -> EstimatorSettings:
-    """Return the settings of the single-object estimator that a configuration (``filter.kind: single``) names."""
-    assert isinstance(config.filter, SingleSettings)
-    choice = config.filter.estimator
-    if isinstance(choice, DisparityChoice | RectifiedChoice):
-        return DisparitySettings(config.moments, rectified=choice.kind == "rectified")
-    return choice
 
 
 def build_single(config: Config, motion: Motion, cameras: tuple[Camera, ...], path: Path | str) -> AnyEstimator:
@@ -57,7 +42,7 @@ def build_single(config: Config, motion: Motion, cameras: tuple[Camera, ...], pa
     from stereophd.core.single.build import build_estimator  # only here: filters for many objects need none of it
 
     try:
-        return build_estimator(estimator_settings(config), rig, motion, prior, rng)
+        return build_estimator(config.filter.estimator, config.moments, rig, motion, prior, rng)
     except ValueError as error:
         raise InputError(f"{path}: filter.estimator: {error}") from None
 
@@ -101,12 +86,12 @@ class SingleTracker:
 
     def step(self, state: SingleTrackerState[Any], event: Event) -> tuple[SingleTrackerState[Any], Info, Estimates]:
         """Return the state after an event, which has at most one detection, its diagnostics, and the object."""
-        new, info = self.estimator.step(state.estimator, event)
+        new, log_likelihood = self.estimator.step(state.estimator, event)
         estimate = self.estimator.estimate(new)
         known = estimate is not None
         detected = TRACK[: len(event.points)]
         claims = Claims(detected, detected, np.ones(len(detected)))
-        full = Info(info.log_likelihood, float(known), int(known), detected, claims)
+        full = Info(log_likelihood, float(known), int(known), detected, claims)
         return SingleTrackerState(new, known), full, _estimates(estimate, self.point)
 
     def forecast(self, state: SingleTrackerState[Any], info: Info, time_s: float) -> tuple[Info, Estimates]:

@@ -147,17 +147,13 @@ def _evaluation(evaluation: Evaluation, start: float) -> dict[str, Any]:
     false = (scores["n_estimates"] - scores["n_matched"]).astype(float)
     penalty = 0.5 * cutoff**order
     localisation = np.maximum(scores["gospa"] ** order - penalty * (missed + false), 0.0) ** (1.0 / order)
+    names = ("ospa", "ospa_localisation", "ospa_cardinality", "gospa", "n_truth", "n_estimates")
     columns = {
-        "ospa": scores["ospa"],
-        "ospa_localisation": scores["ospa_localisation"],
-        "ospa_cardinality": scores["ospa_cardinality"],
-        "gospa": scores["gospa"],
+        **{name: scores[name].astype(float) for name in names},
         # nothing but rounding, where no object and no estimate match
         "gospa_localisation": np.where(localisation > LEAST_DISTANCE * cutoff, localisation, 0.0),
         "gospa_missed": (penalty * missed) ** (1.0 / order),
         "gospa_false": (penalty * false) ** (1.0 / order),
-        "n_truth": scores["n_truth"].astype(float),
-        "n_estimates": scores["n_estimates"].astype(float),
     }
     return {
         **_timed(binned(scores["time_s"], columns, SCANS), start),

@@ -56,16 +56,11 @@ def _resource(name: str) -> str:
     return files(__package__).joinpath(name).read_text(encoding="utf-8")
 
 
-def _doubtful(run: Run) -> bool:
-    warns = any(finding["status"] == "warning" for finding in run.report.get("checks", ()))
-    undetermined = run.report.get("status") not in (None, "determined")
-    empty = run.command == "track" and not tracking_part(run.report).get("tracks")
-    return warns or undetermined or empty
-
-
 def _verdict(run: Run) -> str:
     text = verdict(run.report, None if run.evaluation is None else run.evaluation.report)
-    doubtful = _doubtful(run)
+    doubtful = any(finding["status"] == "warning" for finding in run.report.get("checks", ()))
+    doubtful |= run.report.get("status") not in (None, "determined")
+    doubtful |= run.command == "track" and not tracking_part(run.report).get("tracks")
     mark = "<span>Doubtful:</span> " if doubtful else "<span aria-hidden='true'>&#10003;</span> "
     return (
         f"<p class='verdict {'doubt' if doubtful else 'fine'}'><strong>{escape(run.name)}</strong> "
@@ -75,46 +70,43 @@ def _verdict(run: Run) -> str:
 
 def comparison(runs: Sequence[Run]) -> SummaryTable:
     """Return the figures of all runs side by side; rows that no run has are left out."""
-    columns = [dict(zip(_FIGURES, _figures(run), strict=True)) for run in runs]
+    columns = [dict(_figures(run)) for run in runs]
     rows = [
         (name, *(column[name] or "-" for column in columns))
-        for name in _FIGURES
+        for name in columns[0]
         if any(column[name] is not None for column in columns)
     ]
     return SummaryTable("Summary", ("", *(run.name for run in runs)), tuple(rows))
 
 
-_FIGURES = (
-    "command", "seed", "filter", "tracks", "estimates", "detections", "explained", "residual", "log-likelihood",
-    "warnings", "OSPA", "GOSPA", "position error, RMSE", "identity switches", "consistency (NEES of position)",
-    "NEES without uncertain cameras", "uncertain cameras: common move, other move",
-)  # fmt: skip
-
-
-def _figures(run: Run) -> Iterator[str | None]:
+def _figures(run: Run) -> Iterator[tuple[str, str | None]]:
     tracking = tracking_part(run.report)
     config, unit = run.provenance["config"], run.length_unit
     score = None if run.evaluation is None else run.evaluation.report
     totals = fit_totals(tracking)
-    yield run.command
-    yield None if run.provenance["seed"] is None else str(run.provenance["seed"])
-    yield (config.get("filter") or {}).get("kind")
-    yield str(len(tracking["tracks"])) if "tracks" in tracking else None
-    yield str(tracking["estimates"]) if "estimates" in tracking else None
-    yield str(totals.detections) if tracking.get("cameras") else None
-    yield None if totals.explained is None else share(totals.explained)
-    yield None if totals.residual_px is None else f"{number(totals.residual_px, 2)} px"
-    yield f"{tracking['log_likelihood']:.1f}" if "log_likelihood" in tracking else None
-    yield str(sum(c["status"] == "warning" for c in run.report["checks"])) if "checks" in run.report else None
-    yield f"{number(score['ospa']['mean'])} {unit}" if score else None
-    yield f"{number(score['gospa'].get('mean'))} {unit}" if score else None
-    yield f"{number(score['rmse'].get('position'))} {unit}" if score else None
-    yield str(score["identity_switches"]) if score and score["identity_switches"] is not None else None
-    nees = score["nees"] if score else {}
-    yield f"{number(nees['position'])} ({nees['dimension']} is right)" if nees.get("position") is not None else None
-    yield number(score["nees"]["without_cameras"]) if score and "without_cameras" in score["nees"] else None
+    yield "command", run.command
+    yield "seed", None if run.provenance["seed"] is None else str(run.provenance["seed"])
+    yield "filter", (config.get("filter") or {}).get("kind")
+    yield "tracks", str(len(tracking["tracks"])) if "tracks" in tracking else None
+    yield "estimates", str(tracking["estimates"]) if "estimates" in tracking else None
+    yield "detections", str(totals.detections) if tracking.get("cameras") else None
+    yield "explained", None if totals.explained is None else share(totals.explained)
+    yield "residual", None if totals.residual_px is None else f"{number(totals.residual_px, 2)} px"
+    yield "log-likelihood", f"{tracking['log_likelihood']:.1f}" if "log_likelihood" in tracking else None
+    checks = run.report.get("checks")
+    yield "warnings", None if checks is None else str(sum(check["status"] == "warning" for check in checks))
+    yield "OSPA", f"{number(score['ospa']['mean'])} {unit}" if score else None
+    yield "GOSPA", f"{number(score['gospa'].get('mean'))} {unit}" if score else None
+    yield "position error, RMSE", f"{number(score['rmse'].get('position'))} {unit}" if score else None
+    switches, nees = (score["identity_switches"], score["nees"]) if score else (None, {})
+    yield "identity switches", None if switches is None else str(switches)
+    expected = f" ({nees.get('dimension')} is right)"
+    known = nees.get("position") is not None
+    yield "consistency (NEES of position)", number(nees["position"]) + expected if known else None
+    yield "NEES without uncertain cameras", number(nees["without_cameras"]) if "without_cameras" in nees else None
     part = tracking.get("cameras_part")
-    yield f"{number(part.get('common_std'))}, {number(part.get('other_std'))} {unit}" if part else None
+    moves = f"{number(part.get('common_std'))}, {number(part.get('other_std'))} {unit}" if part else None
+    yield "uncertain cameras: common move, other move", moves
 
 
 def _details(run: Run, index: int) -> str:

@@ -59,10 +59,9 @@ def camera_frames(run: Run, paths: Paths, budget: int, start_s: float) -> list[d
         kept = chosen(len(events), max(int(budget / (per_frame * len(run.cameras))), 1))
         place = np.full(len(events), -1)
         place[kept] = np.arange(len(kept))
-        rows = rows_of[(place[event] >= 0) & np.isfinite(pixels[rows_of, 0])]
-        at = place[event[(place[event] >= 0) & np.isfinite(pixels[rows_of, 0])]]
-        order = np.argsort(at, kind="stable")
-        rows, at = rows[order], at[order]
+        shown = np.flatnonzero((place[event] >= 0) & np.isfinite(pixels[rows_of, 0]))
+        shown = shown[np.argsort(place[event[shown]], kind="stable")]
+        rows, at = rows_of[shown], place[event[shown]]
         keys = zip(frames[rows].tolist(), pixels[rows, 0].tolist(), pixels[rows, 1].tolist(), strict=True)
         owner = np.array([owners.get((camera.name, *key), -1) for key in keys])
         seen_at, seen_path, seen = _reprojected(camera, paths, events[kept, 0], run.up)

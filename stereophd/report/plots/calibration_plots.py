@@ -64,12 +64,9 @@ def _draw_history(outcome: Outcome, length_unit: str) -> Figure:
     columns = 3 if count > 3 else count
     rows = -(-count // columns)
     figure, axes = _grid(rows, columns, 4.0, 2.6)
-    for index in range(rows * columns):
-        panel = axes[index // columns][index % columns]
-        if index >= count:
-            panel.set_visible(False)
-            continue
-        factor, label = drawn[index]
+    for panel in axes.flat[count:]:
+        panel.set_visible(False)
+    for index, (panel, (factor, label)) in enumerate(zip(axes.flat, drawn, strict=False)):
         mean = factor * np.array([row.mean[index] for row in outcome.history])
         std = factor * np.sqrt(np.array([row.covariance[index, index] for row in outcome.history]))
         prior = NINETY * factor * parameters.prior_std[index]

@@ -6,8 +6,9 @@ Needs the extra ``plot``. The same results give the same files.
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -16,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from stereophd.core.arrays import Array
-from stereophd.experiments.engine.results import Cell, Results
+from stereophd.experiments.engine.results import STATISTICS, Cell, Results
 from stereophd.experiments.engine.summary import Summary
 from stereophd.report.style import (
     INK,
@@ -33,8 +34,6 @@ from stereophd.wording import counted
 BOUND_LABEL = "bound"
 DASHES = (0, (4, 3))
 
-# Columns of a summary that a line holds.
-STATISTICS = ("mean", "ci_low", "ci_high", "bound")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 # Small files that are still sharp enough for a page.
@@ -57,16 +56,8 @@ SIGMAS = 2.0
 POINTS = 181
 
 
-@dataclass(frozen=True)
-class _Line:
-    """One method along the axis of the figure."""
-
-    label: str
-    x: Array
-    mean: Array
-    low: Array
-    high: Array
-    bound: Array
+# Of each method: values along the axis of the figure (k,), and a summary of as many.
+Lines = Mapping[str, tuple[Array, Summary]]
 
 
 class _PlainNumbers(LogFormatter):
@@ -81,7 +72,9 @@ def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
     with mpl.rc_context(STYLE):
         moved = results.config.scenario.kind == "move"
         figure = _draw_moves(results) if moved else _draw(results)
-        _add_title(figure, results)
+        if title := results.config.figure.title:
+            text = f"{title}: {counted(results.config.runs, 'run')}{'' if moved else ', 95 % intervals'}"
+            figure.suptitle(text, x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
         save_figures(dict.fromkeys(plots_named(paths), figure), paths, pad_inches=0.12, dpi=DPI)
 
 
@@ -117,14 +110,6 @@ def _draw(results: Results) -> Figure:
     return figure
 
 
-def _add_title(figure: Figure, results: Results) -> None:
-    title = results.config.figure.title
-    if title:
-        bands = "" if results.config.scenario.kind == "move" else ", 95 % intervals"
-        text = f"{title}: {counted(results.config.runs, 'run')}{bands}"
-        figure.suptitle(text, x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
-
-
 def _quantities(results: Results) -> list[str]:
     if results.config.figure.quantities is not None:
         return list(results.config.figure.quantities)
@@ -152,15 +137,14 @@ def _kinds_of_panel(results: Results, quantity: str, over: str | None) -> tuple[
     return (False, True) if known else (False,)
 
 
-def _draw_ratios(axes: Axes, lines: Sequence[_Line]) -> None:
+def _draw_ratios(axes: Axes, lines: Lines) -> None:
     """Draw what the methods reach as multiples of the bound."""
-    ratios = [
-        _Line(line.label, line.x, *(getattr(line, name) / line.bound for name in ("mean", "low", "high", "bound")))
-        for line in lines
-    ]
+    ratios = {}
+    for method, (x, line) in lines.items():
+        values: dict[str, Any] = {name: getattr(line, name) / line.bound for name in STATISTICS}
+        ratios[method] = x, replace(line, **values)
     _draw_curves(axes, ratios, marked=True)
-    values = np.concatenate([line.mean for line in ratios])
-    if np.nanmax(values) > LARGEST_LINEAR_RATIO:
+    if np.nanmax(np.concatenate([line.mean for _, line in ratios.values()])) > LARGEST_LINEAR_RATIO:
         _set_logarithmic(axes)
 
 
@@ -176,12 +160,12 @@ def _panel(
     """Draw one panel, of a quantity or of its ratio to the bound, and return the unit of the quantity."""
     unit = next((summary.unit for cell in cells for summary in cell.summaries if summary.quantity == quantity), "")
     if over is None:
-        lines = [
-            _Line(cell.method, summary.times_s, summary.mean, summary.ci_low, summary.ci_high, summary.bound)
+        lines: Lines = {
+            cell.method: (summary.times_s, summary)
             for cell in cells
             for summary in cell.summaries
             if summary.quantity == quantity and summary.times_s is not None
-        ]
+        }
         _draw_curves(axes, lines)
     else:
         numbers = _numbers(results, over)
@@ -196,7 +180,7 @@ def _panel(
     settings = results.config.figure
     if settings.log:
         _set_logarithmic(axes)
-    elif all((line.mean[np.isfinite(line.mean)] >= 0).all() for line in lines):
+    elif all((line.mean[np.isfinite(line.mean)] >= 0).all() for _, line in lines.values()):
         axes.set_ylim(bottom=0)
     if settings.most is not None:
         axes.set_ylim(top=settings.most)
@@ -211,7 +195,7 @@ def _numbers(results: Results, over: str) -> Array | None:
     return np.array(values, dtype=float)
 
 
-def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: str) -> list[_Line]:
+def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: str) -> Lines:
     """Return one line per method along an axis of the cases."""
     position = list(results.config.cases).index(over)
     places = {name: i for i, (name, _) in enumerate(results.config.cases[over].points())}
@@ -223,52 +207,44 @@ def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: st
         for summary in cell.summaries:
             if summary.quantity == quantity and summary.times_s is None:
                 by_method.setdefault(cell.method, []).append((x, summary))
-    return [
-        _Line(
-            method,
-            np.array([x for x, _ in points]),
-            *(np.array([getattr(summary, name)[0] for _, summary in points]) for name in STATISTICS),
-        )
-        for method, points in by_method.items()
-    ]
+    lines = {}
+    for method, points in by_method.items():
+        values = {name: np.array([getattr(of, name)[0] for _, of in points]) for name in ("runs", *STATISTICS)}
+        lines[method] = np.array([x for x, _ in points]), Summary(quantity, points[0][1].unit, None, **values)
+    return lines
 
 
-def _draw_curves(axes: Axes, lines: Sequence[_Line], marked: bool = False) -> None:
-    for number, line in enumerate(lines):
-        colour, marker = colour_of(number), MARKERS[number % len(MARKERS)]
-        axes.fill_between(line.x, line.low, line.high, color=colour, alpha=0.2, linewidth=0)
+def _draw_curves(axes: Axes, lines: Lines, marked: bool = False) -> None:
+    for number, (method, (x, line)) in enumerate(lines.items()):
+        colour, marker = colour_of(number), MARKERS[number % len(MARKERS)] if marked else None
+        axes.fill_between(x, line.ci_low, line.ci_high, color=colour, alpha=0.2, linewidth=0)
         axes.plot(
-            line.x,
+            x,
             line.mean,
             color=colour,
             linewidth=1.4,
             linestyle=dash_of(number),
-            label=line.label,
-            marker=marker if marked else None,
+            label=method,
+            marker=marker,
             markersize=4,
         )
-    bound = next((line for line in lines if np.isfinite(line.bound).any()), None)
-    if bound is not None:
-        axes.plot(bound.x, bound.bound, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL)
+    for x, line in [(x, line) for x, line in lines.values() if np.isfinite(line.bound).any()][:1]:
+        axes.plot(x, line.bound, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL)
     axes.margins(x=0.02)
 
 
-def _draw_points(axes: Axes, lines: Sequence[_Line], names: Sequence[str]) -> None:
+def _draw_points(axes: Axes, lines: Lines, names: Sequence[str]) -> None:
     """Draw methods side by side at each case, and the bound across them."""
-    count = len(lines)
-    for i, line in enumerate(lines):
+    for i, (method, (x, line)) in enumerate(lines.items()):
         colour, marker = colour_of(i), MARKERS[i % len(MARKERS)]
-        x = line.x + SPREAD * ((i + 0.5) / count - 0.5)
-        errors = np.abs(np.array([line.mean - line.low, line.high - line.mean]))
+        beside = x + SPREAD * ((i + 0.5) / len(lines) - 0.5)
+        errors = np.abs(np.array([line.mean - line.ci_low, line.ci_high - line.mean]))
         axes.errorbar(
-            x, line.mean, yerr=errors, color=colour, marker=marker, markersize=5, linestyle="none", label=line.label
+            beside, line.mean, yerr=errors, color=colour, marker=marker, markersize=5, linestyle="none", label=method
         )
-    bound = next((line for line in lines if np.isfinite(line.bound).any()), None)
-    if bound is not None:
+    for x, line in [(x, line) for x, line in lines.values() if np.isfinite(line.bound).any()][:1]:
         half = 0.5 * SPREAD + 0.08
-        axes.hlines(
-            bound.bound, bound.x - half, bound.x + half, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL
-        )
+        axes.hlines(line.bound, x - half, x + half, color=INK, linewidth=1.2, linestyle=DASHES, label=BOUND_LABEL)
     axes.set_xticks(range(len(names)), names)
     axes.set_xlim(-0.6, len(names) - 0.4)
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.metrics.scans import UNLABELLED, PointSets
+from stereophd.core.metrics.scans import UNLABELLED
 from stereophd.core.metrics.truth.interpolation import in_window
 from stereophd.report.plots.views import SceneView, field_of_view, limits, viewing_depth, views
 from stereophd.report.style import (
@@ -58,9 +58,7 @@ def draw_ospa(pictures: Pictures) -> Figure:
     unit = unit_text(pictures) if pictures.base == "euclidean" else ""
     figure, (whole, parts) = _time_axes(2)
     bins = _bins(columns["time_s"])
-    if bins.count.max() > 1:
-        low, high = bins.least(columns["ospa"]), bins.most(columns["ospa"])
-        whole.fill_between(bins.time_s, low, high, color=GREY, alpha=0.3, linewidth=0, label="least to most")
+    bins.fill_range(whole, columns["ospa"], color=GREY, alpha=0.3)
     mean = float(columns["ospa"].mean())
     whole.plot(bins.time_s, bins.mean(columns["ospa"]), color=INK, linewidth=1.4, label="OSPA", **bins.style)
     whole.axhline(mean, color=INK, linewidth=1, linestyle=(0, (4, 3)), label=f"mean {mean:.3g}{unit}")
@@ -93,11 +91,7 @@ def draw_cardinality(pictures: Pictures) -> Figure:
     columns = pictures.columns
     figure, (axes,) = _time_axes(1)
     bins = _bins(columns["time_s"])
-    if bins.count.max() > 1:
-        low, high = bins.least(columns["n_estimates"]), bins.most(columns["n_estimates"])
-        axes.fill_between(
-            bins.time_s, low, high, step="mid", color=BLUE, alpha=0.15, linewidth=0, label="least to most"
-        )
+    bins.fill_range(axes, columns["n_estimates"], step="mid", color=BLUE, alpha=0.15)
     for name, label, colour, width in (("n_truth", "truth", INK, 3.2), ("n_estimates", "estimates", BLUE, 1.4)):
         axes.plot(
             bins.time_s,
@@ -137,13 +131,11 @@ class _Bins:
         """Return the mean of each bin, as it is drawn over `time_s`."""
         return self._broken(np.add.reduceat(values, self.start) / self.count)
 
-    def least(self, values: NDArray[Any]) -> Array:
-        """Return the least value of each bin."""
-        return self._broken(np.minimum.reduceat(values, self.start))
-
-    def most(self, values: NDArray[Any]) -> Array:
-        """Return the greatest value of each bin."""
-        return self._broken(np.maximum.reduceat(values, self.start))
+    def fill_range(self, axes: Axes, values: NDArray[Any], **style: Any) -> None:
+        """Fill the range from the least to the greatest value of each bin, where bins hold several scans."""
+        if self.count.max() > 1:
+            low, high = (self._broken(of.reduceat(values, self.start)) for of in (np.minimum, np.maximum))
+            axes.fill_between(self.time_s, low, high, linewidth=0, label="least to most", **style)
 
     def _broken(self, values: NDArray[Any]) -> Array:
         return np.insert(values.astype(np.float64), self.gap, np.nan)
@@ -187,25 +179,17 @@ def draw_views(pictures: Pictures) -> dict[str, Figure]:
     points = pictures.truth.position[rows]
     cameras = [camera.at(float(time[0])) for camera in pictures.cameras]
     scene = np.concatenate([points, *(camera.pose.center[None] for camera in cameras)])
-    titles = {"top": "From above", "side": "From the side"}
-    return {
-        name: _draw_view(pictures, view, titles[name], rows, cameras, scene)
-        for name, view in views(cameras, scene).items()
-    }
+    figures = {}
+    for name, view in views(cameras, scene).items():
+        figures[name], axes = view_axes(view, scene, bracketed(unit_text(pictures)))
+        draw_camera_views(axes, cameras, points, view)
+        _draw_estimates(axes, pictures, view, scene)
+        _draw_truth(axes, pictures, view, rows)
+        legend_right(axes, ("truth", "start", "estimates", "false", "cameras"))
+    return figures
 
 
-def _draw_view(
-    pictures: Pictures, view: SceneView, title: str, rows: Any, cameras: Sequence[Camera], scene: Array
-) -> Figure:
-    figure, axes = view_axes(view, scene, title, bracketed(unit_text(pictures)))
-    draw_camera_views(axes, cameras, pictures.truth.position[rows], view)
-    _draw_estimates(axes, pictures.estimates, view, *limits(view.project(scene)), pictures.false_tracks)
-    _draw_truth(axes, pictures, view, rows)
-    legend_right(axes, ("truth", "start", "estimates", "false", "cameras"))
-    return figure
-
-
-def view_axes(view: SceneView, scene: Array, title: str, unit: str) -> tuple[Figure, Axes]:
+def view_axes(view: SceneView, scene: Array, unit: str) -> tuple[Figure, Axes]:
     """Return a figure with axes for a view of a scene (n, 3), to scale; `unit` follows the names of the axes."""
     across, along = limits(view.project(scene))
     width, height = across[1] - across[0], along[1] - along[0]
@@ -219,7 +203,7 @@ def view_axes(view: SceneView, scene: Array, title: str, unit: str) -> tuple[Fig
     names = "xyz"
     axes.set_xlabel(f"{names[view.horizontal]}{unit}")
     axes.set_ylabel(f"{names[view.vertical]}{unit}{' (down)' if view.inverted else ''}")
-    axes.set_title(title)
+    axes.set_title(view.title)
     return figure, axes
 
 
@@ -228,15 +212,11 @@ def draw_camera_views(axes: Axes, cameras: Sequence[Camera], points: Array, view
     across, along = axes.get_xlim(), axes.get_ylim()
     axes.autoscale(False)
     for camera in cameras:
-        _draw_field_of_view(axes, camera, viewing_depth(camera, points), view)
+        if (depth := viewing_depth(camera, points)) > 0:
+            outline = field_of_view(camera, depth, view)
+            axes.fill(*outline.T, facecolor=CAMERA_COLOUR, alpha=0.07, linewidth=0, zorder=1)
+            axes.fill(*outline.T, fill=False, edgecolor=CAMERA_COLOUR, alpha=0.35, linewidth=0.8, zorder=1)
     _draw_cameras(axes, cameras, view, 0.03 * max(abs(across[1] - across[0]), abs(along[1] - along[0])))
-
-
-def _draw_field_of_view(axes: Axes, camera: Camera, depth: float, view: SceneView) -> None:
-    if depth > 0:
-        outline = field_of_view(camera, depth, view)
-        axes.fill(*outline.T, facecolor=CAMERA_COLOUR, alpha=0.07, linewidth=0, zorder=1)
-        axes.fill(*outline.T, fill=False, edgecolor=CAMERA_COLOUR, alpha=0.35, linewidth=0.8, zorder=1)
 
 
 def _draw_cameras(axes: Axes, cameras: Sequence[Camera], view: SceneView, near: float) -> None:
@@ -273,13 +253,11 @@ def _draw_cameras(axes: Axes, cameras: Sequence[Camera], view: SceneView, near: 
         )
 
 
-def _draw_estimates(
-    axes: Axes, estimates: PointSets, view: SceneView, across: tuple[float, float], along: tuple[float, float],
-    false_tracks: frozenset[int],
-) -> None:  # fmt: skip
-    """Draw the estimates that lie within the limits, and state how many do not."""
+def _draw_estimates(axes: Axes, pictures: Pictures, view: SceneView, scene: Array) -> None:
+    """Draw the estimates that lie within the limits of a scene (n, 3), and state how many do not."""
+    estimates = pictures.estimates
     drawn = view.project(estimates.position)
-    low, high = np.stack([across, along], axis=1)
+    low, high = np.stack(limits(view.project(scene)), axis=1)
     inside = np.asarray(((drawn >= low) & (drawn <= high)).all(axis=1))
     rows = np.flatnonzero(inside)
     rows = rows[:: max(1, -(-len(rows) // MOST_POINTS_DRAWN))]
@@ -297,20 +275,16 @@ def _draw_estimates(
             marker=TRACK_MARKERS[number],
             linewidths=0, zorder=3, rasterized=True,
         )  # fmt: skip
-    _mark_false(axes, drawn[rows], labels, false_tracks)
+    false = rows[np.isin(labels, np.array(sorted(pictures.false_tracks), dtype=np.int64))]
+    if len(false):
+        # some estimates of each false track
+        false = false[:: max(1, len(false) // MOST_CROSSES)]
+        axes.plot(*drawn[false].T, "x", color=WRONG, markersize=7, zorder=5, label="false tracks")
     hidden = int(len(inside) - inside.sum())
     name = "estimates" + (",\na colour for each track" if labelled else "")
     name += " and\na mark for each round of colours" if rounds.any() else ""
     name += f",\n{hidden} outside the picture" if hidden else ""
     axes.plot([], [], marker="o", markersize=4, color=TRACK_COLOURS[0], linestyle="none", label=name)
-
-
-def _mark_false(axes: Axes, points: Array, labels: Integers, false_tracks: frozenset[int]) -> None:
-    """Cross out some estimates of each false track."""
-    false = np.flatnonzero(np.isin(labels, np.array(sorted(false_tracks), dtype=np.int64)))
-    if len(false):
-        false = false[:: max(1, len(false) // MOST_CROSSES)]
-        axes.plot(*points[false].T, "x", color=WRONG, markersize=7, zorder=5, label="false tracks")
 
 
 def _draw_truth(axes: Axes, pictures: Pictures, view: SceneView, rows: Any) -> None:

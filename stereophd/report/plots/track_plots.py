@@ -8,16 +8,14 @@ from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from stereophd.errors import InputError
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.columns import Paths
 from stereophd.report.page.frames import camera_residuals, paths_of_run
 from stereophd.report.plots.scene_plots import draw_camera_views, view_axes
-from stereophd.report.plots.views import SceneView, views
+from stereophd.report.plots.views import views
 from stereophd.report.style import (
     BLUE,
     ORANGE,
@@ -64,9 +62,8 @@ def _draw_view(run: Run, tracks: Paths, name: str) -> Figure:
     time = float(tracks.times.min()) if len(tracks.times) else 0.0
     cameras = [camera.at(time) for camera in run.cameras]
     scene = np.concatenate([points, *(camera.pose.center[None] for camera in cameras)])
-    view: SceneView = views(cameras, scene)[name]
-    title = {"top": "From above", "side": "From the side"}[name]
-    figure, axes = view_axes(view, scene, title, f" [{run.length_unit}]" if run.length_unit else "")
+    view = views(cameras, scene)[name]
+    figure, axes = view_axes(view, scene, f" [{run.length_unit}]" if run.length_unit else "")
     draw_camera_views(axes, cameras, points, view)
     drawn = view.project(points)
     for number, track_id in enumerate(tracks.ids.tolist()):
@@ -112,7 +109,14 @@ def _draw_residuals(run: Run, tracks: Paths) -> Figure:
     figure = new_figure(9.0, 0.9 + 1.7 * max(len(by_camera), 1))
     grid = figure.subplots(max(len(by_camera), 1), 1, sharex=True, squeeze=False)[:, 0]
     for axes, camera, (times, values, _) in zip(grid, run.cameras, by_camera, strict=False):
-        _draw_camera_residuals(axes, times, values)
+        order = np.argsort(times, kind="stable")
+        parts = [part for part in np.array_split(order, max(1, min(40, len(order) // 15))) if len(part)]
+        middle = [float(times[part].mean()) for part in parts]
+        for axis, (name, colour) in enumerate((("u", BLUE), ("v", ORANGE))):
+            axes.scatter(times, values[:, axis], s=3, color=colour, linewidths=0, alpha=0.4, rasterized=True)
+            mean = [float(values[part, axis].mean()) for part in parts]
+            axes.plot(middle, mean, color=colour, linewidth=1.6, label=f"mean along {name}")
+        axes.legend(loc="upper right", fontsize=7, ncols=2)
         rms = float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
         axes.set_title(f"{camera.name}: root mean square {rms:.2f} px", fontsize=10)
         axes.set_ylabel("px")
@@ -120,15 +124,3 @@ def _draw_residuals(run: Run, tracks: Paths) -> Figure:
     if not by_camera:
         grid[-1].text(0.5, 0.5, "no associations were kept", transform=grid[-1].transAxes, ha="center")
     return figure
-
-
-def _draw_camera_residuals(axes: Axes, times: NDArray[np.float64], values: NDArray[np.float64]) -> None:
-    for axis, (name, colour) in enumerate((("u", BLUE), ("v", ORANGE))):
-        axes.scatter(times, values[:, axis], s=3, color=colour, linewidths=0, alpha=0.4, rasterized=True)
-        order = np.argsort(times, kind="stable")
-        parts = np.array_split(order, max(1, min(40, len(order) // 15)))
-        parts = [part for part in parts if len(part)]
-        middle = [float(times[part].mean()) for part in parts]
-        mean = [float(values[part, axis].mean()) for part in parts]
-        axes.plot(middle, mean, color=colour, linewidth=1.6, label=f"mean along {name}")
-    axes.legend(loc="upper right", fontsize=7, ncols=2)

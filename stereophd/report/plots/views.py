@@ -1,9 +1,10 @@
 """The world seen from above and from the side: which axes, how far, and what the cameras see."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
@@ -21,6 +22,7 @@ class SceneView:
     horizontal: int
     vertical: int
     inverted: bool = False  # The vertical axis points down on the page
+    title: str = field(default="From above", compare=False)
 
     def project(self, points: Array) -> Array:
         """Return the drawn coordinates (n, 2) of world points (n, 3)."""
@@ -57,7 +59,7 @@ def views(cameras: Sequence[Camera], points: Array) -> dict[str, SceneView]:
         first, second = second, first
     extent = np.ptp(points, axis=0) if len(points) else np.ones(3)
     longer = first if extent[first] >= extent[second] else second
-    return {"top": SceneView(first, second), "side": SceneView(longer, vertical, inverted=is_down)}
+    return {"top": SceneView(first, second), "side": SceneView(longer, vertical, is_down, "From the side")}
 
 
 def limits(points: Array) -> tuple[tuple[float, float], tuple[float, float]]:
@@ -73,13 +75,15 @@ def limits(points: Array) -> tuple[tuple[float, float], tuple[float, float]]:
 
 
 def field_of_view(camera: Camera, depth: float, view: SceneView) -> Array:
-    """Return the outline (n, 2) of what a camera sees up to a depth, as drawn in a view."""
+    """Return the outline (n, 2) of what a camera sees up to a depth, its convex hull as drawn in a view."""
     u = np.array([-0.5, camera.width / 2 - 0.5, camera.width - 0.5])
     v = np.array([-0.5, camera.height / 2 - 0.5, camera.height - 0.5])
     pixels = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     far = camera.unproject(pixels, np.full(len(pixels), depth))
     corners = np.concatenate([camera.pose.center[None], far[np.isfinite(far).all(axis=1)]])
-    return convex_hull(view.project(corners))
+    drawn = view.project(corners)
+    # a lens may reach so little of the image that all lie on a line
+    return drawn[ConvexHull(drawn).vertices] if np.linalg.matrix_rank(drawn - drawn[0]) == 2 else drawn
 
 
 def viewing_depth(camera: Camera, points: Array) -> float:
@@ -89,24 +93,3 @@ def viewing_depth(camera: Camera, points: Array) -> float:
     """
     depth = camera.pose.to_camera(points)[:, 2] if len(points) else np.zeros(0)
     return VIEW_MARGIN * float(max(depth.max(initial=0.0), 0.0))
-
-
-def convex_hull(points: Array) -> Array:
-    """Return the corners of the convex hull of points (n, 2), counter-clockwise (monotone chain)."""
-    ordered = np.unique(points, axis=0)
-    if len(ordered) < 3:
-        return ordered
-
-    def chain(row: Array) -> list[Array]:
-        hull: list[Array] = []
-        for point in row:
-            while len(hull) > 1 and _turn(hull[-2], hull[-1], point) <= 0:
-                hull.pop()
-            hull.append(point)
-        return hull[:-1]
-
-    return np.array(chain(ordered) + chain(ordered[::-1]))
-
-
-def _turn(a: Array, b: Array, c: Array) -> float:
-    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))

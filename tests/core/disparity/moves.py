@@ -13,8 +13,8 @@ from functools import cache
 
 import numpy as np
 
-from stereophd.core.disparity.moments import Sources, move
-from stereophd.core.disparity.moved import Moved
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import Moved, Sources
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity

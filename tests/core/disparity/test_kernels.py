@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.disparity import rule_move, sample_move, trips
+from stereophd.core.disparity.moved import Sources
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.numerics.linear_algebra import cholesky, condition
@@ -307,10 +308,8 @@ def test_linear_move_is_the_jacobian_of_the_trip(kind: str, dt: float, max_speed
 
     found_means, found = np.empty((1, 6)), np.empty((1, 6, 6))
     axes = destination.camera.pose.rotation * ACCELERATION
-    rule_move.linear_components(
-        mean[None], covariance[None], source.packed()[None], motion.arrays(np.array([dt])), axes, destination.packed(),
-        found_means, found,
-    )  # fmt: skip
+    sources = Sources(mean[None], covariance[None], source.packed()[None], motion.arrays(np.array([dt])))
+    rule_move.linear_components(sources, axes, destination.packed(), found_means, found)
     np.testing.assert_allclose(found_means, destination.from_world(moved), rtol=1e-10)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
     np.testing.assert_allclose(found[0] / scale, expected / scale, rtol=0, atol=1e-6)

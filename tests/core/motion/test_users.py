@@ -27,8 +27,8 @@ from stereophd.core.simulation.objects import MovingObject, Path
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import (
     CartesianSettings,
-    DisparitySettings,
-    EstimatorSettings,
+    DisparityChoice,
+    EstimatorChoice,
     InverseDepthSettings,
     ParticleSettings,
 )
@@ -131,8 +131,8 @@ def test_tracked_objects_have_the_errors_that_the_filter_states(word: str, kind:
     assert 2.0 < np.mean(squares) < 4.2
 
 
-SINGLES: dict[str, EstimatorSettings] = {
-    "disparity": DisparitySettings(MomentsSettings(samples=128)),
+SINGLES: dict[str, EstimatorChoice] = {
+    "disparity": DisparityChoice(),
     "inverse_depth": InverseDepthSettings(),
     "extended": CartesianSettings(rule="extended"),
     "unscented": CartesianSettings(rule="unscented"),
@@ -149,7 +149,8 @@ def test_single_object_estimators(word: str, estimator: str) -> None:
     squares = []
     for seed in range(6):
         states = path(motion, seed)
-        built = build_estimator(SINGLES[estimator], cameras, motion, prior, np.random.default_rng(seed))
+        moments, rng = MomentsSettings(samples=128), np.random.default_rng(seed)
+        built = build_estimator(SINGLES[estimator], moments, cameras, motion, prior, rng)
         state = built.init()
         for event in events(cameras, states, seed):
             state, _ = built.step(state, event)

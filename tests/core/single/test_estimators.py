@@ -19,19 +19,23 @@ from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.build import build_estimator
 from stereophd.core.single.settings import (
     CartesianSettings,
-    DisparitySettings,
-    EstimatorSettings,
+    DisparityChoice,
+    EstimatorChoice,
     InverseDepthSettings,
     ParticleSettings,
+    RectifiedChoice,
 )
 from tests.core.single import scenes
 
-ALL: dict[str, EstimatorSettings] = {
-    "disparity": DisparitySettings(),
-    "adaptive": DisparitySettings(MomentsSettings(method="adaptive")),
-    "linear": DisparitySettings(MomentsSettings(method="linear")),
-    "unscented": DisparitySettings(MomentsSettings(method="unscented")),
-    "pseudo-random": DisparitySettings(MomentsSettings(method="particle", samples=250)),
+MOMENTS = {
+    "disparity": MomentsSettings(),
+    "adaptive": MomentsSettings(method="adaptive"),
+    "linear": MomentsSettings(method="linear"),
+    "unscented": MomentsSettings(method="unscented"),
+    "pseudo-random": MomentsSettings(method="particle", samples=250),
+}
+ALL: dict[str, EstimatorChoice] = {
+    **dict.fromkeys(MOMENTS, DisparityChoice()),
     "particle": ParticleSettings(particles=2000),
     "regularised": ParticleSettings(particles=500, regularised=True, resampling="residual"),
     "inverse depth": InverseDepthSettings(),
@@ -43,7 +47,8 @@ STATE = np.array([2.0, -3.0, 120.0, 1.0, 0.5, 3.0])
 
 
 def build(name: str, rig: Rig, motion: Motion, prior: InitialPrior) -> AnyEstimator:
-    return build_estimator(ALL[name], rig, motion, prior, np.random.default_rng(7))
+    moments = MOMENTS.get(name, MomentsSettings())
+    return build_estimator(ALL[name], moments, rig, motion, prior, np.random.default_rng(7))
 
 
 def converging(**options: float) -> Rig:
@@ -95,19 +100,16 @@ def test_rectified_static_is_least_squares(name: str) -> None:
         information = information + matrix.T @ matrix / 2.0
         vector = vector + matrix.T @ (event.points[0] - at[0] + matrix @ first) / 2.0
     expected = np.linalg.solve(information, vector)
-    settings = ALL[name]
-    assert isinstance(settings, DisparitySettings)
-    for rectified in (False, True):
-        estimator = build_estimator(
-            replace(settings, rectified=rectified), rig, Static(), prior, np.random.default_rng(1)
-        )
+    for settings in (DisparityChoice(), RectifiedChoice()):
+        estimator = build_estimator(settings, MOMENTS[name], rig, Static(), prior, np.random.default_rng(1))
         state = estimator.init()
         for event in sequence:
             state, _ = estimator.step(state, event)
-        home = DisparitySpace(rig.cameras[state.camera])
+        spaces = [DisparitySpace(camera) for camera in rig.cameras]
+        home = next(each for each in spaces if np.array_equal(each.packed(), state.home))
         found = space.from_world(home.to_world(state.mean[None]))[0]
         np.testing.assert_allclose(found, expected, rtol=1e-9)
-        if rectified:
+        if settings.kind == "rectified":
             np.testing.assert_allclose(state.covariance, np.linalg.inv(information), rtol=1e-8, atol=1e-12)
         estimate = estimator.estimate(state)
         np.testing.assert_allclose(estimate.map[:3], space.to_world(expected[None])[0], rtol=1e-9)
@@ -122,8 +124,8 @@ def test_rectified_moving_agrees_with_the_general_algorithm() -> None:
     )
     sequence = events(rig, STATE, [0.5 * k for k in range(40)], np.random.default_rng(4))
     one, two = (
-        run(build_estimator(DisparitySettings(rectified=r), rig, motion, prior, np.random.default_rng(1)), sequence)
-        for r in (False, True)
+        run(build_estimator(one, MomentsSettings(), rig, motion, prior, np.random.default_rng(1)), sequence)
+        for one in (DisparityChoice(), RectifiedChoice())
     )
     std = np.sqrt(np.diag(one.covariance))
     assert (np.abs(one.mean - two.mean) < 0.05 * std).all()
@@ -131,14 +133,15 @@ def test_rectified_moving_agrees_with_the_general_algorithm() -> None:
 
 
 def test_rectified_refuses_other_cameras() -> None:
-    settings, prior = DisparitySettings(rectified=True), InitialPrior(disparity=DisparityPrior(mean_px=8.0, std_px=2.0))
+    prior = InitialPrior(disparity=DisparityPrior(mean_px=8.0, std_px=2.0))
+    settings = RectifiedChoice(), MomentsSettings()
     with pytest.raises(ValueError, match="right to be rectified with left"):
-        build_estimator(settings, converging(), Static(), prior, np.random.default_rng(1))
+        build_estimator(*settings, converging(), Static(), prior, np.random.default_rng(1))
     ahead = scenes.camera("right", 20.0, 0.0)
     ahead = replace(ahead, pose=replace(ahead.pose, center=np.array([20.0, 0.0, 5.0])))
     before = scenes.rig(scenes.camera("left", 0.0, 0.0), ahead)
     with pytest.raises(ValueError, match="rectified"):
-        build_estimator(settings, before, Static(), prior, np.random.default_rng(1))
+        build_estimator(*settings, before, Static(), prior, np.random.default_rng(1))
 
 
 @pytest.mark.parametrize("name", KALMAN)
@@ -167,15 +170,15 @@ def test_pure_and_patient(name: str) -> None:
     state = estimator.init()
     assert estimator.estimate(state) is None
     nothing = make_event(rig.cameras[0], 0, -1.0, np.empty((0, 2)))
-    state, info = estimator.step(state, nothing)
+    state, log_likelihood = estimator.step(state, nothing)
     assert estimator.estimate(state) is None
-    assert info.log_likelihood == 0.0
+    assert log_likelihood == 0.0
     for event in sequence:
         before = state
-        state, info = estimator.step(before, event)
+        state, log_likelihood = estimator.step(before, event)
         again, _ = estimator.step(before, event)
         np.testing.assert_array_equal(estimator.estimate(state).mean, estimator.estimate(again).mean)
-        assert np.isfinite(info.log_likelihood)
+        assert np.isfinite(log_likelihood)
     known = estimator.estimate(state)
     later, _ = estimator.step(state, replace(nothing, time_s=2.0))
     coasted = estimator.estimate(later)

@@ -3,9 +3,6 @@
 import math
 from typing import Literal
 
-import numpy as np
-from numpy.typing import NDArray
-
 from stereophd.core.geometry.layout import LENS_NONE
 from stereophd.core.geometry.lenses.base import LensModel
 from stereophd.core.settings import parameter, settings
@@ -18,9 +15,5 @@ class NoDistortion:
     model: Literal["none"] = parameter("the lens model", default="none")
 
 
-def max_radius(coefficients: NDArray[np.float64]) -> float:
-    """Return inf: nothing folds back."""
-    return math.inf
-
-
-LENS = LensModel(NoDistortion, LENS_NONE, max_radius)
+# Nothing folds back.
+LENS = LensModel(NoDistortion, LENS_NONE, lambda _: math.inf)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.distances.ospa import Ospa, check_parameters, ospa_of_sums
-from stereophd.core.metrics.matching.near_pairs import NearPairs, least_cost
+from stereophd.core.metrics.matching.near_pairs import NearPairs, least_cost, number_tracks
 from stereophd.core.metrics.scans import UNLABELLED, PointSets
 
 # Windows are summed for about this many (scan, track, object) at once, some 20 megabytes in all.
@@ -106,10 +106,7 @@ def _number_tracks(points: PointSets, anonymous: Booleans) -> Integers:
     label, scan = points.label[order], points.scan[order]
     alone = anonymous.copy()
     alone[order[1:]] |= (np.diff(label) == 0) & (np.diff(scan) == 0)
-    number = np.empty(len(label), dtype=np.int64)
-    names, number[~alone] = np.unique(points.label[~alone], return_inverse=True)
-    number[alone] = len(names) + np.arange(alone.sum())
-    return number
+    return number_tracks(points.label, alone)[0]
 
 
 def _base_distances(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.scans import UNLABELLED, PointSets
 from stereophd.core.numerics.covariance_factors import is_positive_definite
 from stereophd.core.numerics.rows import ArrayRows
@@ -83,21 +83,20 @@ class Couples:
 
 def couples(estimates: PointSets, truth: PointSets, near: NearPairs) -> Couples:
     """Return the couples of the near pairs; an estimate without an identity is a track of its own."""
-    track_of, count = _numbered_tracks(estimates.label)
+    track_of, count = number_tracks(estimates.label, estimates.label <= UNLABELLED)
     object_of = np.unique(truth.label, return_inverse=True)[1].astype(np.int64)
     names, number = np.unique(object_of[near.truth] * count + track_of[near.estimate], return_inverse=True)
     objects, tracks = np.divmod(names, max(count, 1))
     return Couples(object_of, track_of, objects, tracks, number)
 
 
-def _numbered_tracks(label: Integers) -> tuple[Integers, int]:
-    """Number the tracks of estimates (n,) from zero; return the numbers and how many tracks there are."""
-    known = label > UNLABELLED
-    names, number = np.unique(label[known], return_inverse=True)
-    out = np.empty(len(label), dtype=np.int64)
-    out[known] = number
-    out[~known] = len(names) + np.arange(np.count_nonzero(~known))
-    return out, len(names) + int(np.count_nonzero(~known))
+def number_tracks(label: Integers, alone: Booleans) -> tuple[Integers, int]:
+    """Number the tracks of points (n,) from zero, one for each label and for each point `alone` (n,); count them."""
+    number = np.empty(len(label), dtype=np.int64)
+    names, number[~alone] = np.unique(label[~alone], return_inverse=True)
+    count = int(np.count_nonzero(alone))
+    number[alone] = len(names) + np.arange(count)
+    return number, len(names) + count
 
 
 def least_cost(rows: Integers, columns: Integers, cost: Array, unpaired: float) -> Integers:

@@ -28,13 +28,6 @@ class Truth:
     velocity: Array | None = None  # (n, 3) array or None: Length unit per second; None where only positions are known
 
     @property
-    def object_start(self) -> Integers:
-        """First row of each object, and the number of rows: (objects + 1,)."""
-        change = np.flatnonzero(np.diff(self.object_id)) + 1
-        ends = [len(self.object_id)] if len(self.object_id) else []
-        return np.concatenate([[0], change, ends]).astype(np.int64)
-
-    @property
     def step_s(self) -> float:
         """Median time between successive rows of an object; infinite when no object has two rows."""
         step = np.diff(self.time_s)[np.diff(self.object_id) == 0]
@@ -113,7 +106,9 @@ def align_truth(truth: Truth, time_s: Array, max_gap_s: float) -> AlignedTruth:
     over. Velocities are those of the truth, interpolated, or else fitted to its positions (`fitted_velocities`); NaN
     where there is none.
     """
-    starts = truth.object_start
+    change = np.flatnonzero(np.diff(truth.object_id)) + 1
+    ends = [len(truth.object_id)] if len(truth.object_id) else []
+    starts = np.concatenate([[0], change, ends]).astype(np.int64)
     first, end = starts[:-1], starts[1:]
     birth, death = truth.time_s[first], truth.time_s[end - 1]
     begin = np.searchsorted(time_s, birth - SAME_TIME_S, side="left")

@@ -147,7 +147,9 @@ def _solve(
         return True, math.log(total)
     rows, row_names = _renumber(tracks, cluster, numbers)
     columns, column_names = _renumber(detections, cluster, numbers)
-    too_dense = _too_dense(len(cluster), len(row_names) + len(column_names))
+    # Steps of one row and a frontier of at most w columns are a path decomposition of width w, and a graph that has one
+    # has fewer than w edges for each node: no plan, and no search for one, for denser crowds.
+    too_dense = len(cluster) > MOST_WIDTH * (len(row_names) + len(column_names))
     if too_dense and not last:
         return False, 0.0
     weights = picked(odds, cluster)
@@ -178,16 +180,6 @@ def _solve(
     for j in range(len(column_names)):
         unclaimed[column_names[j]] = by_detection[j]
     return True, value
-
-
-@compiled
-def _too_dense(n_pairs: int, n_nodes: int) -> bool:
-    """Whether a cluster of tracks and detections has too many pairs for any plan within `MOST_WIDTH`.
-
-    Steps of one row and a frontier of at most w columns are a path decomposition of width w, and a graph that has one
-    has fewer than w edges for each node. Dense crowds are thus left to other levels without a search for a plan.
-    """
-    return n_pairs > MOST_WIDTH * n_nodes
 
 
 @compiled

@@ -67,7 +67,10 @@ def pair_likelihoods(
     high = np.zeros(count, dtype=np.int64)
     total = 0
     column, row = points[:, 0].copy(), points[:, 1].copy()
-    same = _same_noise(noises)
+    # whether each detection has the noise of the one before
+    same = np.zeros(len(noises), dtype=np.bool_)
+    for j in range(1, len(noises)):
+        same[j] = _are_equal(noises[j], noises[j - 1])
     # bounds of the delays, and of the change of u with the disparity
     smallest, greatest = np.zeros(2), np.zeros(2)
     if readings is not None and len(readings) > 0:
@@ -127,15 +130,6 @@ def pair_likelihoods(
         if n_pairs - begin > most:
             n_pairs = begin + _keep_densest(detections[begin:n_pairs], densities[begin:n_pairs], most)
     return components[:n_pairs], detections[:n_pairs], densities[:n_pairs]
-
-
-@compiled
-def _same_noise(noises: Array) -> NDArray[np.bool_]:
-    """Whether each detection has the noise (m, 2, 2) of the one before."""
-    same = np.zeros(len(noises), dtype=np.bool_)
-    for j in range(1, len(noises)):
-        same[j] = _are_equal(noises[j], noises[j - 1])
-    return same
 
 
 @compiled

@@ -8,11 +8,14 @@ within that time is detected again under its identity.
 
 import math
 
-from stereophd.core.arrays import Array, Integers
-from stereophd.core.disparity.moved import OUT_OF_VIEW
+from stereophd.core.arrays import Array
+from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
+from stereophd.core.motion.arrays import MotionArrays
+from stereophd.core.multi.state.inputs import EventNumbers
+from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.core.numerics.compilation.compiled import compiled
 
 
@@ -49,30 +52,25 @@ IMPORTANT_WEIGHT = 0.1
 @compiled
 def keep_surviving_weights(
     weights: Array,
-    status: Integers,
-    inside: Array,
-    means: Array,
-    tracks: Integers,
-    cameras: Integers,
+    mixture: GaussianMixture,
+    moved: Moved,
     homes: Array,
-    reach: Array,
-    drift: Array,
+    motion: MotionArrays,
     views: Array,
-    camera: int,
-    elapsed: float,
-    time_constant: float,
+    numbers: EventNumbers,
 ) -> float:
     """Lessen the weights (n,) of moved components by what is lost, in place; return their sum.
 
-    Existence outside every view is multiplied by ``exp(-elapsed / time_constant)``: where the event's camera has too
-    little of a component in view (`status`) and no camera has its mean in view, moved on to the time of the event. What
+    Existence outside every view is multiplied by ``exp(-elapsed / out_of_view_s)`` of the event: where its camera has
+    too little of a component in view and no camera has its mean in view, moved on to the time of the event. What
     lies outside the region is gone; what was never established (no identity, and light) and has left the view of the
-    only camera that may have seen it is forgotten, or clutter would fill the world around the view. `status` and
-    `inside` are those of `Moved`, `means` (n, d) in packed `homes` (n, 30), `tracks` and `cameras` those of the
-    components before the move; `reach` (n,) and `drift` (n, 6) are those of `MotionArrays` up to the event, and `views`
-    (c, 30) the packed spaces of all cameras then. `camera` is that of the event, `elapsed` the time since the last one,
-    s; with an infinite time constant nothing fades.
+    only camera that may have seen it is forgotten, or clutter would fill the world around the view. The mixture is that
+    before the move, in packed `homes` (n, 30), and `views` (c, 30) are the packed spaces of all cameras at the event.
+    With an infinite time constant nothing fades.
     """
+    _, means, _, cameras, _, _, tracks, _ = mixture
+    status, inside, reach, drift = moved.status, moved.inside, motion.reach, motion.drift
+    camera, elapsed, time_constant = numbers.camera, numbers.elapsed, numbers.out_of_view_s
     total = 0.0
     fading = 1.0 if elapsed <= 0.0 or math.isinf(time_constant) else math.exp(-elapsed / time_constant)
     for k in range(len(weights)):

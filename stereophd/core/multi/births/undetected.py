@@ -29,6 +29,7 @@ from stereophd.core.disparity.initial import FirstSight
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.filter_settings.common import BirthPrior
+from stereophd.core.multi.state.inputs import EventNumbers
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Places in the image (across, down) and quantiles of the disparity that measure how far views overlap.
@@ -72,26 +73,18 @@ def birth_rates(prior: BirthPrior) -> tuple[float, float, float]:
 
 @compiled
 def expected_births(
-    before: Undetected,
-    rates: tuple[float, float, float],
-    remaining: Array,
-    camera: int,
-    elapsed: float,
-    n_detections: int,
-    p_detect: float,
-    clutter: float,
-    known: float,
+    before: Undetected, rates: tuple[float, float, float], remaining: Array, numbers: EventNumbers, known: float
 ) -> tuple[float, Undetected, int]:
     """Expected number of undetected objects in view of an event, what the event leaves of them, and its burst.
 
-    `before` is what the last event left, the rates are `birth_rates`, and `elapsed` is the time since then, s.
-    `remaining` (c,), a column of `undetected_shares`, has for each camera the share of the objects in its view that the
-    frame leaves. `p_detect` and `clutter` are those of the detector, and `known` is the expected number of detections
-    of known objects. What is beyond them by more than `max_per_frame` is a burst of clutter, the number of these
-    detections, else 0; nothing is born from it, and the objects remain undetected.
+    `before` is what the last event left, and the rates are `birth_rates`. `remaining` (c,), a column of
+    `undetected_shares`, has for each camera the share of the objects in its view that the frame leaves. `known` is the
+    expected number of detections of known objects. What is beyond them by more than `max_per_frame` is a burst of
+    clutter, the number of these detections, else 0; nothing is born from it, and the objects remain undetected.
     """
     per_s, initial, max_per_frame = rates
-    after = Undetected(before.counts + per_s * elapsed, before.initial_share.copy(), before.peaks.copy())
+    camera, n_detections, p_detect, clutter = numbers.camera, numbers.n_detections, numbers.p_detect, numbers.clutter
+    after = Undetected(before.counts + per_s * numbers.elapsed, before.initial_share.copy(), before.peaks.copy())
     counts, share, peaks = after
     if n_detections - known > max_per_frame:
         return 0.0, after, math.ceil(n_detections - known)

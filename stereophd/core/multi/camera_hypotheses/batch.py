@@ -19,7 +19,7 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moments import NO_REGION, looks_at
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births
-from stereophd.core.multi.state.inputs import with_births
+from stereophd.core.multi.state.inputs import with_births, with_newborns
 from stereophd.core.multi.state.mixture import GaussianMixture, concatenate, empty_mixture
 
 # Hypotheses that a thread takes at a time: enough to hide the call, few enough to share them out evenly.
@@ -97,7 +97,7 @@ class FilterBatch:
         template, mixture = self.template, state.mixture
         bare = template.event_numbers(state.time_s, event, state.next_label)
         births, undetected, burst = template.expected_births(state.undetected, bare.elapsed, event)
-        arrays = template.event_arrays(event)
+        arrays = with_newborns(*template.detections(event), template.state_size)
         settings: Any = template.reduction
         weight = prune_weight_for_births(settings.prune_weight, births, bare.p_detect, bare.clutter)
         numbers, reduction = with_births(bare, births, burst), settings._replace(prune_weight=weight)

@@ -8,10 +8,16 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association.likelihoods import kalman_updates, pair_likelihoods
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allocate_outcomes, fill_missed
-from stereophd.core.multi.state.reduction import reduce_mixture
+from stereophd.core.multi.state.mixture import (
+    UNLABELLED,
+    GaussianMixture,
+    allocate_outcomes,
+    fill_missed,
+    take_components,
+)
+from stereophd.core.multi.state.reduction import merge_sorted
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import group, places, stable_order
+from stereophd.core.numerics.sorting import group, picked, places, stable_order
 
 # Part of the intensity at a detection that is left to others at least, against rounding.
 LEAST_OTHERS = 1e-12
@@ -102,23 +108,10 @@ def label_shares(
     and 0.0002 in these odds. Its larger covariance, and its distance from the detected part, would enter the moments of
     what is merged: the stated covariance would be half as large again as the errors.
 
-    Parameters
-    ----------
-    labels : array (n,) of int
-        Labels of the components before the event.
-    weights : array (n + p + m,)
-        Weights of the components missed, of the pairs of a component and a detection, and of the newborn.
-    components, detections, joint : arrays (p,)
-        Component and detection of each pair, and the intensity w_i p_D g_ij.
-    others : array (m,)
-        Intensity at each detection of everything, this label included.
-    least : float
-        Part of it that is clutter and births.
-
-    Returns
-    -------
-    array (n + p + m,)
-        The sum over a label stays; newborn and unlabelled components keep their weights.
+    Labels (n,) are those before the event, weights (n + p + m,) those of the components missed, of the pairs of a
+    component and a detection (p,), with the intensity w_i p_D g_ij (`joint`), and of the newborn. `others` (m,) is the
+    intensity at each detection of everything, this label included, and `least` the part of it that is clutter and
+    births. The sum over a label stays; newborn and unlabelled components keep their weights.
     """
     count, made = len(labels), len(others)
     number, known = group(labels)
@@ -158,7 +151,26 @@ def label_shares(
 
 @compiled
 def reduce_intensity(mixture: GaussianMixture, shares: Array, settings: PhdReduction) -> tuple[GaussianMixture, int]:
-    """`reduce_mixture` with these shares and settings."""
-    return reduce_mixture(
-        mixture, shares, settings.prune_weight, settings.merge_distance, settings.max_components, settings.mutual
-    )
+    """Drop components below a weight, merge near ones (`merge_sorted`, with these shares), and keep the heaviest.
+
+    Returns the mixture in order of falling weight of the heaviest part, whose identity a merged component keeps, and
+    the number of components that `max_components` left out.
+    """
+    heavy = places(mixture.weights >= settings.prune_weight)
+    order = picked(heavy, stable_order(-picked(mixture.weights, heavy)))
+    reduced = take_components(mixture, order)
+    if settings.merge_distance > 0.0 and len(reduced.weights) > 1:
+        weights, means, covariances, leaders = merge_sorted(
+            reduced, picked(shares, order), settings.merge_distance, settings.mutual
+        )
+        reduced = GaussianMixture(
+            weights, means, covariances, reduced.cameras[leaders], reduced.times[leaders], reduced.labels[leaders],
+            reduced.tracks[leaders], reduced.reported[leaders]
+        )  # fmt: skip
+    left_out = max(len(reduced.weights) - settings.max_components, 0)
+    if left_out > 0:
+        kept = np.zeros(len(reduced.weights), dtype=np.bool_)
+        for k in stable_order(-reduced.weights)[: settings.max_components]:
+            kept[k] = True
+        reduced = take_components(reduced, places(kept))
+    return reduced, left_out

@@ -56,7 +56,10 @@ def reduce_tracks(mixture: GaussianMixture, known: Existences, settings: PmbRedu
         out_labels[k] = UNLABELLED
     joined, changed = _join_tracks(slice_components(out, 0, first), settings.merge_distance, hypothesis_distance)
     if changed:
-        out = _concatenate(joined, slice_components(out, first, len(out.weights)))
+        whole, kept = out, len(joined.weights)
+        out = allocate_mixture(kept + len(whole.weights) - first, mixture.means.shape[1])
+        copy_components(joined, np.arange(kept), out, 0)
+        copy_components(whole, np.arange(first, len(whole.weights)), out, kept)
     return out, joined.weights.sum()
 
 
@@ -92,6 +95,7 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
     found = take_components(mixture, picked(index, order))
     _, means, covariances, cameras, times, labels, tracks, reported = found
     weights = picked(given, order)
+    found = GaussianMixture(weights, *found[1:])
     leaders = np.empty(len(weights), dtype=np.int64)
     merged, start = 0, 0
     while start < len(weights):
@@ -106,10 +110,7 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
             merged += 1
         else:
             # what is written lies before what is still to be read
-            w, m, c, heaviest = merge_sorted(
-                weights[start:end], weights[start:end], means[start:end], covariances[start:end], cameras[start:end],
-                times[start:end], distance, True
-            )  # fmt: skip
+            w, m, c, heaviest = merge_sorted(slice_components(found, start, end), weights[start:end], distance, True)
             for i in range(len(w)):
                 weights[merged] = w[i]
                 copy_gaussian(m, c, i, means, covariances, merged)
@@ -248,12 +249,3 @@ def _within(difference: Array, covariance: Array, distance: float) -> bool:
     """Whether a difference (d,) is within a squared Mahalanobis distance."""
     factor = np.empty_like(covariance)
     return cholesky(covariance, factor) and squared_distance(difference, factor, np.empty_like(difference)) <= distance
-
-
-@compiled
-def _concatenate(first: GaussianMixture, second: GaussianMixture) -> GaussianMixture:
-    a, b = len(first.weights), len(second.weights)
-    out = allocate_mixture(a + b, first.means.shape[1])
-    copy_components(first, np.arange(a), out, 0)
-    copy_components(second, np.arange(b), out, a)
-    return out

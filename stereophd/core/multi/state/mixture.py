@@ -46,10 +46,7 @@ class GaussianMixture(NamedTuple):
 
     def take(self, index: Integers) -> GaussianMixture:
         """Return the components with these indices."""
-        return GaussianMixture(
-            self.weights[index], self.means[index], self.covariances[index], self.cameras[index], self.times[index],
-            self.labels[index], self.tracks[index], self.reported[index]
-        )  # fmt: skip
+        return GaussianMixture._make(values[index] for values in self)
 
     def with_weights(self, weights: Array) -> GaussianMixture:
         """Return the same components with other weights."""

@@ -1,29 +1,28 @@
-"""Mixture reduction: pruning, merging (Vo and Ma 2006, Table II) and a cap on the components."""
+"""Mixture reduction: near components are merged (Vo and Ma 2006, Table II)."""
 
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.multi.state.mixture import GaussianMixture, take_components
+from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
-from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
+from stereophd.core.numerics.sorting import copy_gaussian
 
 
 @compiled
 def merge_sorted(
-    weights: Array,
-    shares: Array,
-    means: Array,
-    covariances: Array,
-    cameras: Integers,
-    times: Array,
-    distance: float,
-    mutual: bool,
+    mixture: GaussianMixture, shares: Array, distance: float, mutual: bool
 ) -> tuple[Array, Array, Array, Integers]:
-    """Merge components (Vo and Ma 2006, Table II); `weights` in falling order; `shares`, `mutual` as below.
+    """Merge components in falling order of their weights (Vo and Ma 2006, Table II).
 
-    Returns the merged weights, means and covariances, and the index of the heaviest part of each.
+    Components are compared only with those at home in the same camera at the same time. One is merged into a heavier
+    one below a squared Mahalanobis distance in the covariance of the lighter; if `mutual`, in that of the heavier as
+    well. Otherwise, as in the textbook, a component of known depth absorbs every light one of unknown depth, and its
+    own depth is then unknown too. `shares` (n,) are what each component counts for the mean and the covariance of a
+    merged one; the weights for its moments as a part of the intensity. Returns the merged weights, means and
+    covariances, and the index of the heaviest part of each.
     """
+    weights, means, covariances, cameras, times, _, _, _ = mixture
     count, size = means.shape
     used = np.zeros(count, dtype=np.bool_)
     factored = np.zeros(count, dtype=np.bool_)
@@ -129,43 +128,3 @@ def _mark_candidates(
     for k in range(len(first)):
         square = (first[k] - place) * (first[k] - place)
         candidates[k] = (cameras[k] == camera) & (times[k] == time) & (square <= reaches[k]) & (square <= reach)
-
-
-@compiled
-def reduce_mixture(
-    mixture: GaussianMixture,
-    shares: Array,
-    prune_weight: float,
-    merge_distance: float,
-    max_components: int,
-    mutual: bool = True,
-) -> tuple[GaussianMixture, int]:
-    """Drop components below a weight, merge near ones, and keep the heaviest.
-
-    Components are compared only with those at home in the same camera at the same time. One is merged into a heavier
-    one below a squared Mahalanobis distance in the covariance of the lighter; if `mutual`, in that of the heavier as
-    well. Otherwise, as in the textbook, a component of known depth absorbs every light one of unknown depth, and its
-    own depth is then unknown too. `shares` (n,) are what each component counts for the mean and the covariance of a
-    merged one; the weights for its moments as a part of the intensity. Returns the mixture in order of falling weight
-    of the heaviest part, whose identity a merged component keeps, and the number of components that `max_components`
-    left out.
-    """
-    heavy = places(mixture.weights >= prune_weight)
-    order = picked(heavy, stable_order(-picked(mixture.weights, heavy)))
-    reduced = take_components(mixture, order)
-    if merge_distance > 0.0 and len(reduced.weights) > 1:
-        weights, means, covariances, leaders = merge_sorted(
-            reduced.weights, picked(shares, order), reduced.means, reduced.covariances, reduced.cameras, reduced.times,
-            merge_distance, mutual
-        )  # fmt: skip
-        reduced = GaussianMixture(
-            weights, means, covariances, reduced.cameras[leaders], reduced.times[leaders], reduced.labels[leaders],
-            reduced.tracks[leaders], reduced.reported[leaders]
-        )  # fmt: skip
-    left_out = max(len(reduced.weights) - max_components, 0)
-    if left_out > 0:
-        kept = np.zeros(len(reduced.weights), dtype=np.bool_)
-        for k in stable_order(-reduced.weights)[:max_components]:
-            kept[k] = True
-        reduced = take_components(reduced, places(kept))
-    return reduced, left_out

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.initial import FirstSight, initial_moments
-from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved, allocate_moved
+from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved, Sources, allocate_moved
 from stereophd.core.disparity.sample_move import Look, move_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.association.likelihoods import kalman_updates, pair_likelihoods
@@ -98,7 +98,7 @@ def explain_rows(
     size = out.means.shape[2]
     means, covariances = np.empty((explanations * count, size)), np.empty((explanations * count, size, size))
     homes = np.empty((explanations * count, spaces.shape[1]))
-    moved = allocate_moved(explanations * count, size)
+    sources, moved = Sources(means, covariances, homes, motion), allocate_moved(explanations * count, size)
     totals = np.zeros(explanations)
     which, nowhere = np.empty(explanations, dtype=np.int64), np.empty(0)
     for row in range(count):
@@ -116,9 +116,7 @@ def explain_rows(
                 homes[k, a] = spaces[before, a]
             which[going] = k
             going += 1
-        move_components(
-            which[:going], means, covariances, homes, motion, look, spaces[row], 0.0, nowhere, moved
-        )  # fmt: skip
+        move_components(which[:going], sources, look, spaces[row], 0.0, nowhere, moved)
         for i in range(going):
             k = which[i]
             h = k // count

@@ -129,13 +129,6 @@ class ClaimedRows(NamedTuple):
     noises: Array
     readings: Array | None
 
-    def backwards(self) -> ClaimedRows:
-        """Return the rows in reverse order."""
-        return self.take(np.arange(len(self.labels))[::-1])
-
     def take(self, index: Integers) -> ClaimedRows:
         """Return some of the rows."""
-        return ClaimedRows(
-            self.cameras[index], self.times[index], self.labels[index], self.points[index], self.noises[index],
-            None if self.readings is None else self.readings[index]
-        )  # fmt: skip
+        return ClaimedRows._make(None if values is None else values[index] for values in self)

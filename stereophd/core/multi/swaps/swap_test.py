@@ -162,7 +162,8 @@ class SwapTest:
             if min(np.count_nonzero(mine & of_camera), np.count_nonzero(mine & ~of_camera)) < LEAST_DETECTIONS:
                 return 0.0, None
         # backwards: what a label claimed last is most probably its own
-        rows, of_second, of_camera = rows.backwards(), of_second[::-1], of_camera[::-1]
+        back = np.arange(len(rows.labels))[::-1]
+        rows, of_second, of_camera = rows.take(back), of_second[back], of_camera[back]
         owners = np.stack([of_second, of_second ^ of_camera]).astype(np.int64)
         explained = self._explain(rows, owners, prior)
         # as Python's floats: infinities of both give NaN, without a warning of NumPy

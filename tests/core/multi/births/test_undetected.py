@@ -22,6 +22,7 @@ from stereophd.core.multi.births.undetected import (
     undetected_shares,
 )
 from stereophd.core.multi.filter_settings.common import BirthPrior
+from stereophd.core.multi.state.inputs import EventNumbers
 from tests.core.disparity.cases import make_camera
 
 PRIOR = BirthPrior(per_s=0.5, initial=3.0, disparity=DisparityPrior(mean_px=7.0, std_px=2.0), velocity_std=1.5)
@@ -37,10 +38,13 @@ def births_of(
 ) -> tuple[float, Undetected]:  # fmt: skip
     """`expected_births` of an event without a burst of clutter."""
     detector = camera.detector
-    births, after, burst = expected_births(
-        before or all_undetected(len(left)), birth_rates(prior), left, event.camera, elapsed, len(event.points),
-        detector.p_detect, detector.clutter_per_frame, known,
+    numbers = EventNumbers(
+        event.camera, event.time_s, elapsed, 0, len(event.points), detector.p_detect, 0.0, 1.0, 1.0, 1.0,
+        detector.clutter_per_frame, 0.0,
     )  # fmt: skip
+    births, after, burst = expected_births(
+        before or all_undetected(len(left)), birth_rates(prior), left, numbers, known
+    )
     assert burst == 0
     return births, after
 

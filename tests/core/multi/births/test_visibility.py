@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 
 from stereophd.core.disparity.events import make_event, make_rig
-from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW
+from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, room_for_moved
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.base import FilterState
 from stereophd.core.multi.births.survival import keep_surviving_weights
+from stereophd.core.multi.state.inputs import EventNumbers
+from stereophd.core.multi.state.mixture import GaussianMixture
 from tests.core.disparity.cases import make_camera
 from tests.core.multi.scenes import make_filter, make_mixture
 
@@ -38,15 +40,19 @@ def test_it_fades_where_no_camera_has_the_mean_in_view() -> None:
         np.repeat(packed[:1], len(points), axis=0),
         ConstantVelocity([0.0] * 3).arrays(np.full(len(points), 2.0)),
     )
-    status = np.full(len(points), OUT_OF_VIEW)
     names = np.zeros(len(points), dtype=np.int64)
-    moved = np.ones(len(points)), means, names, names, homes, motion.reach, motion.drift, packed, 1
-    keep_surviving_weights(weights, status, *moved, 1.5, 5.0)
+    mixture = GaussianMixture(
+        weights, means, np.empty((len(points), 6, 6)), names, np.zeros(len(points)), names, names, names > 0
+    )
+    moved = room_for_moved(len(points), 6)._replace(status=np.full(len(points), OUT_OF_VIEW))
+    numbers = EventNumbers(1, 1.5, 1.5, 0, 0, 0.9, 0.0, 1.0, 1.0, 5.0, 0.0, 0.0)
+    keep_surviving_weights(weights, mixture, moved, homes, motion, packed, numbers)
     np.testing.assert_allclose(weights, np.where(seen, 1.0, np.exp(-1.5 / 5.0)), rtol=1e-12)
     weights = np.ones(len(points))
-    keep_surviving_weights(weights, np.full(len(points), IN_VIEW), *moved, 1.5, 5.0)
+    seen_moved = moved._replace(status=np.full(len(points), IN_VIEW))
+    keep_surviving_weights(weights, mixture, seen_moved, homes, motion, packed, numbers)
     np.testing.assert_array_equal(weights, 1.0)
-    keep_surviving_weights(weights, status, *moved, 1.5, np.inf)
+    keep_surviving_weights(weights, mixture, moved, homes, motion, packed, numbers._replace(out_of_view_s=np.inf))
     np.testing.assert_array_equal(weights, 1.0)
 
 

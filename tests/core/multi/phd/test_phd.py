@@ -9,7 +9,8 @@ import pytest
 
 from stereophd.core.disparity import moments
 from stereophd.core.disparity.events import make_event
-from stereophd.core.disparity.moments import Sources, move
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import Sources
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.constant_velocity import ConstantVelocity

@@ -5,15 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity
 from stereophd.core.multi.state.mixture import GaussianMixture, concatenate
-from stereophd.core.multi.state.reduction import reduce_mixture as reduce_with_shares
 from tests.core.multi.phd.textbook import reduce
 from tests.core.multi.scenes import make_mixture, random_mixture
 
 
-def reduce_mixture(mixture: GaussianMixture, *settings: float | bool, **rule: bool) -> tuple[GaussianMixture, int]:
+def reduce_mixture(
+    mixture: GaussianMixture, prune_weight: float, distance: float, most: int, mutual: bool = True
+) -> tuple[GaussianMixture, int]:
     """Reduce with the moments of the intensity."""
-    return reduce_with_shares(mixture, mixture.weights, *settings, **rule)
+    return reduce_intensity(mixture, mixture.weights, PhdReduction(prune_weight, distance, most, mutual, False))
 
 
 def by_chart(mixture: GaussianMixture) -> dict[tuple[int, float], list]:
@@ -73,7 +75,7 @@ def test_merging_keeps_mass_and_moments() -> None:
 
 def test_shares_decide_moments_and_weights_decide_the_rest() -> None:
     mixture = make_mixture([0.2, 0.7], np.array([0.0, 1.0])[:, None] * np.ones(6), labels=[4, 5])
-    found, _ = reduce_with_shares(mixture, np.array([0.6, 0.2]), 1e-6, 7.0, 10)
+    found, _ = reduce_intensity(mixture, np.array([0.6, 0.2]), PhdReduction(1e-6, 7.0, 10, True, True))
     assert found.weights.tolist() == pytest.approx([0.9])
     assert found.labels.tolist() == [5]
     np.testing.assert_allclose(found.means[0], 0.25)

@@ -11,11 +11,13 @@ import numpy as np
 import pytest
 
 from stereophd.core.disparity.events import Event, make_event, make_rig
-from stereophd.core.disparity.moments import Sources, move
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import Sources
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.multi.pmb.filter import PmbFilter
+from stereophd.core.multi.state.inputs import with_newborns
 from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.core.multi.swaps import swap_test as swap_module
 from stereophd.core.multi.swaps.epipolar_pairs import NewObjects, Past, swap_candidates
@@ -121,7 +123,7 @@ def test_filtering_again_is_what_a_plain_filter_does(steps: list[Step]) -> None:
     found = test.filter_again(rows, prior)
 
     space = multi_filter.rig.packed[rows.cameras[0]]
-    (mean,), (covariance,) = multi_filter.event_arrays(_event(multi_filter, rows))[4:6]
+    (mean,), (covariance,) = with_newborns(*multi_filter.detections(_event(multi_filter, rows)), 6)[4:6]
     expected = 0.0
     for k in range(1, len(rows.times)):
         destination = multi_filter.rig.packed[rows.cameras[k]]
