@@ -5,10 +5,13 @@ with the trajectories following the values, the scores s_b of the stretches b of
 information that the log holds, and the answer moves by C s_b with a stretch. A model that is wrong (a lens, a clock, a
 motion, a noise, an association) leaves residuals that stay alike within a stretch and differ between stretches. The
 covariance of the answer is then C (sum s_b s_b^T) C, whatever the model says (P. J. Huber, 1967; H. White, "Maximum
-likelihood estimation of misspecified models", 1982). It is known from few stretches: in units of C, its eigenvalues
-spread up to (1 + sqrt(d / B))^2 with d directions that the data determine and B stretches (V. A. Marchenko and L. A.
-Pastur, 1967). Only directions beyond that are widened. Errors may stay alike for longer than a stretch, so that
-stretches are joined and looked at again.
+likelihood estimation of misspecified models", 1982). A trajectory that goes on from one stretch to the next pulls at
+both in opposite directions, as it is fitted and not the true one: sum s_b s_b^T is too large by that, and the products
+of neighbours s_b s_b+1^T, which are added, take it off (W. K. Newey and K. D. West, 1987). The sum is known from few
+stretches: in units of C, its eigenvalues spread up to (1 + sqrt(d / B))^2 with d directions that the data determine and
+B stretches (V. A. Marchenko and L. A. Pastur, 1967), with three products for each stretch as if they were a third as
+many. Only directions beyond that are widened. Errors may stay alike for longer than a stretch, so that stretches are
+joined and looked at again.
 """
 
 import numpy as np
@@ -56,8 +59,9 @@ def widening(scores: Array, determined: float) -> Array:
         if count < 2:
             break
         sums = scores[: count * joined].reshape(count, joined, -1).sum(axis=1)
-        eigenvalues, vectors = np.linalg.eigh(sums.T @ sums * count / (count - 1.0))
-        chance = (1.0 + np.sqrt(determined / count)) ** 2
+        beside = sums[1:].T @ sums[:-1]
+        eigenvalues, vectors = np.linalg.eigh((sums.T @ sums + beside + beside.T) * count / (count - 1.0))
+        chance = (1.0 + np.sqrt(3.0 * determined / count)) ** 2
         stds = np.sqrt(np.where(eigenvalues > BEYOND_CHANCE * chance, eigenvalues, 1.0))
         root = root + root @ (vectors * (stds - 1.0)) @ vectors.T
         scores = scores + scores @ (vectors * (1.0 / stds - 1.0)) @ vectors.T

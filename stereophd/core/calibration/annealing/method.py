@@ -263,7 +263,7 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
     count = len(task.parameters.cameras)
     noise, shared = np.full(count, noise_of_fit), np.zeros(count)
     freed, given_up = tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
-    loosened, suspicions, held = np.zeros(count, dtype=np.int64), list[Suspicion](), tuple[Remark, ...]()
+    loosened, suspicions, held = np.full(count, int(noise_of_fit > 1.0)), list[Suspicion](), tuple[Remark, ...]()
     answer: Answer | None = None
     comparison: Comparison | None = None  # With the present noise, if any
     for number in range(MOST_ROUNDS):
@@ -278,16 +278,19 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
             answer = state(task, fit, comparison)
         chosen = chosen_anew(task, answer.fit, still=True) if answer.fit.adjustment.converged else answer.fit
         estimate = estimate_noise(
-            problem_of(task, chosen), chosen.adjustment, shared, task.settings.shared_error_px,
+            problem_of(task, chosen), chosen.adjustment, noise, shared, task.settings.shared_error_px,
             np.random.default_rng(NOISE_SEED),
         )  # fmt: skip
-        differs, hides = estimate.differs(shared), estimate.hides & (loosened < MOST_LOOSENED)
+        from_above = loosened > 0
+        differs = estimate.differs(shared, from_above)
+        falls = from_above & differs & (estimate.factors < 1.0)
+        hides = estimate.hides & (loosened < MOST_LOOSENED) & ~falls
         is_new = bool((differs | hides).any()) and not last
         if is_new:
             factors = np.where(hides, LOOSENED, np.where(differs, estimate.factors, 1.0))
             shared = np.where(hides, 0.0, np.where(differs, estimate.shared, shared))
             task, noise = task.with_noise(factors, shared), noise * factors
-            loosened, comparison = loosened + hides, None
+            loosened, comparison = np.where(falls, MOST_LOOSENED, loosened + hides), None
         if answer.fit.adjustment.converged and not hides.any():
             again = restated_fit(task, answer.fit, chosen, answer.noise_factor)
             if is_new or again[0].adjustment.converged:
