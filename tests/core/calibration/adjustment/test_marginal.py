@@ -9,7 +9,12 @@ import pytest
 
 from stereophd.core.calibration.adjustment import marginal
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, exact_covariance, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import (
+    MarginalPosterior,
+    at_answer,
+    exact_covariance,
+    marginal_optimum,
+)
 from stereophd.core.calibration.adjustment.problem import SQUARED, Problem
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, marginal_fit
@@ -60,8 +65,7 @@ def test_the_exact_covariance_is_that_of_the_objective_where_velocities_follow_t
     found = marginal_optimum(problem, adjust(problem, np.zeros(true.size), states))
     assert found.adjustment.converged
     covariance = exact_covariance(problem, found.adjustment, found.noise_factor)
-    posterior = MarginalPosterior(Linearisation.of(problem))
-    at = posterior.of_answer(found.adjustment.values, found.adjustment.states, found.noise_factor)
+    posterior, at = at_answer(problem, found.adjustment, found.noise_factor)
     step = np.append(covariance[-1] / np.sqrt(covariance[-1, -1]), 0.0)
     ahead, behind = (posterior.at(at.unknowns + sign * step, at.states).objective for sign in (1.0, -1.0))
     assert ahead + behind - 2.0 * at.objective == pytest.approx(1.0, abs=0.02)
