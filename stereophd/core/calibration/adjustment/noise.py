@@ -23,7 +23,7 @@ error that detections share: they would count less and less.
 coordinates that trajectories and cameras did not absorb (W. Förstner, "Ein Verfahren zur Schätzung von Varianz- und
 Kovarianzkomponenten", 1979). The redundancy of a camera is a part of the trace of I - H, with the matrix H that maps
 errors to what the fit absorbs of them: the mean of e^T P (I - H) e over the errors e (M. F. Hutchinson, 1990). The
-prior of a variance is worth `PRIOR_REDUNDANCY` coordinates of the stated size.
+prior of a variance is worth `PRIOR_REDUNDANCY` coordinates of the stated size, or of a lesser one that was believed.
 
 A noise that is stated too small hides itself: trajectories follow the detections, and gates drop those that they do
 not reach. What is left fits. Such a camera shows by its redundancy, and its noise is then looked for from above. Where
@@ -161,7 +161,7 @@ def estimate_noise(
     left_of_own = weights * (own * left[:DRAWS]).sum(axis=2).mean(axis=0)
     redundancy = np.maximum(np.bincount(observations.cameras, left_of_own, count), 0.0)
     coordinates = 2.0 * np.bincount(observations.cameras, weights, count).astype(np.float64)
-    variances = (PRIOR_REDUNDANCY / noise**2 + squares) / (PRIOR_REDUNDANCY + redundancy)
+    variances = (PRIOR_REDUNDANCY / np.maximum(noise, 1.0) ** 2 + squares) / (PRIOR_REDUNDANCY + redundancy)
     parts, sizes = np.zeros(count), np.ones(count)
     for camera, here in enumerate(linearisation.members):
         here = here[weights[here] > LEAST_WEIGHT]

@@ -168,8 +168,9 @@ def test_few_coordinates_bring_a_noise_down_that_is_looked_for_from_above() -> N
     assert differs(estimate, nothing, from_above=True) == [True, False, True]
 
 
-def test_the_prior_of_a_noise_is_what_is_stated() -> None:
+def test_the_prior_of_a_noise_is_what_is_stated_or_less() -> None:
     problem, begin = posed(Lens(), Lens())
-    low, high = (estimated(problem, begin.adjustment, 0.0, noise) for noise in (0.5, 4.0))
+    low, stated, high = (estimated(problem, begin.adjustment, 0.0, noise) for noise in (0.5, 1.0, 4.0))
+    np.testing.assert_array_equal(low.factors, stated.factors)
     weight = PRIOR_REDUNDANCY / (PRIOR_REDUNDANCY + low.redundancy)
-    np.testing.assert_allclose(low.factors**2 - high.factors**2, weight * (4.0 - 1.0 / 16.0), rtol=1e-6)
+    np.testing.assert_allclose(stated.factors**2 - high.factors**2, weight * (1.0 - 1.0 / 16.0), rtol=1e-6)
