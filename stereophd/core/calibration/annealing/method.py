@@ -53,8 +53,8 @@ from stereophd.core.numerics.random_streams import NOISE_SEED
 HISTORY_TIMES = 25
 # Largest number of refits under a better model.
 MOST_ROUNDS = 12
-# Factor on a noise that hides itself, and how often.
-LOOSENED, MOST_LOOSENED = 4.0, 2
+# Factor on a noise that hides itself.
+LOOSENED = 4.0
 # A refit with other noise or other unknowns keeps at least this part of the detections, or the association stays.
 LEAST_KEPT = 0.8
 # Which configured values may be freed: none, lenses that are configured as none, all.
@@ -263,7 +263,7 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
     count = len(task.parameters.cameras)
     noise, shared = np.full(count, noise_of_fit), np.zeros(count)
     freed, given_up = tuple[str, ...](), list[tuple[EnlargedSet, Suspicion]]()
-    loosened, suspicions, held = np.full(count, int(noise_of_fit > 1.0)), list[Suspicion](), tuple[Remark, ...]()
+    from_above, suspicions, held = np.full(count, noise_of_fit > 1.0), list[Suspicion](), tuple[Remark, ...]()
     answer: Answer | None = None
     comparison: Comparison | None = None  # With the present noise, if any
     for number in range(MOST_ROUNDS):
@@ -281,16 +281,13 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
             problem_of(task, chosen), chosen.adjustment, noise, shared, task.settings.shared_error_px,
             np.random.default_rng(NOISE_SEED),
         )  # fmt: skip
-        from_above = loosened > 0
-        differs = estimate.differs(shared, from_above)
-        falls = from_above & differs & (estimate.factors < 1.0)
-        hides = estimate.hides & (loosened < MOST_LOOSENED) & ~falls
+        differs, hides = estimate.differs(shared, from_above), estimate.hides & ~from_above
         is_new = bool((differs | hides).any()) and not last
         if is_new:
             factors = np.where(hides, LOOSENED, np.where(differs, estimate.factors, 1.0))
             shared = np.where(hides, 0.0, np.where(differs, estimate.shared, shared))
             task, noise = task.with_noise(factors, shared), noise * factors
-            loosened, comparison = np.where(falls, MOST_LOOSENED, loosened + hides), None
+            from_above, comparison = from_above | hides, None
         if answer.fit.adjustment.converged and not hides.any():
             again = restated_fit(task, answer.fit, chosen, answer.noise_factor)
             if is_new or again[0].adjustment.converged:
