@@ -23,9 +23,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-os.environ["OMP_NUM_THREADS"] = "1"
-os.environ["OPENBLAS_NUM_THREADS"] = "1"
+from common import with_measured_distance
 
+# isort: split
 import numpy as np
 import pyarrow.parquet as pq
 
@@ -80,6 +80,7 @@ def overrides(options: argparse.Namespace) -> list[str]:
 def one_run(options: argparse.Namespace, changes: Sequence[str], run: int, folder: Path) -> dict[str, Any]:
     """Simulate, calibrate, and score one scene."""
     seed = options.seed + run
+    changes = with_measured_distance(options.config, changes, seed)
     scene, out = folder / "scene", folder / "calibrated"
     simulate(load_config(options.config, changes, seed), scene)
     log, true = scene / "detections.parquet", scene / "cameras.yaml"

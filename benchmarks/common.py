@@ -9,13 +9,15 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VEC
     os.environ[_name] = "1"
 
 import math  # noqa: E402
+from collections.abc import Sequence  # noqa: E402
 from itertools import islice  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from stereophd.config.loading import LoadedConfig  # noqa: E402
+from stereophd.config.calibration import BaselineScale  # noqa: E402
+from stereophd.config.loading import LoadedConfig, load_config  # noqa: E402
 from stereophd.core.disparity.events import Event  # noqa: E402
 from stereophd.pipeline.stream import open_stream  # noqa: E402
 
@@ -25,6 +27,19 @@ PAPER_CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "m
 def read_events(loaded: LoadedConfig, log: Path, most: int | None = None) -> list[Event]:
     """Return the events of a log, undistorted; at most so many."""
     return list(islice(open_stream(loaded.config, loaded.build_cameras(), log), most))
+
+
+def measured_distance(distance: float, std: float, seed: int) -> float:
+    """Return a distance as it is measured, with the error that is stated: a posterior counts on it."""
+    return distance + std * float(np.random.default_rng([seed, 20261126]).standard_normal())
+
+
+def with_measured_distance(path: Path, changes: Sequence[str], seed: int) -> list[str]:
+    """Return changes of a configuration, in which a distance that is stated as known has its error."""
+    section = load_config(path, changes).config.calibration
+    if section is None or not isinstance(scale := section.scale, BaselineScale):
+        return list(changes)
+    return [*changes, f"calibration.scale.distance={measured_distance(scale.distance, scale.std, seed)!r}"]
 
 
 # Sizes of the images of drawn cameras.

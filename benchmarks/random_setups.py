@@ -22,7 +22,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from common import DrawnScene
+from common import DrawnScene, measured_distance
 
 # isort: split
 import numpy as np
@@ -35,6 +35,8 @@ from stereophd.config.loading import load_config
 
 # Standard deviations beyond which an error of a parameter is wrong: one in 90,000 sets of 20 right ones.
 WRONG_Z = 5.0
+# Standard deviation of a distance that is stated as known, in parts of it.
+KNOWN_DISTANCE = 0.003
 
 
 def draw(seed: int, misstated: bool) -> tuple[dict[str, Any], dict[str, Any], dict[str, Any]]:
@@ -88,8 +90,10 @@ def draw(seed: int, misstated: bool) -> tuple[dict[str, Any], dict[str, Any], di
     calibration: dict[str, Any] = {"reference": "cam0", "priors": priors}
     if known == "baseline":
         apart = math.dist(cameras["cam0"]["pose"]["center"], cameras["cam1"]["pose"]["center"])
+        std = KNOWN_DISTANCE * apart
         calibration["scale"] = {
-            "kind": "baseline", "cameras": ["cam0", "cam1"], "distance": apart, "std": 0.003 * apart,
+            "kind": "baseline", "cameras": ["cam0", "cam1"], "distance": measured_distance(apart, std, seed),
+            "std": std,
         }  # fmt: skip
     tree = {**scene.tree(seed, cameras, objects, speed, time_constant, frames / rate), "calibration": calibration}
     stated = json.loads(json.dumps(tree))

@@ -13,6 +13,9 @@ import logging
 import tempfile
 from pathlib import Path
 
+from common import with_measured_distance
+
+# isort: split
 import numpy as np
 
 from stereophd.commands.calibrate import calibrate
@@ -33,7 +36,7 @@ def main() -> None:
     logging.getLogger("stereophd").setLevel(logging.ERROR)
     figures = []
     for seed in range(given.first, given.first + given.runs):
-        changes = [*given.changes, f"seed={seed}"]
+        changes = [*with_measured_distance(given.config, given.changes, seed), f"seed={seed}"]
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             simulate(load_config(given.config, changes), folder / "scene")

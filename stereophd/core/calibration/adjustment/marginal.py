@@ -141,12 +141,10 @@ def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 
 def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: float) -> Array:
     """Covariance (m, m) of the values by the second derivatives of the objective at its minimum.
 
-    They are differences of the gradient along each column of a root of the covariance by the normal equations. The
-    adjustment is the marginal optimum, at a noise of the motion over what is stated; the problem has the stated one.
-    Raises LinAlgError where an end of such a difference has no normal equations that are positive definite.
+    They are differences of the gradient along each column of a root of the covariance by the normal equations. Raises
+    LinAlgError where an end of such a difference has no normal equations that are positive definite.
     """
-    posterior = MarginalPosterior(Linearisation.of(problem.weighted(problem.weights(adjustment.distances))))
-    at = posterior.of_answer(adjustment.values, adjustment.states, noise_factor)
+    posterior, at = at_answer(problem, adjustment, noise_factor)
     root = posterior.root(at)
     curvature, size = np.empty_like(root), len(adjustment.values)
     for k, step in enumerate(CURVATURE_STEP * root.T):
@@ -236,10 +234,6 @@ class MarginalPosterior:
         problem, (values, noise) = self.linearisation.problem, self._parted(unknowns)
         scale, _ = log_scale(problem.parameters, problem.reference, values)
         return float(np.log(factor[0]).sum()) + self._flat * scale + 6.0 * self.links * noise
-
-    def of_answer(self, values: Array, states: Array, noise_factor: float) -> Point:
-        """Return the point of values (m,), at a noise of the motion over what is stated, near given knots."""
-        return self.at(np.append(values, np.full(self.size - len(values), np.log(noise_factor))), states)
 
     def at(self, unknowns: Array, states: Array) -> Point:
         """Return the point of unknowns, its knots minimised from the given ones.
@@ -350,6 +344,16 @@ class MarginalPosterior:
     def root(self, at: Point) -> Array:
         """Root D (size, size) of the covariance D D^T of the unknowns."""
         return np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
+
+
+def at_answer(problem: Problem, adjustment: Adjustment, noise_factor: float) -> tuple[MarginalPosterior, Point]:
+    """Return the marginal posterior of a problem, with the weights that detections have at its optimum, and that point.
+
+    The optimum is an adjustment, at a noise of the motion over what is stated; the problem has the stated one.
+    """
+    posterior = MarginalPosterior(Linearisation.of(problem.weighted(problem.weights(adjustment.distances))))
+    log_noise = np.full(posterior.size - len(adjustment.values), np.log(noise_factor))
+    return posterior, posterior.at(np.append(adjustment.values, log_noise), adjustment.states)
 
 
 def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.random.Generator) -> Array:

@@ -23,10 +23,11 @@ error that detections share: they would count less and less.
 coordinates that trajectories and cameras did not absorb (W. Förstner, "Ein Verfahren zur Schätzung von Varianz- und
 Kovarianzkomponenten", 1979). The redundancy of a camera is a part of the trace of I - H, with the matrix H that maps
 errors to what the fit absorbs of them: the mean of e^T P (I - H) e over the errors e (M. F. Hutchinson, 1990). The
-prior of a variance is worth `PRIOR_REDUNDANCY` coordinates of the stated size.
+prior of a variance is worth `PRIOR_REDUNDANCY` coordinates of the stated size, or of a lesser one that was believed.
 
 A noise that is stated too small hides itself: trajectories follow the detections, and gates drop those that they do
-not reach. What is left fits. Such a camera shows by its redundancy, and its noise is then looked for from above.
+not reach. What is left fits. Such a camera shows by its redundancy, and its noise is then looked for from above. Where
+that search begins is no statement: the noise falls with its estimate, however few coordinates tell, until it stays.
 """
 
 from __future__ import annotations
@@ -110,23 +111,24 @@ def variance_components(residuals: Array, cells: Integers) -> tuple[float, float
 class NoiseEstimate:
     """Noise of each camera's detections, arrays (c,)."""
 
-    factors: Array  # Over what is stated.
+    factors: Array  # Over that of the problem.
     shared: Array  # Part of its variance that the detections of a cell share.
     redundancy: Array  # Coordinates that tell.
     coordinates: Array  # All of them.
     sizes: Array  # Detections in the cell of a detection, in the mean.
 
-    def differs(self, shared: Array) -> Booleans:
-        """Which cameras' noise differs from what is stated, of whose variance the part `shared` (c,) is shared.
+    def differs(self, shared: Array, from_above: Booleans) -> Booleans:
+        """Which cameras' noise differs from that of the fit, of whose variance the part `shared` (c,) is shared.
 
-        The noise of a detection differs, or that of a cell.
+        The noise of a detection differs, or that of a cell. One that is looked for `from_above` (c,) is no statement.
         """
         of_cells = (1.0 + (self.sizes - 1.0) * self.shared) / (1.0 + (self.sizes - 1.0) * shared)
         change = np.log(self.factors)
         largest = np.maximum(np.abs(change), np.abs(change + 0.5 * np.log(of_cells)))
         tells = np.where((self.shared > 0.0) | (shared > 0.0), self.coordinates / self.sizes, self.redundancy)
-        least = np.maximum(np.log1p(LEAST_CHANGE), LEAST_SIGMAS / np.sqrt(2.0 * (tells + PRIOR_REDUNDANCY)))
-        return np.asarray((largest > least) & ((change > 0.0) | ~self.hides))
+        least = np.where(from_above, 0.0, LEAST_SIGMAS / np.sqrt(2.0 * (tells + PRIOR_REDUNDANCY)))
+        is_told = (change > 0.0) | from_above | ~self.hides
+        return np.asarray((largest > np.maximum(np.log1p(LEAST_CHANGE), least)) & is_told)
 
     @property
     def hides(self) -> Booleans:
@@ -135,12 +137,12 @@ class NoiseEstimate:
 
 
 def estimate_noise(
-    problem: Problem, adjustment: Adjustment, shared: Array, radius: float, rng: np.random.Generator
+    problem: Problem, adjustment: Adjustment, noise: Array, shared: Array, radius: float, rng: np.random.Generator
 ) -> NoiseEstimate:
-    """Estimate the noise of the detections of each camera over what is stated, with errors drawn from `rng`.
+    """Estimate the noise of the detections of each camera over that of the problem, with errors drawn from `rng`.
 
-    The adjustment gives detections the weight of their noise alone. `shared` (c,) is what is known of errors that
-    detections share in cells of a radius in px; 0: they share none.
+    The adjustment gives detections the weight of their noise alone, `noise` (c,) times what is stated. `shared` (c,) is
+    what is known of errors that detections share in cells of a radius in px; 0: they share none.
     """
     observations, count = problem.observations, len(problem.parameters.cameras)
     weights = problem.weights(adjustment.distances)
@@ -159,7 +161,7 @@ def estimate_noise(
     left_of_own = weights * (own * left[:DRAWS]).sum(axis=2).mean(axis=0)
     redundancy = np.maximum(np.bincount(observations.cameras, left_of_own, count), 0.0)
     coordinates = 2.0 * np.bincount(observations.cameras, weights, count).astype(np.float64)
-    variances = (PRIOR_REDUNDANCY + squares) / (PRIOR_REDUNDANCY + redundancy)
+    variances = (PRIOR_REDUNDANCY / np.maximum(noise, 1.0) ** 2 + squares) / (PRIOR_REDUNDANCY + redundancy)
     parts, sizes = np.zeros(count), np.ones(count)
     for camera, here in enumerate(linearisation.members):
         here = here[weights[here] > LEAST_WEIGHT]

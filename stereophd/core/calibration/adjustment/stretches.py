@@ -5,17 +5,19 @@ with the trajectories following the values, the scores s_b of the stretches b of
 information that the log holds, and the answer moves by C s_b with a stretch. A model that is wrong (a lens, a clock, a
 motion, a noise, an association) leaves residuals that stay alike within a stretch and differ between stretches. The
 covariance of the answer is then C (sum s_b s_b^T) C, whatever the model says (P. J. Huber, 1967; H. White, "Maximum
-likelihood estimation of misspecified models", 1982). It is known from few stretches: in units of C, its eigenvalues
-spread up to (1 + sqrt(d / B))^2 with d directions that the data determine and B stretches (V. A. Marchenko and L. A.
-Pastur, 1967). Only directions beyond that are widened. Errors may stay alike for longer than a stretch, so that
-stretches are joined and looked at again.
+likelihood estimation of misspecified models", 1982). A fitted trajectory pulls at the two stretches that it passes in
+opposite directions: the products s_b s_b+1^T of neighbours are added, which takes that off (W. K. Newey and K. D. West,
+1987). The sum is known from few stretches: in units of C, its eigenvalues spread up to (1 + sqrt(d / B))^2 with d
+directions that the data determine and B stretches (V. A. Marchenko and L. A. Pastur, 1967), three products for each
+stretch as if they were a third as many. Only directions beyond that are widened. Errors may stay alike for longer than
+a stretch, so that stretches are joined and looked at again.
 """
 
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, Point
+from stereophd.core.calibration.adjustment.marginal import Point, at_answer
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import motion_links
@@ -30,15 +32,12 @@ STRETCHES, JOINED, BEYOND_CHANCE = 64, (1, 2, 4), 1.5
 def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, noise_factor: float) -> tuple[Array, float]:
     """Return the covariance (m, m) that disagreeing stretches add to that of a fit, and by how much it widens it most.
 
-    The fit is the marginal optimum, at a noise of the motion over what is stated; the problem has the stated one. The
-    factor is one of standard deviations, 1 where the stretches agree.
+    The factor is one of standard deviations, 1 where the stretches agree.
     """
     size = problem.parameters.size
-    linearisation = Linearisation.of(problem.weighted(problem.weights(adjustment.distances)))
-    posterior = MarginalPosterior(linearisation)
-    point = posterior.of_answer(adjustment.values, adjustment.states, noise_factor)
+    posterior, point = at_answer(problem, adjustment, noise_factor)
     covariance, prior_std = posterior.covariance(point), posterior.prior_std
-    scores = _scores(linearisation, point, float(np.log(noise_factor)), posterior.slopes(point))
+    scores = _scores(posterior.linearisation, point, float(np.log(noise_factor)), posterior.slopes(point))
     if problem.held is not None:
         scores[:, :size][:, problem.held] = 0.0
     determined = max(float((1.0 - np.diag(covariance) / prior_std**2).sum()), 1.0)
@@ -53,11 +52,10 @@ def widening(scores: Array, determined: float) -> Array:
     root = np.eye(scores.shape[1])
     for joined in JOINED:
         count = len(scores) // joined
-        if count < 2:
-            break
         sums = scores[: count * joined].reshape(count, joined, -1).sum(axis=1)
-        eigenvalues, vectors = np.linalg.eigh(sums.T @ sums * count / (count - 1.0))
-        chance = (1.0 + np.sqrt(determined / count)) ** 2
+        beside = sums[1:].T @ sums[:-1]
+        eigenvalues, vectors = np.linalg.eigh((sums.T @ sums + beside + beside.T) * count / (count - 1.0))
+        chance = (1.0 + np.sqrt(3.0 * determined / count)) ** 2
         stds = np.sqrt(np.where(eigenvalues > BEYOND_CHANCE * chance, eigenvalues, 1.0))
         root = root + root @ (vectors * (stds - 1.0)) @ vectors.T
         scores = scores + scores @ (vectors * (1.0 / stds - 1.0)) @ vectors.T

@@ -21,8 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import MarginalPosterior
+from stereophd.core.calibration.adjustment.marginal import at_answer
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves
@@ -68,22 +67,18 @@ class QuadraticPosterior:
 def quadratic_posterior(
     problem: Problem, enlarged: EnlargedSet, adjustment: Adjustment, noise_factor: float
 ) -> QuadraticPosterior:
-    """Return the posterior of everything about a fit, in units of the prior standard deviations.
-
-    The fit is the marginal optimum, at a noise of the motion over what is stated; the problem has the stated one.
-    """
+    """Return the posterior of everything about a fit, in units of the prior standard deviations."""
     parameters = enlarged.parameters
-    weighted = problem.weighted(problem.weights(adjustment.distances))
-    linearisation = Linearisation.of(replace(weighted, parameters=parameters, held=None))
     values = np.append(adjustment.values, np.zeros(parameters.size - len(adjustment.values)))
-    posterior = MarginalPosterior(linearisation)
-    point = posterior.of_answer(values, adjustment.states, noise_factor)
-    gradient = posterior.gradient(point)
+    of_all = replace(problem, parameters=parameters, held=None)
+    posterior, point = at_answer(of_all, replace(adjustment, values=values), noise_factor)
     precision = np.asarray(np.linalg.inv(posterior.covariance(point)), dtype=np.float64)
     std = posterior.prior_std
     tracks = TrackMoves.of(problem, adjustment.values, adjustment.states, point.equations)
     tracks = replace(tracks, slopes=tracks.slopes * std, scale=tracks.scale * std)
-    return QuadraticPosterior(gradient * std, (precision + precision.T) / 2.0 * np.outer(std, std), tracks)
+    return QuadraticPosterior(
+        posterior.gradient(point) * std, (precision + precision.T) / 2.0 * np.outer(std, std), tracks
+    )
 
 
 def suspect(quadratic: QuadraticPosterior, enlarged: EnlargedSet, free: Integers) -> list[Suspicion]:

@@ -55,8 +55,8 @@ from stereophd.core.numerics.random_streams import NOISE_SEED
 HISTORY_TIMES = 25
 # Largest number of refits under a better model.
 MOST_ROUNDS = 12
-# Factor on a noise that hides itself, and how often.
-LOOSENED, MOST_LOOSENED = 4.0, 2
+# Factor on a noise that hides itself.
+LOOSENED = 4.0
 # A refit with other noise or other unknowns keeps at least this part of the detections, or the association stays.
 LEAST_KEPT = 0.8
 # Which configured values may be freed: none, lenses that are configured as none, all.
@@ -265,7 +265,7 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
     count = len(task.parameters.cameras)
     noise, shared = np.full(count, noise_of_fit), np.zeros(count)
     given_up, held = list[Suspicion](), list[Suspicion]()
-    loosened, remarks = np.zeros(count, dtype=np.int64), tuple[Remark, ...]()
+    from_above, remarks = np.full(count, noise_of_fit > 1.0), tuple[Remark, ...]()
     answer: Answer | None = None
     comparison: Comparison | None = None  # With the present noise, if any
     for number in range(MOST_ROUNDS):
@@ -280,16 +280,16 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
             answer = state(task, fit, comparison)
         chosen = chosen_anew(task, answer.fit, still=True) if answer.fit.adjustment.converged else answer.fit
         estimate = estimate_noise(
-            problem_of(task, chosen), chosen.adjustment, shared, task.settings.shared_error_px,
+            problem_of(task, chosen), chosen.adjustment, noise, shared, task.settings.shared_error_px,
             np.random.default_rng(NOISE_SEED),
         )  # fmt: skip
-        differs, hides = estimate.differs(shared), estimate.hides & (loosened < MOST_LOOSENED)
+        differs, hides = estimate.differs(shared, from_above), estimate.hides & ~from_above
         is_new = bool((differs | hides).any()) and not last
         if is_new:
             factors = np.where(hides, LOOSENED, np.where(differs, estimate.factors, 1.0))
             shared = np.where(hides, 0.0, np.where(differs, estimate.shared, shared))
             task, noise = task.with_noise(factors, shared), noise * factors
-            loosened, comparison = loosened + hides, None
+            from_above, comparison = from_above | hides, None
         if answer.fit.adjustment.converged and not hides.any():
             again = restated_fit(task, answer.fit, chosen, answer.noise_factor)
             if is_new or again[0].adjustment.converged:

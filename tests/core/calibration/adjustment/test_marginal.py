@@ -9,7 +9,13 @@ import pytest
 
 from stereophd.core.calibration.adjustment import marginal
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, Point, exact_covariance, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import (
+    MarginalPosterior,
+    Point,
+    at_answer,
+    exact_covariance,
+    marginal_optimum,
+)
 from stereophd.core.calibration.adjustment.problem import SQUARED, Problem
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, marginal_fit
@@ -60,8 +66,7 @@ def test_the_exact_covariance_is_that_of_the_objective_where_velocities_follow_t
     found = marginal_optimum(problem, adjust(problem, np.zeros(true.size), states))
     assert found.adjustment.converged
     covariance = exact_covariance(problem, found.adjustment, found.noise_factor)
-    posterior = MarginalPosterior(Linearisation.of(problem))
-    at = posterior.of_answer(found.adjustment.values, found.adjustment.states, found.noise_factor)
+    posterior, at = at_answer(problem, found.adjustment, found.noise_factor)
     step = np.append(covariance[-1] / np.sqrt(covariance[-1, -1]), 0.0)
     ahead, behind = (posterior.at(at.unknowns + sign * step, at.states).objective for sign in (1.0, -1.0))
     assert ahead + behind - 2.0 * at.objective == pytest.approx(1.0, abs=0.02)
@@ -259,8 +264,7 @@ def test_the_covariance_knows_all_that_there_is_of_the_noise_of_the_motion() -> 
     problem, states, _ = some_problem(("center",))
     joint = adjust(problem, np.zeros(problem.parameters.size), states)
     found = marginal_optimum(problem, joint)
-    posterior = MarginalPosterior(Linearisation.of(problem))
-    at = posterior.of_answer(found.adjustment.values, found.adjustment.states, found.noise_factor)
+    posterior, at = at_answer(problem, found.adjustment, found.noise_factor)
     step = np.append(np.zeros(problem.parameters.size), 0.05)
     ahead, behind = (posterior.gradient(posterior.at(at.unknowns + s * step, at.states))[-1] for s in (1.0, -1.0))
     curvature = np.linalg.inv(posterior.covariance(at))[-1, -1]

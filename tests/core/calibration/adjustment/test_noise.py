@@ -5,7 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.noise import (
+    PRIOR_REDUNDANCY,
     NoiseEstimate,
     cells_of,
     estimate_noise,
@@ -58,10 +60,17 @@ def with_shared_errors(size: float) -> tuple[Problem, Adjustment]:
     return solve(made)
 
 
-def estimated(problem: Problem, adjustment: Adjustment, radius: float = 40.0) -> NoiseEstimate:
-    return estimate_noise(
-        problem, adjustment, np.zeros(len(problem.parameters.cameras)), radius, np.random.default_rng(0)
-    )
+def estimated(
+    problem: Problem, adjustment: Adjustment, radius: float = 40.0, noise: float = 1.0, shared: Array | None = None
+) -> NoiseEstimate:
+    count = len(problem.parameters.cameras)
+    shared = np.zeros(count) if shared is None else shared
+    return estimate_noise(problem, adjustment, np.full(count, noise), shared, radius, np.random.default_rng(0))
+
+
+def differs(found: NoiseEstimate, shared: Array, from_above: bool = False) -> list[bool]:
+    out: list[bool] = found.differs(shared, np.full(len(shared), from_above)).tolist()
+    return out
 
 
 def test_errors_of_their_own_keep_their_weight_and_shared_ones_lose_it() -> None:
@@ -69,7 +78,7 @@ def test_errors_of_their_own_keep_their_weight_and_shared_ones_lose_it() -> None
         problem, adjustment = with_shared_errors(size)
         found = estimated(problem, adjustment)
         assert ((found.shared > 0.0) == (size > 0.0)).all()
-        assert (found.differs(np.zeros(2)) == (size > 0.0)).all()
+        assert differs(found, np.zeros(2)) == [size > 0.0] * 2
         weights = weights_of(problem.observations, found.shared, 40.0)
         if size > 0.0:
             stds = SIGMA * found.factors * np.sqrt(found.shared)
@@ -109,8 +118,7 @@ def test_what_is_shared_stays_when_it_is_counted(size: float) -> None:
     answer = adjust(counted, adjustment.values, adjustment.states)
     still = replace(problem, held=np.ones(len(answer.values), dtype=np.bool_))
     followed = adjust(still, answer.values, answer.states)
-    again = estimate_noise(problem, followed, first.shared, 40.0, np.random.default_rng(0))
-    assert not again.differs(first.shared).any()
+    assert not any(differs(estimated(problem, followed, shared=first.shared), first.shared))
 
 
 def test_a_detection_of_weight_two_counts_as_two() -> None:
@@ -138,7 +146,7 @@ def test_the_noise_of_a_camera_is_found_whatever_is_stated(factor: float) -> Non
         adjustment = adjust(noisy, np.zeros(problem.parameters.size), adjustment.states)
         found = estimated(noisy, adjustment, 0.0)
         if number == 0:
-            assert found.differs(np.zeros(3)).tolist() == [False, factor != 1.0, False]
+            assert differs(found, np.zeros(3)) == [False, factor != 1.0, False]
         stated = stated * found.factors
     # 160 to 320 coordinates of each camera tell, to 6 % at most: three standard deviations
     np.testing.assert_allclose(stated, 1.0, rtol=0.17)
@@ -147,5 +155,22 @@ def test_the_noise_of_a_camera_is_found_whatever_is_stated(factor: float) -> Non
 def test_less_noise_is_not_believed_where_trajectories_follow_the_detections() -> None:
     redundancy, nothing = np.array([700.0, 100.0, 100.0]), np.zeros(3)
     estimate = NoiseEstimate(np.array([0.5, 0.5, 2.0]), nothing, redundancy, np.full(3, 1000.0), np.ones(3))
-    assert estimate.differs(nothing).tolist() == [True, False, True]
+    assert differs(estimate, nothing) == [True, False, True]
     assert estimate.hides.tolist() == [False, True, True]
+    # a noise from which the right one is looked for is what nobody has stated
+    assert differs(estimate, nothing, from_above=True) == [True, True, True]
+
+
+def test_few_coordinates_bring_a_noise_down_that_is_looked_for_from_above() -> None:
+    redundancy, nothing = np.array([6.0, 6.0, 6.0]), np.zeros(3)
+    estimate = NoiseEstimate(np.array([0.6, 0.9, 1.5]), nothing, redundancy, np.full(3, 15.0), np.ones(3))
+    assert differs(estimate, nothing) == [False, False, False]
+    assert differs(estimate, nothing, from_above=True) == [True, False, True]
+
+
+def test_the_prior_of_a_noise_is_what_is_stated_or_less() -> None:
+    problem, begin = posed(Lens(), Lens())
+    low, stated, high = (estimated(problem, begin.adjustment, 0.0, noise) for noise in (0.5, 1.0, 4.0))
+    np.testing.assert_array_equal(low.factors, stated.factors)
+    weight = PRIOR_REDUNDANCY / (PRIOR_REDUNDANCY + low.redundancy)
+    np.testing.assert_allclose(stated.factors**2 - high.factors**2, weight * (1.0 - 1.0 / 16.0), rtol=1e-6)

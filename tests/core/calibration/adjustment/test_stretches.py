@@ -28,6 +28,15 @@ def test_errors_that_outlast_a_stretch_are_seen_when_stretches_are_joined() -> N
     assert np.linalg.norm(root[0]) == pytest.approx(6.0, rel=0.4)
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_what_trajectories_pull_at_neighbours_in_opposite_directions_widens_nothing(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    scores = rng.standard_normal((64, 6)) / 8.0
+    scores[:, 0] += 1.5 * np.diff(rng.standard_normal(65)) / 8.0
+    assert (scores[:, 0] ** 2).sum() > 4.0
+    np.testing.assert_array_equal(widening(scores, 6.0), np.eye(6))
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 def test_stretches_of_a_right_model_agree(seed: int) -> None:
     problem, states, drawn = some_problem(("center", "rotation", "focal"), seed)
