@@ -22,6 +22,7 @@ from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadrati
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
+    ANNEALED_LOSS,
     fit_until,
     marginal_fit,
     problem_of,
@@ -57,7 +58,7 @@ MOST_ROUNDS = 12
 LOOSENED, MOST_LOOSENED = 4.0, 2
 # A refit with other noise or other unknowns keeps at least this part of the detections, or the association stays.
 LEAST_KEPT = 0.8
-# Which configured values may be freed: none, lenses that are configured as none, all.
+# Which configured values may be freed: none, those that nobody may have measured, all.
 AS_STATED, LENSES, FREE = "as_stated", "lenses", "free"
 # An answer whose expected move by what is held exceeds this many of its own standard deviations is not determined.
 LARGEST_MOVE = 1.0
@@ -358,16 +359,19 @@ def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[
 
 def may_be_freed(suspicion: Suspicion, choices: Choices) -> bool:
     """Whether a contradicted statement may be given up."""
-    return choices.model != AS_STATED and (choices.model == FREE or suspicion.group.is_absent_lens)
+    return choices.model != AS_STATED and (choices.model == FREE or suspicion.group.is_unmeasured)
 
 
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
-    """Return the task with what was contradicted among its unknowns, and the fit from the values that fit."""
-    parameters = enlarged.freed(suspicion.group.places)
-    task = replace(task, parameters=parameters)
+    """Return the task with what was contradicted among its unknowns, and the fit from the values that fit.
+
+    No detection is left out on the way: a lens moves pixels by hundreds of their noises before the poses have followed,
+    and to the loss of a fit all of them would be false.
+    """
+    task = replace(task, parameters=enlarged.freed(suspicion.group.places))
     values = np.append(fit.adjustment.values, suspicion.values)
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
-    return task, chosen_anew(task, readjusted(task, begin))
+    return task, chosen_anew(task, readjusted(task, begin, loss=ANNEALED_LOSS))
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:

@@ -18,8 +18,7 @@ from stereophd.core.geometry.lens import Lens
 # Standard deviations of what is stated as known: of k1, of the logarithm of the focal length, of the principal point
 # in widths of the image, of the readout and the clock's offset in periods of the frames, of the clock's rate.
 K1_STD, FOCAL_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.3, 0.05, 0.03, 1.0, 1e-3
-# Odds, before the data, that a statement is wrong: of a lens that is stated as none and of clocks that are said to
-# agree, which nobody may have measured, and of any other value.
+# Odds, before the data, that a statement is wrong: of what nobody may have measured, and of any other value.
 UNMEASURED_ODDS, STATED_ODDS = 0.1, 1e-3
 
 
@@ -29,12 +28,13 @@ class HeldGroup:
 
     quantity: str
     places: Integers  # Places of its values in the enlarged set.
-    is_absent_lens: bool  # Whether the statement is that the cameras have no lens.
+    # Whether nobody may have measured what is stated: that a camera has no lens, or that clocks agree.
+    is_unmeasured: bool
 
     @property
     def odds(self) -> float:
         """Odds, before the data, that the values are not as stated."""
-        return UNMEASURED_ODDS if self.is_absent_lens or self.quantity == "clock_offset" else STATED_ODDS
+        return UNMEASURED_ODDS if self.is_unmeasured else STATED_ODDS
 
 
 @dataclass(frozen=True)
@@ -75,13 +75,13 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
                 continue
             places = np.arange(size + len(extra), size + len(extra) + len(names))
             extra += [Parameter(name, camera.name, 0.0, stds[name]) for name in names]
-            is_absent_lens = quantity == "distortion" and camera.name in without_lens
-            by_quantity.setdefault(quantity, []).append(HeldGroup(quantity, places, is_absent_lens))
+            is_unmeasured = quantity == "clock_offset" or (quantity == "distortion" and camera.name in without_lens)
+            by_quantity.setdefault(quantity, []).append(HeldGroup(quantity, places, is_unmeasured))
     for quantity, each in by_quantity.items():
         groups += each
         if len(each) > 1:
             places = np.concatenate([group.places for group in each])
-            groups.append(HeldGroup(quantity, places, all(group.is_absent_lens for group in each)))
+            groups.append(HeldGroup(quantity, places, all(group.is_unmeasured for group in each)))
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
 
 
