@@ -365,8 +365,7 @@ def may_be_freed(suspicion: Suspicion, choices: Choices) -> bool:
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
     """Return the task with what was contradicted among its unknowns, and the fit from the values that fit.
 
-    No detection is left out on the way: a lens moves pixels by hundreds of their noises before the poses have followed,
-    and to the loss of a fit all of them would be false.
+    No detection is left out on the way: before the poses follow, a lens moves pixels by hundreds of their noises.
     """
     task = replace(task, parameters=enlarged.freed(suspicion.group.places))
     values = np.append(fit.adjustment.values, suspicion.values)

@@ -28,8 +28,7 @@ class HeldGroup:
 
     quantity: str
     places: Integers  # Places of its values in the enlarged set.
-    # Whether nobody may have measured what is stated: that a camera has no lens, or that clocks agree.
-    is_unmeasured: bool
+    is_unmeasured: bool  # Whether nobody may have measured it: that a camera has no lens, or that clocks agree.
 
     @property
     def odds(self) -> float:
@@ -59,14 +58,8 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
 
     The clock of the reference camera fixes that of the results; `periods` (c,) are median times between two frames, s.
     """
-    cameras, extra, groups = [], list[Parameter](), list[HeldGroup]()
-    size, without_lens = parameters.size, set[str]()
-    for camera in parameters.cameras:
-        if camera.lens.model == "none":
-            camera = replace(camera, lens=Lens("radial"))
-        if not camera.lens.coefficients.any():
-            without_lens.add(camera.name)
-        cameras.append(camera)
+    cameras = [replace(c, lens=Lens("radial")) if c.lens.model == "none" else c for c in parameters.cameras]
+    size, extra, groups = parameters.size, list[Parameter](), list[HeldGroup]()
     by_quantity: dict[str, list[HeldGroup]] = {}
     for number, camera in enumerate(cameras):
         for quantity, stds in _wide_priors(camera, float(periods[number]), number == reference).items():
@@ -75,7 +68,8 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
                 continue
             places = np.arange(size + len(extra), size + len(extra) + len(names))
             extra += [Parameter(name, camera.name, 0.0, stds[name]) for name in names]
-            is_unmeasured = quantity == "clock_offset" or (quantity == "distortion" and camera.name in without_lens)
+            has_lens = camera.lens.coefficients.any()
+            is_unmeasured = quantity == "clock_offset" or (quantity == "distortion" and not has_lens)
             by_quantity.setdefault(quantity, []).append(HeldGroup(quantity, places, is_unmeasured))
     for quantity, each in by_quantity.items():
         groups += each
