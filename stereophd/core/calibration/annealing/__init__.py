@@ -14,6 +14,7 @@ fit                    detections of a trajectory             holds             
 ``restricted_fit``     as the fit given                       unknowns not selected       floor   ``method.state``
 ``rescaled``           as the fit given                       as the fit given            floor   ``at_known_scale``
 ``readjusted``         as the fit given                       nothing, or all values      floor   ``method.believe``
+``with_freed``         as the fit given                       nothing                     Cauchy  ``method.believe``
 ``marginal_fit``       as the fit given                       as the fit given            fixed   ``method.state``
 ``restated_fit``       chosen anew at a marginal optimum      as the fit given            fixed   ``method.believe``
 ``with_lengths``       as the fit given                       nothing                     fixed   ``method.calibrated``

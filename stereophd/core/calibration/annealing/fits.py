@@ -189,6 +189,7 @@ def adjusted_to(
     detections: Integers,
     max_iterations: int = MOST_ITERATIONS,
     tolerance: float = TOLERANCE,
+    loss: Loss = FITTED_LOSS,
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
@@ -200,7 +201,7 @@ def adjusted_to(
     interpolated = interpolation(knots, observations.trajectories, observations.times)
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
-    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
+    problem = Problem(task.parameters, task.reference, knots, observations, loss, task.scale, fit.held)
     # the loss would leave out at once what a trajectory has to reach out for, beyond its last detection so far
     states = with_all_members(problem, fit.adjustment.values, states)
     found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, tolerance)
@@ -286,11 +287,11 @@ def restated_fit(task: Task, stated: Fit, chosen: Fit, factor: float) -> tuple[F
     return marginal_fit(task, with_stated_motion(task, replace(again, held=stated.held)), factor)
 
 
-def readjusted(task: Task, fit: Fit, held: Booleans | None = None) -> Fit:
+def readjusted(task: Task, fit: Fit, held: Booleans | None = None, loss: Loss = FITTED_LOSS) -> Fit:
     """Adjust a fit to its detections with the noise and the unknowns of a task, some values (m,) held."""
     cameras, of_fit = task.parameters.build(fit.adjustment.values), fit.observations.trajectories
     observations = task.observations(cameras, of_fit, fit.detections)
-    return adjusted_to(task, replace(fit, held=held), observations, of_fit, fit.detections)
+    return adjusted_to(task, replace(fit, held=held), observations, of_fit, fit.detections, loss=loss)
 
 
 def with_stated_motion(task: Task, fit: Fit) -> Fit:

@@ -22,6 +22,7 @@ from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadrati
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
+    ANNEALED_LOSS,
     fit_until,
     marginal_fit,
     problem_of,
@@ -59,7 +60,7 @@ MOST_ROUNDS = 12
 LOOSENED = 4.0
 # A refit with other noise or other unknowns keeps at least this part of the detections, or the association stays.
 LEAST_KEPT = 0.8
-# Which configured values may be freed: none, lenses that are configured as none, all.
+# Which configured values may be freed: none, those that nobody may have measured, all.
 AS_STATED, LENSES, FREE = "as_stated", "lenses", "free"
 # An answer whose expected move by what is held exceeds this many of its own standard deviations is not determined.
 LARGEST_MOVE = 1.0
@@ -357,7 +358,7 @@ def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[
 
 def may_be_freed(suspicion: Suspicion, choices: Choices, parameters: ParameterSet) -> bool:
     """Whether a contradicted statement may be given up."""
-    is_asked = choices.model == FREE or (choices.model != AS_STATED and suspicion.group.is_absent_lens)
+    is_asked = choices.model == FREE or (choices.model != AS_STATED and suspicion.group.is_unmeasured)
     return is_asked and is_shown(suspicion, parameters)
 
 
@@ -367,11 +368,14 @@ def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
 
 
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
-    """Return the task with what was contradicted among its unknowns, and the fit from the values that fit."""
+    """Return the task with what was contradicted among its unknowns, and the fit from the values that fit.
+
+    No detection is left out on the way: before the poses follow, a lens moves pixels by hundreds of their noises.
+    """
     task = replace(task, parameters=enlarged.freed(task.parameters, suspicion.group.places))
     values = np.append(fit.adjustment.values, suspicion.values)
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
-    return task, chosen_anew(task, readjusted(task, begin))
+    return task, chosen_anew(task, readjusted(task, begin, loss=ANNEALED_LOSS))
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:

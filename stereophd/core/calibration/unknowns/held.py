@@ -18,8 +18,7 @@ from stereophd.core.geometry.lens import Lens
 # Standard deviations of what is stated as known: of k1, of the logarithm of the focal length, of the principal point
 # in widths of the image, of the readout and the clock's offset in periods of the frames, of the clock's rate.
 K1_STD, FOCAL_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.3, 0.05, 0.03, 1.0, 1e-3
-# Odds, before the data, that a statement is wrong: of a lens that is stated as none and of clocks that are said to
-# agree, which nobody may have measured, and of any other value.
+# Odds, before the data, that a statement is wrong: of what nobody may have measured, and of any other value.
 UNMEASURED_ODDS, STATED_ODDS = 0.1, 1e-3
 
 
@@ -30,12 +29,12 @@ class HeldGroup:
     quantity: str
     names: tuple[str, ...]  # Of its values.
     places: Integers  # Where they are in the enlarged set.
-    is_absent_lens: bool  # Whether the statement is that the cameras have no lens.
+    is_unmeasured: bool  # Whether nobody may have measured it: that a camera has no lens, or that clocks agree.
 
     @property
     def odds(self) -> float:
         """Odds, before the data, that the values are not as stated."""
-        return UNMEASURED_ODDS if self.is_absent_lens or self.quantity == "clock_offset" else STATED_ODDS
+        return UNMEASURED_ODDS if self.is_unmeasured else STATED_ODDS
 
 
 @dataclass(frozen=True)
@@ -56,14 +55,8 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
 
     The clock of the reference camera fixes that of the results; `periods` (c,) are median times between two frames, s.
     """
-    cameras, extra, groups = [], list[Parameter](), list[HeldGroup]()
-    size, without_lens = parameters.size, set[str]()
-    for camera in parameters.cameras:
-        if camera.lens.model == "none":
-            camera = replace(camera, lens=Lens("radial"))
-        if not camera.lens.coefficients.any():
-            without_lens.add(camera.name)
-        cameras.append(camera)
+    cameras = [replace(c, lens=Lens("radial")) if c.lens.model == "none" else c for c in parameters.cameras]
+    size, extra, groups = parameters.size, list[Parameter](), list[HeldGroup]()
     by_quantity: dict[str, list[HeldGroup]] = {}
     for number, camera in enumerate(cameras):
         for quantity, stds in _wide_priors(camera, float(periods[number]), number == reference).items():
@@ -72,15 +65,16 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
                 continue
             places = np.arange(size + len(extra), size + len(extra) + len(names))
             extra += [Parameter(name, camera.name, 0.0, stds[name]) for name in names]
-            is_absent_lens = quantity == "distortion" and camera.name in without_lens
-            group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, is_absent_lens)
+            has_lens = camera.lens.coefficients.any()
+            is_unmeasured = quantity == "clock_offset" or (quantity == "distortion" and not has_lens)
+            group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, is_unmeasured)
             by_quantity.setdefault(quantity, []).append(group)
     for quantity, each in by_quantity.items():
         groups += each
         if len(each) > 1:
             together = tuple(name for group in each for name in group.names)
             places = np.concatenate([group.places for group in each])
-            groups.append(HeldGroup(quantity, together, places, all(group.is_absent_lens for group in each)))
+            groups.append(HeldGroup(quantity, together, places, all(group.is_unmeasured for group in each)))
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
 
 

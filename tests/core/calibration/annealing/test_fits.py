@@ -10,12 +10,22 @@ import pytest
 from stereophd.core.calibration.annealing.fits import (
     fit_from,
     fit_until,
+    marginal_fit,
     paired_fit,
     pairings_of,
     refitted,
     tracked_fit,
 )
-from stereophd.core.calibration.annealing.method import FREE, Choices, calibrated, may_be_freed, statement_remarks
+from stereophd.core.calibration.annealing.method import (
+    FREE,
+    Answer,
+    Choices,
+    calibrated,
+    may_be_freed,
+    statement_remarks,
+    suspected,
+    with_freed,
+)
 from stereophd.core.calibration.annealing.starts import (
     NOISE_AS_STATED,
     disagreement,
@@ -26,6 +36,7 @@ from stereophd.core.calibration.annealing.starts import (
 )
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.settings import AnnealedSettings
+from stereophd.core.geometry.lens import Lens
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.pmb.filter import PmbFilter
 from tests.core.calibration.pairing.test_search import FRAMES, OBJECTS, recording_of
@@ -194,3 +205,22 @@ def test_noise_that_is_stated_wrong_is_replaced(made: MadeUp, task: Task) -> Non
     check_near_truth(made, result.fit)
     stds, expected = (np.sqrt(np.diag(r.fit.adjustment.covariance)) for r in (result, right))
     np.testing.assert_allclose(stds, expected, rtol=0.25)
+
+
+def test_a_lens_is_freed_from_values_that_move_pixels_by_many_noises(made: MadeUp, task: Task) -> None:
+    seen, pixels = made.observations, np.empty_like(made.observations.points)
+    for number, plain in enumerate(made.parameters.build(made.truth)):
+        here, bent = seen.cameras == number, replace(plain, lens=Lens("radial", k1=-0.3))
+        noise = seen.points[here] - plain.project(made.positions[here])
+        pixels[here] = bent.project(made.positions[here]) + 0.05 * noise
+    log = recording_of(replace(made, observations=replace(seen, points=pixels)))
+    exact, loose = (replace(task, recording=log).with_noise(factor) for factor in (0.05, 1.0))
+    fit = fit_from(loose, made.truth)
+    assert fit is not None
+    enlarged, suspicions = suspected(loose, Answer(*marginal_fit(loose, fit), None))
+    lenses = next(one for one in suspicions if one.group.quantity == "distortion" and len(one.values) == 2)
+    near, far = (with_freed(exact, fit, enlarged, replace(lenses, values=np.full(2, k1)))[1] for k1 in (-0.2, -0.6))
+    values, stds = near.adjustment.values[-2:], np.sqrt(np.diag(near.adjustment.covariance))[-2:]
+    assert (np.abs(values + 0.3) < 5.0 * stds).all()
+    assert far.adjustment.values == pytest.approx(near.adjustment.values, abs=1e-3)
+    assert len(far.detections) == len(near.detections)

@@ -41,7 +41,7 @@ def test_everything_but_the_unknowns_and_the_reference_clock_is_held() -> None:
 def test_absent_lenses_are_told_from_stated_ones() -> None:
     stated = ParameterSet(cameras(Lens("radial", k1=-0.1)), (Parameter("focal", "right", 0.0, 0.01),))
     lenses = [group for group in enlarge(stated, 0, PERIODS).groups if group.quantity == "distortion"]
-    assert [group.is_absent_lens for group in lenses] == [True, False, False]
+    assert [group.is_unmeasured for group in lenses] == [True, False, False]
 
 
 def test_what_is_freed_follows_the_unknowns() -> None:
