@@ -249,7 +249,7 @@ def test_the_noise_of_the_residuals_is_that_of_cameras_and_tracks(scene: Path, t
         loaded(tmp_path, (*QUICK, *ONE_START)), scene / "detections.parquet", tmp_path / "out", plots=False
     )
     text = (tmp_path / "out" / "cameras.yaml").read_text()
-    assert "# sigma_px is the noise that the residuals show" in text
+    assert "# sigma_px is what the residuals show" in text
     for name, camera in yaml.safe_load(text)["cameras"].items():
         assert camera["detector"]["sigma_px"] == pytest.approx([4.2 * report["noise_factors"][name]] * 2)
         assert camera["detector"]["sigma_px"] == pytest.approx([2.0**0.5] * 2, rel=0.2)

@@ -81,7 +81,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     return Outcome(
         parameters, adjustment.values, adjustment.covariance, draws, weights, result.history, "", result.doubt,
         result.fit, result.remarks, result.moves, result.world, details,
-        1.0 if problem.noise_in_log else believed.noise,
+        1.0 if problem.noise_in_log else believed.contradicted_noise,
     )  # fmt: skip
 
 

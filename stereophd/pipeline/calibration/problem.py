@@ -111,10 +111,10 @@ class Outcome:
     moves: TrackMoves | None = None  # How tracks move with the values, of method annealed
     world: World | None = None  # That of the control track
     details: dict[str, Any] = field(default_factory=dict)  # For the report
-    noise: Array | float = 1.0  # That residuals show over that of the detectors, (c,) or of all
+    noise: Array | float = 1.0  # That of the cameras of the result over that of the detectors, (c,) or of all
 
     def build_cameras(self) -> tuple[Camera, ...]:
-        """Return the cameras of the result, with the noise that the residuals show."""
+        """Return the cameras of the result, with the noise that the residuals show where what is stated is wrong."""
         cameras = self.parameters.build(self.values)
         return tuple(
             replace(camera, detector=replace(camera.detector, sigma=factor * camera.detector.sigma))

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import LinAlgError
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.adjustment.marginal import exact_covariance
 from stereophd.core.calibration.adjustment.noise import estimate_noise
 from stereophd.core.calibration.adjustment.problem import Problem
@@ -130,6 +130,11 @@ class Believed:
     held: tuple[Suspicion, ...]  # Of the statements that the answer holds.
     doubtful: Array  # (m, k): Root of the covariance that the held statements add to that of the answer.
     remarks: tuple[Remark, ...]
+
+    @property
+    def contradicted_noise(self) -> Array:
+        """`noise` (c,) where it is far from what is stated, and 1 elsewhere."""
+        return np.where(is_far(self.noise), self.noise, 1.0)
 
 
 @dataclass(frozen=True)
@@ -405,6 +410,11 @@ def motion_remarks(answer: Answer) -> tuple[Remark, ...]:
     return (Remark("motion", text),)
 
 
+def is_far(noise: Array) -> Booleans:
+    """Whether noises (c,) are far from what is stated."""
+    return np.asarray(np.maximum(noise, 1.0 / noise) > SAID_FACTOR)
+
+
 def noise_remarks(task: Task, noise: Array) -> tuple[Remark, ...]:
     """Say where the noise of the detections is far from what is stated."""
     sigma = [float(camera.detector.sigma.mean()) for camera in task.parameters.cameras]
@@ -414,8 +424,8 @@ def noise_remarks(task: Task, noise: Array) -> tuple[Remark, ...]:
             f"{camera.name}: the residuals show {factor:.2g} times the noise that is stated; {factor * px:.2g} px were "
             f"used in place of a sigma_px of {px:g}",
         )
-        for camera, factor, px in zip(task.parameters.cameras, noise.tolist(), sigma, strict=True)
-        if max(factor, 1.0 / factor) > SAID_FACTOR
+        for camera, factor, px, said in zip(task.parameters.cameras, noise.tolist(), sigma, is_far(noise), strict=True)
+        if said
     )
 
 
