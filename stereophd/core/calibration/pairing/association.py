@@ -10,8 +10,11 @@ from scipy.optimize import linear_sum_assignment
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.disparity.events import Event, make_rig
+from stereophd.core.disparity.prior import DEPTH_RANGE_SIGMAS
+from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.region import half_spaces, pack_region
 from stereophd.core.multi.pmb.filter import PmbFilter
 
 # A detection belongs to a track within this squared Mahalanobis distance in its (inflated) noise.
@@ -39,6 +42,18 @@ def with_cameras(template: PmbFilter, cameras: Sequence[Camera]) -> PmbFilter:
     rig = template.rig
     moved = make_rig(cameras, rig.baseline, rig.rectification, rig.region)
     return PmbFilter(moved, template.motion, template.sets, template.settings, template.threads)
+
+
+def with_depths(template: PmbFilter, camera: int) -> PmbFilter:
+    """Return the filter with a region; where it bounds no depth, by those at which objects appear before a camera."""
+    rig = template.rig
+    region = pack_region((-np.inf, np.inf), np.empty((0, 4))) if rig.region is None else rig.region
+    if np.isfinite(region[:2]).any():
+        return template
+    mean, std = template.settings.birth.disparity_moments(rig.packed[camera])
+    scale, farthest = disparity_scale(rig.packed[camera]), mean - DEPTH_RANGE_SIGMAS * std
+    depths = scale / (mean + DEPTH_RANGE_SIGMAS * std), scale / farthest if farthest > 0.0 else np.inf
+    return replace(template, rig=replace(rig, region=pack_region(depths, half_spaces(region))))
 
 
 def inflated(event: Event, factor: float) -> Event:

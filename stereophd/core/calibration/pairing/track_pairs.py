@@ -10,7 +10,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
-from stereophd.core.calibration.pairing.association import track_detections
+from stereophd.core.calibration.pairing.association import track_detections, with_depths
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb.filter import PmbFilter
@@ -75,11 +75,14 @@ class TrackPairs:
 
 
 def one_camera_tracks(template: PmbFilter, scans: Scans, least: int) -> list[tuple[int, Integers]]:
-    """Track each camera's detections by themselves: (camera, detections of the recording) of every long track."""
+    """Track each camera's detections by themselves: (camera, detections of the recording) of every long track.
+
+    One camera does not show depths: they drift, and a track ends where its depth is infinite.
+    """
     out = []
     for camera in np.unique(scans.cameras).tolist():
         alone = scans.of_camera(camera)
-        found = track_detections(template, alone, 1.0)
+        found = track_detections(with_depths(template, camera), alone, 1.0)
         for track in range(int(found.tracks.max()) + 1 if len(found) else 0):
             detections = alone.source[found.detections[found.tracks == track]]
             if len(detections) >= least:
