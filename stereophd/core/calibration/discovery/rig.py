@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import permutations, product
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.discovery.pair_fit import PairFit, PairPrior
-from stereophd.core.calibration.discovery.tracks import slope_tracks
+from stereophd.core.calibration.discovery.pair_fit import PairFit, PairPrior, PairProblem
+from stereophd.core.calibration.discovery.pair_search import make_grid
+from stereophd.core.calibration.discovery.tracks import SlopeTracks, slope_tracks
 from stereophd.core.calibration.discovery.two_cameras import (
     LEAST_FRONT,
     OTHER_ANGLE,
@@ -23,6 +24,7 @@ from stereophd.core.calibration.discovery.two_cameras import (
     Link,
     PairResult,
     find_pair,
+    with_start,
 )
 from stereophd.core.calibration.discovery.verdict import doubts_of_pair, doubts_of_tracks
 from stereophd.core.calibration.time_limit import ENDLESS, TIME_OVER, TimeLimit
@@ -100,6 +102,7 @@ def discover(
                 if not limit.begin(f"{names[two[0]]} and {names[two[1]]} are found from their tracks"):
                     break
                 results[two] = find_pair(found, two, *_prior_of(views, two), rng)
+                _close_loops(found, views, results, placed, links, (new, old))
             if (link := _link(results, placed, new, names)) is not None:
                 joined = min(joined or (new, *link), (new, *link), key=lambda e: (len(e[1]), -e[2].agreeing))
                 if not joined[1] and (joined[2].agreeing > 1 or len(placed) == 1):
@@ -203,21 +206,20 @@ def _link(
     if not options:
         return None
 
-    def gain(group: Mapping[tuple[int, int], _Option]) -> float:
-        return sum(option.fit.gain for option in group.values())
+    def gain(group: Mapping[tuple[int, int], _Option], but: Mapping[tuple[int, int], _Option]) -> float:
+        return sum(option.fit.gain for two, option in group.items() if but.get(two) is not option)
 
     groups = [option.group(options) for option in options]
-    best = max(groups, key=lambda group: (next(iter(group.values())).is_in_front, gain(group)))
+    best = max(groups, key=lambda group: (next(iter(group.values())).is_in_front, gain(group, {})))
     first = next(iter(best.values()))
     rest = [option for option in options if option.is_in_front and option not in best.values()]
     moved = [option for option in rest if option.agrees(first)]
-    others = [
-        {option.cameras: option for option in sorted(moved, key=lambda option: option.fit.gain)},
-        *(option.group(options) for option in rest if option not in moved),
-    ]
-    other = max(others, key=gain)
-    apart = first.place.distance(next(iter(other.values())).place) if other else (0.0, 0.0)
-    gap = gain(best) / max(gain(other), 1e-9)
+    others = [option.group(moved if option in moved else options) for option in rest]
+    # what two poses share says nothing of which is right
+    gaps = [gain(best, other) / max(gain(other, best), 1e-9) for other in others]
+    gap = min(gaps, default=np.inf)
+    other = others[gaps.index(gap)] if gaps else best
+    apart = first.place.distance(next(iter(other.values())).place)
     opposed = len({option.cameras for option in options}) - len(best)
     links = [
         (Link(option.cameras, option.fit, gap, apart, len(best), opposed), option.place) for option in best.values()
@@ -226,6 +228,43 @@ def _link(
         ((doubts_of_pair(link, names), link, place) for link, place in links),
         key=lambda entry: (len(entry[0]) > 0, entry[2].variances[1]),
     )
+
+
+def _close_loops(
+    found: SlopeTracks,
+    views: Sequence[View],
+    results: dict[tuple[int, int], PairResult | None],
+    placed: Mapping[int, _Place],
+    links: Sequence[Link],
+    last: tuple[int, int],
+) -> None:
+    """Look for optima of the pairs of a new camera where its other pairs place it; the last one searched is given.
+
+    Where rays are nearly parallel, the search of one pair may miss an optimum that gains more than any that it found.
+    """
+    new = last[0]
+    searched = {old: two for old in placed if (two := (min(new, old), max(new, old))) in results}
+    for by, old in permutations(searched, 2):
+        pair = results[searched[by]]
+        if last[1] not in (by, old) or pair is None or pair.fits[0].front < LEAST_FRONT:
+            continue
+        link = Link(searched[by], pair.fits[0], 0.0, (0.0, 0.0), 1, 0)
+        places = {**placed, new: placed[by].of_other(link.best, by, new == link.cameras[1])}
+        centers = _centers(places, [*links, link])
+        if centers is None:
+            continue
+        two = a, b = searched[old]
+        apart = places[b].rotation @ (centers[a] - centers[b])
+        state = replace(
+            link.best.state, rotation=places[b].rotation @ places[a].rotation.T,
+            direction=apart / np.linalg.norm(apart), offset_s=(places[b].later - places[a].later) / places[a].rate,
+            rate=places[b].rate / places[a].rate,
+            focal=np.exp([_averaged([*links, link], number, 7)[0] for number in two]),
+            lenses=np.array([_averaged([*links, link], number, 9)[0] for number in two]),
+        )  # fmt: skip
+        prior, reach = _prior_of(views, two)
+        problem = PairProblem(found, two, prior, make_grid(found, two, reach).step)
+        results[two] = with_start(problem, results[two], state)
 
 
 def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, float]:
@@ -242,14 +281,10 @@ def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, f
 def _rig(
     views: Sequence[View], placed: Mapping[int, _Place], pairs: Sequence[Link], doubts: Sequence[str]
 ) -> FoundRig | None:
-    """Give cameras that are placed their centres, along the pairs; None if the baselines cannot be compared."""
-    scales = _scales(pairs)
-    if scales is None:
+    """Return cameras that are placed, with centres along the pairs; None if the baselines cannot be compared."""
+    centers = _centers(placed, pairs)
+    if centers is None:
         return None
-    centers = {next(iter(placed)): np.zeros(3)}
-    for (a, b), state, scale in ((pair.cameras, pair.best.state, s) for pair, s in zip(pairs, scales, strict=True)):
-        step = scale * state.direction @ placed[b].rotation  # from b's centre to a's
-        centers |= {b: centers[a] - step} if a in centers else {a: centers[b] + step}
     cameras, spreads = [], []
     for number, view in enumerate(views):
         focal, focal_std = _averaged(pairs, number, 7)
@@ -264,6 +299,18 @@ def _rig(
         rotation, direction, offset_std = np.sqrt(place.variances).tolist()
         spreads.append(Spread(rotation, direction, offset_std, focal_std))
     return FoundRig(tuple(cameras), tuple(spreads), tuple(pairs), tuple(doubts))
+
+
+def _centers(placed: Mapping[int, _Place], pairs: Sequence[Link]) -> dict[int, Array] | None:
+    """Centres of cameras along the pairs that join them; None if the baselines cannot be compared."""
+    scales = _scales(pairs)
+    if scales is None:
+        return None
+    centers = {next(iter(placed)): np.zeros(3)}
+    for (a, b), state, scale in ((pair.cameras, pair.best.state, s) for pair, s in zip(pairs, scales, strict=True)):
+        step = scale * state.direction @ placed[b].rotation  # from b's centre to a's
+        centers |= {b: centers[a] - step} if a in centers else {a: centers[b] + step}
+    return centers
 
 
 def _averaged(pairs: Sequence[Link], camera: int, component: int) -> tuple[float, float]:
