@@ -14,8 +14,7 @@ from itertools import permutations, product
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.discovery.pair_fit import PairFit, PairPrior, PairProblem
-from stereophd.core.calibration.discovery.pair_search import make_grid
+from stereophd.core.calibration.discovery.pair_fit import PairFit, PairPrior, PairProblem, PairState
 from stereophd.core.calibration.discovery.tracks import SlopeTracks, slope_tracks
 from stereophd.core.calibration.discovery.two_cameras import (
     LEAST_FRONT,
@@ -92,7 +91,7 @@ def discover(
     found = slope_tracks([view.camera for view in views], raw)
     if (reason := doubts_of_tracks(found, names)) is not None:
         return Discovery(None, reason)
-    results: dict[tuple[int, int], PairResult | None] = {}
+    results: dict[tuple[int, int], PairResult] = {}
     placed, links = {reference: _Place(np.eye(3), 0.0, 1.0, np.zeros(3), ())}, []
     while waiting := [number for number in range(len(views)) if number not in placed]:
         joined: tuple[int, list[str], Link, _Place] | None = None
@@ -102,7 +101,7 @@ def discover(
                 if not limit.begin(f"{names[two[0]]} and {names[two[1]]} are found from their tracks"):
                     break
                 results[two] = find_pair(found, two, *_prior_of(views, two), rng)
-                _close_loops(found, views, results, placed, links, (new, old))
+                _close_loops(found, views, results, placed, links, new)
             if (link := _link(results, placed, new, names)) is not None:
                 joined = min(joined or (new, *link), (new, *link), key=lambda e: (len(e[1]), -e[2].agreeing))
                 if not joined[1] and (joined[2].agreeing > 1 or len(placed) == 1):
@@ -186,7 +185,7 @@ class _Option:
 
 
 def _link(
-    results: Mapping[tuple[int, int], PairResult | None],
+    results: Mapping[tuple[int, int], PairResult],
     placed: Mapping[int, _Place],
     new: int,
     names: Sequence[str],
@@ -233,37 +232,35 @@ def _link(
 def _close_loops(
     found: SlopeTracks,
     views: Sequence[View],
-    results: dict[tuple[int, int], PairResult | None],
+    results: dict[tuple[int, int], PairResult],
     placed: Mapping[int, _Place],
     links: Sequence[Link],
-    last: tuple[int, int],
+    new: int,
 ) -> None:
-    """Look for optima of the pairs of a new camera where its other pairs place it; the last one searched is given.
+    """Look for optima of the pairs of a new camera where each of its other pairs places it.
 
     Where rays are nearly parallel, the search of one pair may miss an optimum that gains more than any that it found.
     """
-    new = last[0]
-    searched = {old: two for old in placed if (two := (min(new, old), max(new, old))) in results}
-    for by, old in permutations(searched, 2):
-        pair = results[searched[by]]
-        if last[1] not in (by, old) or pair is None or pair.fits[0].front < LEAST_FRONT:
+    pairs = {old: two for old in placed if (two := (min(new, old), max(new, old))) in results}
+    for by, old in permutations(pairs, 2):
+        two, guides = pairs[old], results[pairs[by]].fits
+        if not guides or guides[0].front < LEAST_FRONT:
             continue
-        link = Link(searched[by], pair.fits[0], 0.0, (0.0, 0.0), 1, 0)
-        places = {**placed, new: placed[by].of_other(link.best, by, new == link.cameras[1])}
-        centers = _centers(places, [*links, link])
+        best = guides[0]
+        joined = [*links, Link(pairs[by], best, 0.0, (0.0, 0.0), 1, 0)]
+        places = {**placed, new: placed[by].of_other(best, by, new == pairs[by][1])}
+        centers = _centers(places, joined)
         if centers is None:
             continue
-        two = a, b = searched[old]
-        apart = places[b].rotation @ (centers[a] - centers[b])
-        state = replace(
-            link.best.state, rotation=places[b].rotation @ places[a].rotation.T,
-            direction=apart / np.linalg.norm(apart), offset_s=(places[b].later - places[a].later) / places[a].rate,
-            rate=places[b].rate / places[a].rate,
-            focal=np.exp([_averaged([*links, link], number, 7)[0] for number in two]),
-            lenses=np.array([_averaged([*links, link], number, 9)[0] for number in two]),
+        first, second = (places[number] for number in two)
+        apart = second.rotation @ (centers[two[0]] - centers[two[1]])
+        focal, lenses = ([_averaged(joined, number, part)[0] for number in two] for part in (7, 9))
+        state = PairState(
+            second.rotation @ first.rotation.T, apart / np.linalg.norm(apart),
+            (second.later - first.later) / first.rate, second.rate / first.rate, best.state.pivot_s, np.exp(focal),
+            np.array(lenses),
         )  # fmt: skip
-        prior, reach = _prior_of(views, two)
-        problem = PairProblem(found, two, prior, make_grid(found, two, reach).step)
+        problem = PairProblem(found, two, _prior_of(views, two)[0], results[two].step)
         results[two] = with_start(problem, results[two], state)
 
 
