@@ -14,7 +14,6 @@ from stereophd.core.disparity.prior import DEPTH_RANGE_SIGMAS
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
-from stereophd.core.geometry.region import half_spaces, pack_region
 from stereophd.core.multi.pmb.filter import PmbFilter
 
 # A detection belongs to a track within this squared Mahalanobis distance in its (inflated) noise.
@@ -40,20 +39,19 @@ class TrackedDetections:
 def with_cameras(template: PmbFilter, cameras: Sequence[Camera]) -> PmbFilter:
     """Return the filter with other cameras."""
     rig = template.rig
-    moved = make_rig(cameras, rig.baseline, rig.rectification, rig.region)
-    return PmbFilter(moved, template.motion, template.sets, template.settings, template.threads)
+    return replace(template, rig=make_rig(cameras, rig.baseline, rig.rectification, rig.region))
 
 
 def with_depths(template: PmbFilter, camera: int) -> PmbFilter:
-    """Return the filter with a region; where it bounds no depth, by those at which objects appear before a camera."""
-    rig = template.rig
-    region = pack_region((-np.inf, np.inf), np.empty((0, 4))) if rig.region is None else rig.region
-    if np.isfinite(region[:2]).any():
+    """Return the filter with objects at the depths at which they appear before a camera, unless it has a region."""
+    if template.rig.region is not None:
         return template
-    mean, std = template.settings.birth.disparity_moments(rig.packed[camera])
-    scale, farthest = disparity_scale(rig.packed[camera]), mean - DEPTH_RANGE_SIGMAS * std
-    depths = scale / (mean + DEPTH_RANGE_SIGMAS * std), scale / farthest if farthest > 0.0 else np.inf
-    return replace(template, rig=replace(rig, region=pack_region(depths, half_spaces(region))))
+    space = template.rig.packed[camera]
+    mean, std = template.settings.birth.disparity_moments(space)
+    nearest, farthest = mean + DEPTH_RANGE_SIGMAS * std, mean - DEPTH_RANGE_SIGMAS * std
+    scale = disparity_scale(space)
+    region = np.array([scale / nearest, scale / farthest if farthest > 0.0 else np.inf])
+    return replace(template, rig=replace(template.rig, region=region))
 
 
 def inflated(event: Event, factor: float) -> Event:
