@@ -1,8 +1,8 @@
 """Several cameras from nothing: two by two, joined to the reference along pairs that are believed.
 
 The baseline of the first pair is the unit of length. That of any other pair follows from the depths of the same tracks
-at the same times before a camera that it shares with a pair already placed. Cameras that are joined are not compared
-with one another: what all of them show together is adjusted, and judged, afterwards.
+at the same times before a camera that it shares with a pair already placed. A pair is searched once more from where the
+others place its cameras. What all of them show together is adjusted, and judged, afterwards.
 """
 
 from __future__ import annotations
@@ -92,7 +92,8 @@ def discover(
     if (reason := doubts_of_tracks(found, names)) is not None:
         return Discovery(None, reason)
     results: dict[tuple[int, int], PairResult] = {}
-    placed, links = {reference: _Place(np.eye(3), 0.0, 1.0, np.zeros(3), ())}, []
+    placed = {reference: _Place(np.eye(3), 0.0, 1.0, np.zeros(3), ())}
+    links: list[Link] = []
     while waiting := [number for number in range(len(views)) if number not in placed]:
         joined: tuple[int, list[str], Link, _Place] | None = None
         for new, old in product(waiting, placed):
@@ -193,8 +194,8 @@ def _link(
     """Join a camera to those that are placed, where all pairs with them gain most: doubts, pair and place.
 
     None if none of them pairs. An optimum of one pair gains what the optima of the others gain that turn the camera and
-    its clock as it does. It is compared with optima that turn them otherwise, and with those of the same pairs that
-    move the camera otherwise. The pair that joins the camera is the one by which its direction is known best.
+    its clock as it does. It is compared with optima that turn them otherwise, and with those that move the camera
+    otherwise, without what both share. The pair that joins the camera is the one by which its direction is known best.
     """
     options = [
         _Option(two, fit, place.of_other(fit, old, new == two[1]), pair.step)

@@ -6,6 +6,7 @@ import numpy as np
 
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.pairing.track_pairs import one_camera_tracks
+from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.pmb.filter import PmbFilter
@@ -28,5 +29,5 @@ def test_an_object_that_one_camera_sees_for_long_has_one_track() -> None:
     pixels = camera.project(path) + 0.4 * rng.standard_normal((len(times), 2))
     frames = [(0, time_s, pixel[None], None) for time_s, pixel in zip(times.tolist(), pixels, strict=True)]
     recording = Recording.of([camera], frames)
-    [(_, detections)] = one_camera_tracks(template, Scans.of(recording, [camera]), 16)
+    [(_, detections)] = one_camera_tracks(template, Scans.of(recording, [camera]), AnnealedSettings())
     assert len(detections) > 0.97 * len(times)
