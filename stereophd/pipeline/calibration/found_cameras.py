@@ -21,7 +21,7 @@ from stereophd.core.alignment.frames import moved_camera
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.control import World
 from stereophd.core.calibration.discovery.rig import FoundRig, View, discover
-from stereophd.core.calibration.pairing.track_pairs import image_tracks, one_camera_tracks, raw_tracks
+from stereophd.core.calibration.pairing.track_pairs import one_camera_tracks, raw_tracks
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
@@ -156,11 +156,7 @@ def with_found_cameras(
     limit.begin("one-camera tracks are made")
     recording = _read(loaded, cameras, log_path)
     scans = Scans.of(recording, cameras, tracked_frames(recording, MOST_SEARCHED))
-    least = section.annealed.min_detections
-    if section.annealed.one_camera_tracks == "image":
-        tracks = image_tracks(scans, least)
-    else:
-        tracks = one_camera_tracks(pmb_filter(_placed(loaded, cameras), cameras), scans, least)
+    tracks = one_camera_tracks(pmb_filter(_placed(loaded, cameras), cameras), scans, section.annealed)
     views = [_view(loaded, section, camera) for camera in cameras]
     reference = [camera.name for camera in cameras].index(section.reference)
     rng = np.random.default_rng(CAMERA_DISCOVERY.seed(loaded.config.seed))

@@ -15,7 +15,7 @@ from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import Knots
 from stereophd.core.calibration.pairing.clock_search import ClockOffsets, search_offsets
-from stereophd.core.calibration.pairing.track_pairs import TrackPairs, image_tracks, make_pairs, one_camera_tracks
+from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -84,10 +84,7 @@ class Task:
         """
         scans = Scans.of(recording, parameters.cameras)
         tracking = scans if len(frames) == len(scans.events) else Scans.of(recording, parameters.cameras, frames)
-        if settings.one_camera_tracks == "image":
-            tracks = tuple(image_tracks(tracking, settings.min_detections))
-        else:
-            tracks = tuple(one_camera_tracks(multi_filter, tracking, settings.min_detections))
+        tracks = one_camera_tracks(multi_filter, tracking, settings)
         pairs = make_pairs(parameters, tracking, tracks)
         clocks = search_offsets(parameters, pairs.raw)
         return Task(

@@ -1,21 +1,21 @@
 """Several cameras from nothing: two by two, joined to the reference along pairs that are believed.
 
 The baseline of the first pair is the unit of length. That of any other pair follows from the depths of the same tracks
-at the same times before a camera that it shares with a pair already placed. Cameras that are joined are not compared
-with one another: what all of them show together is adjusted, and judged, afterwards.
+at the same times before a camera that it shares with a pair already placed. A pair is searched once more from where the
+others place its cameras. What all of them show together is adjusted, and judged, afterwards.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import permutations, product
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.discovery.pair_fit import PairFit, PairPrior
-from stereophd.core.calibration.discovery.tracks import slope_tracks
+from stereophd.core.calibration.discovery.pair_fit import PairFit, PairPrior, PairProblem, PairState
+from stereophd.core.calibration.discovery.tracks import SlopeTracks, slope_tracks
 from stereophd.core.calibration.discovery.two_cameras import (
     LEAST_FRONT,
     OTHER_ANGLE,
@@ -23,6 +23,7 @@ from stereophd.core.calibration.discovery.two_cameras import (
     Link,
     PairResult,
     find_pair,
+    with_start,
 )
 from stereophd.core.calibration.discovery.verdict import (
     MORE_OBJECTS,
@@ -96,8 +97,9 @@ def discover(
     found = slope_tracks([view.camera for view in views], raw)
     if (reason := doubts_of_tracks(found, names)) is not None:
         return Discovery(None, reason)
-    results: dict[tuple[int, int], PairResult | None] = {}
-    placed, links = {reference: _Place(np.eye(3), 0.0, 1.0, np.zeros(3), ())}, []
+    results: dict[tuple[int, int], PairResult] = {}
+    placed = {reference: _Place(np.eye(3), 0.0, 1.0, np.zeros(3), ())}
+    links: list[Link] = []
     while waiting := [number for number in range(len(views)) if number not in placed]:
         joined: tuple[int, list[Doubt], Link, _Place] | None = None
         for new, old in product(waiting, placed):
@@ -106,6 +108,7 @@ def discover(
                 if not limit.begin(f"{names[two[0]]} and {names[two[1]]} are found from their tracks"):
                     break
                 results[two] = find_pair(found, two, *_prior_of(views, two), rng)
+                _close_loops(found, views, results, placed, links, new)
             if (link := _link(results, placed, new, names)) is not None:
                 joined = min(joined or (new, *link), (new, *link), key=lambda e: (len(e[1]), -e[2].agreeing))
                 if not joined[1] and (joined[2].agreeing > 1 or len(placed) == 1):
@@ -190,7 +193,7 @@ class _Option:
 
 
 def _link(
-    results: Mapping[tuple[int, int], PairResult | None],
+    results: Mapping[tuple[int, int], PairResult],
     placed: Mapping[int, _Place],
     new: int,
     names: Sequence[str],
@@ -198,8 +201,8 @@ def _link(
     """Join a camera to those that are placed, where all pairs with them gain most: doubts, pair and place.
 
     None if none of them pairs. An optimum of one pair gains what the optima of the others gain that turn the camera and
-    its clock as it does. It is compared with optima that turn them otherwise, and with those of the same pairs that
-    move the camera otherwise. The pair that joins the camera is the one by which its direction is known best.
+    its clock as it does. It is compared with optima that turn them otherwise, and with those that move the camera
+    otherwise, without what both share. The pair that joins the camera is the one by which its direction is known best.
     """
     options = [
         _Option(two, fit, place.of_other(fit, old, new == two[1]), pair.step)
@@ -210,21 +213,20 @@ def _link(
     if not options:
         return None
 
-    def gain(group: Mapping[tuple[int, int], _Option]) -> float:
-        return sum(option.fit.gain for option in group.values())
+    def gain(group: Mapping[tuple[int, int], _Option], but: Mapping[tuple[int, int], _Option]) -> float:
+        return sum(option.fit.gain for two, option in group.items() if but.get(two) is not option)
 
     groups = [option.group(options) for option in options]
-    best = max(groups, key=lambda group: (next(iter(group.values())).is_in_front, gain(group)))
+    best = max(groups, key=lambda group: (next(iter(group.values())).is_in_front, gain(group, {})))
     first = next(iter(best.values()))
     rest = [option for option in options if option.is_in_front and option not in best.values()]
     moved = [option for option in rest if option.agrees(first)]
-    others = [
-        {option.cameras: option for option in sorted(moved, key=lambda option: option.fit.gain)},
-        *(option.group(options) for option in rest if option not in moved),
-    ]
-    other = max(others, key=gain)
-    apart = first.place.distance(next(iter(other.values())).place) if other else (0.0, 0.0)
-    gap = gain(best) / max(gain(other), 1e-9)
+    others = [option.group(moved if option in moved else options) for option in rest]
+    # what two poses share says nothing of which is right
+    gaps = [gain(best, other) / max(gain(other, best), 1e-9) for other in others]
+    gap = min(gaps, default=np.inf)
+    other = others[gaps.index(gap)] if gaps else best
+    apart = first.place.distance(next(iter(other.values())).place)
     opposed = len({option.cameras for option in options}) - len(best)
     links = [
         (Link(option.cameras, option.fit, gap, apart, len(best), opposed), option.place) for option in best.values()
@@ -233,6 +235,41 @@ def _link(
         ((doubts_of_pair(link, names), link, place) for link, place in links),
         key=lambda entry: (len(entry[0]) > 0, entry[2].variances[1]),
     )
+
+
+def _close_loops(
+    found: SlopeTracks,
+    views: Sequence[View],
+    results: dict[tuple[int, int], PairResult],
+    placed: Mapping[int, _Place],
+    links: Sequence[Link],
+    new: int,
+) -> None:
+    """Look for optima of the pairs of a new camera where each of its other pairs places it.
+
+    Where rays are nearly parallel, the search of one pair may miss an optimum that gains more than any that it found.
+    """
+    pairs = {old: two for old in placed if (two := (min(new, old), max(new, old))) in results}
+    for by, old in permutations(pairs, 2):
+        two, guides = pairs[old], results[pairs[by]].fits
+        if not guides or guides[0].front < LEAST_FRONT:
+            continue
+        best = guides[0]
+        joined = [*links, Link(pairs[by], best, 0.0, (0.0, 0.0), 1, 0)]
+        places = {**placed, new: placed[by].of_other(best, by, new == pairs[by][1])}
+        centers = _centers(places, joined)
+        if centers is None:
+            continue
+        first, second = (places[number] for number in two)
+        apart = second.rotation @ (centers[two[0]] - centers[two[1]])
+        focal, lenses = ([_averaged(joined, number, part)[0] for number in two] for part in (7, 9))
+        state = PairState(
+            second.rotation @ first.rotation.T, apart / np.linalg.norm(apart),
+            (second.later - first.later) / first.rate, second.rate / first.rate, best.state.pivot_s, np.exp(focal),
+            np.array(lenses),
+        )  # fmt: skip
+        problem = PairProblem(found, two, _prior_of(views, two)[0], results[two].step)
+        results[two] = with_start(problem, results[two], state)
 
 
 def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, float]:
@@ -249,14 +286,10 @@ def _prior_of(views: Sequence[View], two: tuple[int, int]) -> tuple[PairPrior, f
 def _rig(
     views: Sequence[View], placed: Mapping[int, _Place], pairs: Sequence[Link], doubts: tuple[str, ...]
 ) -> FoundRig | None:
-    """Give cameras that are placed their centres, along the pairs; None if the baselines cannot be compared."""
-    scales = _scales(pairs)
-    if scales is None:
+    """Return cameras that are placed, with centres along the pairs; None if the baselines cannot be compared."""
+    centers = _centers(placed, pairs)
+    if centers is None:
         return None
-    centers = {next(iter(placed)): np.zeros(3)}
-    for (a, b), state, scale in ((pair.cameras, pair.best.state, s) for pair, s in zip(pairs, scales, strict=True)):
-        step = scale * state.direction @ placed[b].rotation  # from b's centre to a's
-        centers |= {b: centers[a] - step} if a in centers else {a: centers[b] + step}
     cameras, spreads = [], []
     for number, view in enumerate(views):
         focal, focal_std = _averaged(pairs, number, 7)
@@ -271,6 +304,18 @@ def _rig(
         rotation, direction, offset_std = np.sqrt(place.variances).tolist()
         spreads.append(Spread(rotation, direction, offset_std, focal_std))
     return FoundRig(tuple(cameras), tuple(spreads), tuple(pairs), doubts)
+
+
+def _centers(placed: Mapping[int, _Place], pairs: Sequence[Link]) -> dict[int, Array] | None:
+    """Centres of cameras along the pairs that join them; None if the baselines cannot be compared."""
+    scales = _scales(pairs)
+    if scales is None:
+        return None
+    centers = {next(iter(placed)): np.zeros(3)}
+    for (a, b), state, scale in ((pair.cameras, pair.best.state, s) for pair, s in zip(pairs, scales, strict=True)):
+        step = scale * state.direction @ placed[b].rotation  # from b's centre to a's
+        centers |= {b: centers[a] - step} if a in centers else {a: centers[b] + step}
+    return centers
 
 
 def _averaged(pairs: Sequence[Link], camera: int, component: int) -> tuple[float, float]:

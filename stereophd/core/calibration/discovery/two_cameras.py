@@ -56,10 +56,8 @@ class Link:
 
 def find_pair(
     found: SlopeTracks, cameras: tuple[int, int], prior: PairPrior, reach: float, rng: np.random.Generator
-) -> PairResult | None:
-    """Find two cameras from tracks, the second clock within `reach`, s, of its prior mean; None where none pair."""
-    if min(len(found.of_camera(number)) for number in cameras) == 0:
-        return None
+) -> PairResult:
+    """Find two cameras from tracks, the second clock within `reach`, s, of its prior mean."""
     grid = make_grid(found, cameras, reach)
     problem = PairProblem(found, cameras, prior, grid.step)
     unknown = np.array(prior.lens_unknown, dtype=np.float64)
@@ -77,10 +75,21 @@ def find_pair(
     states, fits = [state for _, state in starts], []
     for most, tolerances in ROUNDS:
         refined = [fit for state in states[:most] if (fit := problem.fitted(state, tolerances)) is not None]
-        fits = _distinct(sorted(refined, key=lambda fit: -fit.gain), grid.step)
+        fits = _distinct(refined, grid.step)
         states = [fit.state for fit in fits]
+    return _ordered(problem, fits)
+
+
+def with_start(problem: PairProblem, pair: PairResult, state: PairState) -> PairResult:
+    """Return the optima of two cameras with the one that is found from a state near it, if it is another one."""
+    fit = problem.fitted(state, ROUNDS[-1][1])
+    return pair if fit is None else _ordered(problem, _distinct([*pair.fits, fit], problem.step))
+
+
+def _ordered(problem: PairProblem, fits: Sequence[PairFit]) -> PairResult:
+    """Return distinct optima, those of the greatest gains, as a result."""
     front = [fit for fit in fits if fit.front >= LEAST_FRONT]
-    if not fits or not front or front[0].gain < LEAST_SHARE * fits[0].gain:
+    if front and front[0].gain < LEAST_SHARE * fits[0].gain:
         front = []  # those in front agree by chance
     # an optimum that needs a wider tolerance than the best is compared at that of the best
     for number, fit in enumerate(front):
@@ -88,13 +97,13 @@ def find_pair(
             other = problem.fitted(fit.state, (front[0].tolerance,))
             front[number] = replace(fit, gain=0.0 if other is None else min(other.gain, fit.gain))
     fits = sorted(front, key=lambda fit: -fit.gain) + [fit for fit in fits if fit.front < LEAST_FRONT]
-    return PairResult(tuple(fits[:MOST_OPTIMA]), grid.step) if fits else None
+    return PairResult(tuple(fits[:MOST_OPTIMA]), problem.step)
 
 
 def _distinct(fits: Sequence[PairFit], step: float) -> list[PairFit]:
-    """Return fits that differ from all before them."""
+    """Return fits that differ from all of greater gain, the best first."""
     out: list[PairFit] = []
-    for fit in fits:
+    for fit in sorted(fits, key=lambda fit: -fit.gain):
         if all(
             max(distance_of(fit.state, other.state)) > OTHER_ANGLE
             or abs(fit.state.offset_s - other.state.offset_s) > OTHER_STEPS * step

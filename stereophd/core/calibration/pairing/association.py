@@ -10,6 +10,8 @@ from scipy.optimize import linear_sum_assignment
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.disparity.events import Event, make_rig
+from stereophd.core.disparity.prior import DEPTH_RANGE_SIGMAS
+from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.multi.pmb.filter import PmbFilter
@@ -37,8 +39,19 @@ class TrackedDetections:
 def with_cameras(template: PmbFilter, cameras: Sequence[Camera]) -> PmbFilter:
     """Return the filter with other cameras."""
     rig = template.rig
-    moved = make_rig(cameras, rig.baseline, rig.rectification, rig.region)
-    return PmbFilter(moved, template.motion, template.sets, template.settings, template.threads)
+    return replace(template, rig=make_rig(cameras, rig.baseline, rig.rectification, rig.region))
+
+
+def with_depths(template: PmbFilter, camera: int) -> PmbFilter:
+    """Return the filter with objects at the depths at which they appear before a camera, unless it has a region."""
+    if template.rig.region is not None:
+        return template
+    space = template.rig.packed[camera]
+    mean, std = template.settings.birth.disparity_moments(space)
+    nearest, farthest = mean + DEPTH_RANGE_SIGMAS * std, mean - DEPTH_RANGE_SIGMAS * std
+    scale = disparity_scale(space)
+    region = np.array([scale / nearest, scale / farthest if farthest > 0.0 else np.inf])
+    return replace(template, rig=replace(template.rig, region=region))
 
 
 def inflated(event: Event, factor: float) -> Event:

@@ -10,7 +10,8 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
-from stereophd.core.calibration.pairing.association import track_detections
+from stereophd.core.calibration.pairing.association import track_detections, with_depths
+from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.pmb.filter import PmbFilter
@@ -74,29 +75,25 @@ class TrackPairs:
         )  # fmt: skip
 
 
-def one_camera_tracks(template: PmbFilter, scans: Scans, least: int) -> list[tuple[int, Integers]]:
-    """Track each camera's detections by themselves: (camera, detections of the recording) of every long track."""
+def one_camera_tracks(
+    template: PmbFilter, scans: Scans, settings: AnnealedSettings
+) -> tuple[tuple[int, Integers], ...]:
+    """Follow each camera's detections by themselves: (camera, detections of the recording) of the longer tracks.
+
+    One camera does not show depths: where they drift, a track of the filter ends as soon as its depth is infinite.
+    """
     out = []
     for camera in np.unique(scans.cameras).tolist():
         alone = scans.of_camera(camera)
-        found = track_detections(template, alone, 1.0)
-        for track in range(int(found.tracks.max()) + 1 if len(found) else 0):
-            detections = alone.source[found.detections[found.tracks == track]]
-            if len(detections) >= least:
-                out.append((camera, detections))
-    return out
-
-
-def image_tracks(scans: Scans, least: int) -> list[tuple[int, Integers]]:
-    """Link each camera's detections; return (camera, detections of the recording) of the longer tracks."""
-    out = []
-    for camera in np.unique(scans.cameras).tolist():
-        alone = scans.of_camera(camera)
-        noise = 1.0 / np.sqrt(alone.precisions[:, 0, 0])
-        reach = IMAGE_REACH * float(scans.recording.heights[camera])
-        tracks = linked(alone.times, alone.first, alone.points, noise, reach)
-        out += [(camera, alone.source[rows]) for rows in tracks if len(rows) >= least]
-    return out
+        if settings.one_camera_tracks == "image":
+            noise = 1.0 / np.sqrt(alone.precisions[:, 0, 0])
+            reach = IMAGE_REACH * float(scans.recording.heights[camera])
+            tracks = linked(alone.times, alone.first, alone.points, noise, reach)
+        else:
+            found = track_detections(with_depths(template, camera), alone, 1.0)
+            tracks = [found.detections[found.tracks == track] for track in np.unique(found.tracks)]
+        out += [(camera, alone.source[rows]) for rows in tracks if len(rows) >= settings.min_detections]
+    return tuple(out)
 
 
 def raw_tracks(recording: Recording, tracks: Sequence[tuple[int, Integers]]) -> RawTracks:

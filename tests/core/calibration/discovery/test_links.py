@@ -86,6 +86,26 @@ def test_optima_of_the_pairs_that_agree_move_the_camera_otherwise() -> None:
     assert joined({(0, 2): same, (1, 2): other})[1].gap == pytest.approx(30.0 / 12.0)
 
 
+def test_what_two_poses_share_counts_for_neither() -> None:
+    # the second pair is 6 degrees from either optimum of the first, and says nothing of which is right
+    results = {
+        (0, 2): PairResult((optimum(0.8, 20.0, 5.0), optimum(0.59, 12.0, 5.0)), 0.1),
+        (1, 2): PairResult((optimum(0.395, 30.0, 3.0),), 0.1),
+    }
+    doubts, pair, _ = joined(results)
+    assert pair.agreeing == 2
+    assert pair.gap == pytest.approx(20.0 / 12.0)
+    assert "another pose of" in doubts[0]
+
+
+def test_optima_that_move_the_camera_apart_are_two_poses() -> None:
+    results = {
+        (0, 2): PairResult((optimum(0.8, 20.0, 5.0), optimum(0.66, 15.0, 5.0)), 0.1),
+        (1, 2): PairResult((optimum(0.5, 20.0, 3.0), optimum(0.64, 15.0, 3.0)), 0.1),
+    }
+    assert joined(results)[1].gap == pytest.approx(40.0 / 15.0)
+
+
 def test_one_open_pair_is_doubted_and_two_are_not() -> None:
     wide = PairResult((optimum(0.8, 20.0, 5.0, std=0.2),), 0.1)
     assert "open by 11.5 degrees in rotation" in joined({(0, 2): wide})[0][0][0]
@@ -128,3 +148,19 @@ def test_two_pairs_that_agree_are_enough(monkeypatch: pytest.MonkeyPatch) -> Non
     discovery = rig.discover(views_of(true), raw, 1, np.random.default_rng(0))
     assert not discovery.reason
     assert searched == [(0, 1), (1, 2), (0, 2), (1, 3), (0, 3)]
+
+
+def test_an_optimum_that_the_search_of_a_pair_missed_is_found_where_the_others_place_the_camera(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def find(tracks, two, *rest):
+        result = two_cameras.find_pair(tracks, two, *rest)
+        return PairResult(result.fits[1:], result.step) if two == (0, 2) else result
+
+    monkeypatch.setattr(rig, "find_pair", find)
+    rng = np.random.default_rng(2)
+    raw = tracks_of(cameras(), [curved(rng) for _ in range(3)], np.random.default_rng(1))
+    discovery = rig.discover(views_of(cameras()), raw, 1, np.random.default_rng(0))
+    assert not discovery.reason
+    assert discovery.rig is not None
+    assert discovery.rig.pairs[1].agreeing == 2
