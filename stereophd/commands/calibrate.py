@@ -60,7 +60,7 @@ FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, AS
 # Requirement -> the statuses of a report that meet it.
 ACCEPTED = {None: (DETERMINED, PARTLY, UNDETERMINED), "partly": (DETERMINED, PARTLY), "determined": (DETERMINED,)}
 
-NOISE_NOTE = "sigma_px is what the residuals show where what was stated is wrong by more than a factor of 1.5 (report.json)."  # Checks that need the calibrated cameras; the checks of the log alone come first.
+NOISE_NOTE = "sigma_px is what the residuals show, where what was stated is wrong by more than a factor of 1.5."
 WITH_CAMERAS = ("geometry.", "settings.")
 
 
