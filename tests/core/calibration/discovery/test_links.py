@@ -95,7 +95,7 @@ def test_what_two_poses_share_counts_for_neither() -> None:
     doubts, pair, _ = joined(results)
     assert pair.agreeing == 2
     assert pair.gap == pytest.approx(20.0 / 12.0)
-    assert "another pose of" in doubts[0]
+    assert "another pose of" in doubts[0][0]
 
 
 def test_optima_that_move_the_camera_apart_are_two_poses() -> None:
