@@ -17,7 +17,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.pipeline.checks.log.sample import CameraSample
-from stereophd.pipeline.detectors.mixture import BORDERS, NOISES, Kind, Mixture, classes, unmix
+from stereophd.pipeline.detectors.mixture import BORDERS, NOISES, DistanceKind, Mixture, classes, unmix
 from stereophd.pipeline.detectors.statistics import BETWEEN_CAMERAS, NoisePrior
 
 # Frames from one detection to the other, and pairs of detections of a camera for each, at most.
@@ -25,7 +25,7 @@ STEPS, MOST_PAIRS = (1, 2, 3, 4), 4_000_000
 # Detections of a frame from which its pairs are as good as those of other objects.
 CROWD = 50
 # The density of pairs of one frame is that of strangers nearly as it is, and a detection mostly has a successor.
-DISPLACEMENTS = Kind(2, 0.02, 0.003, 0.03, 1.0)
+DISPLACEMENTS = DistanceKind(2, 0.02, 0.003, 0.03, 1.0)
 # Speeds over the depth that are tried, 1/s, their prior (log-normal), and the error of a spread for so few speeds.
 TURNS = np.geomspace(1e-4, 1e2, 90)
 USUAL_TURN, TURN_SPREAD, FEW_SPEEDS = 0.2, 1.5, 0.1

@@ -32,7 +32,7 @@ EVEN_COUNT, EVEN_SHARE = 50, 0.001
 
 
 @dataclass(frozen=True)
-class Kind:
+class DistanceKind:
     """What distances are measured, and how well the density of those of different objects is known."""
 
     dimensions: int  # 1 of distances from a line, 2 of those in an image
@@ -76,12 +76,12 @@ def classes(distances: Array) -> Array:
     return np.histogram(distances[np.isfinite(distances)], BORDERS)[0].astype(np.float64)
 
 
-def unmix(kind: Kind, together: Array, foreign: Sequence[Array], known: float, count: int) -> Mixture:
+def unmix(kind: DistanceKind, together: Array, foreign: Sequence[Array], known: float, count: int) -> Mixture:
     """Return what the numbers of distances `together` (classes,) tell.
 
     Parameters
     ----------
-    kind : Kind
+    kind : DistanceKind
     together : array (classes,)
     foreign : sequence of arrays (classes,)
         Probabilities of distances of different objects. Any may be right, the first is that of chance.

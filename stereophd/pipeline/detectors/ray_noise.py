@@ -39,7 +39,7 @@ from stereophd.pipeline.checks.geometry.rays import (
 )
 from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.pipeline.detectors.displacements import PRIOR, likelihoods_of_displacements
-from stereophd.pipeline.detectors.mixture import MOST_EVIDENCE, NOISES, Kind, classes, unmix
+from stereophd.pipeline.detectors.mixture import MOST_EVIDENCE, NOISES, DistanceKind, classes, unmix
 from stereophd.pipeline.detectors.statistics import BETWEEN_CAMERAS, USUAL_P_DETECT, NoisePrior
 
 # The prior: the noise of one detector, px, and the spread of its logarithm.
@@ -54,7 +54,7 @@ SAMPLE_FRAMES = 1500
 MOST_DETECTIONS, MOST_DISTANCES, MOST_OF_ALL = 1000, 1_500_000, 8_000_000
 SHIFTS, FEW_SHIFTS, CROWD, OWNERS = 8, 2, 50, 4
 # Distances of rays, and shares of their density that are distances of neighbours.
-RAYS, SHARES = Kind(1, 0.3, 0.01, 0.5, 0.0), (0.0, 0.5, 1.0)
+RAYS, SHARES = DistanceKind(1, 0.3, 0.01, 0.5, 0.0), (0.0, 0.5, 1.0)
 # Draws from the posterior.
 DRAWS, LEAST_DRAWS = 3000, 50
 # Evidence of partners in nearer frames over that along tracks, from which tracks are wrong.
