@@ -71,13 +71,13 @@ def _displacements(sample: CameraSample, steps: int) -> tuple[float, Mixture]:
         together.append(np.linalg.norm(now[:, None] - later, axis=2).ravel())
         apart.append(np.linalg.norm(now[:, None] - now, axis=2)[np.triu_indices(len(now), 1)])
     count, strangers = int(counts[frames].sum()), classes(np.concatenate(apart))
-    # and what one false detection anywhere in the image adds, which is not known; pairs of few objects stay the same
+    # and what one false detection anywhere in the image adds; pairs of few objects stay the same and show little
     reach = float(np.sqrt(sample.camera.width * sample.camera.height / np.pi))
     density = DISPLACEMENTS.background(strangers + count * np.diff(np.minimum(BORDERS / reach, 1.0) ** 2))
-    known = float(strangers.sum()) / (1.0 + CROWD * len(frames) / max(count, 1))
-    error = 1.0 / np.sqrt(max(known, 1.0))
+    known = float(strangers.sum())
+    error = 1.0 / np.sqrt(max(known / (1.0 + CROWD * len(frames) / max(count, 1)), 1.0))
     kind = replace(DISPLACEMENTS, level=DISPLACEMENTS.level + error, even=DISPLACEMENTS.even + error)
-    found = unmix(kind, classes(np.concatenate(together)), [density], known, count)
+    found = unmix(kind, classes(np.concatenate(together)), [density], known + count, count)
     return float(((sample.times[frames + steps] - sample.times[frames]) ** 2).mean()), found
 
 
