@@ -103,7 +103,9 @@ def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
     evidence = {(a, b): pair for a, b in pairs if (pair := _evidence(unit, a, b, most)) is not None}
     # pairs share detections: an object that n cameras see has 2 n - 3 independent distances, and n (n - 1) / 2 pairs
     independent = min(1.0, (2 * len(samples) - 3) / max(len(pairs), 1))
-    links = [likelihoods_of_displacements(sample) for sample in samples]
+    # the fewer the objects, the less shows how far apart different ones are
+    crowds = [sample.detections_per_frame / (sample.detections_per_frame + CROWD) for sample in samples]
+    links = [share * likelihoods_of_displacements(sample) for share, sample in zip(crowds, samples, strict=True)]
     logs = _draws({cameras: independent * pair.of_both() for cameras, pair in evidence.items()}, links)
     spacing = float(np.log(NOISES[1] / NOISES[0]))
     spreads = np.sqrt(logs.var(axis=0) + spacing**2 / 12.0)
