@@ -13,13 +13,13 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
+from stereophd.pipeline.detectors.mixture import BORDERS, NOISES, Mixture, unmix
 from stereophd.pipeline.detectors.ray_noise import (
     BETWEEN_CAMERAS,
-    BORDERS,
     NOISE_SPREAD,
-    NOISES,
+    RAYS,
+    SHARES,
     USUAL_NOISE_PX,
-    _mixture,
     noise_from_rays,
     starting_detectors,
 )
@@ -186,11 +186,18 @@ def test_rows_that_are_read_later_are_no_noise() -> None:
     np.testing.assert_array_less(np.abs(np.log(found.sigma_px / 0.5)), np.log(1.4))
 
 
+def of_rays(together: Array, neighbours: Array, apart: Array, count: int) -> Mixture:
+    """What distances from epipolar lines tell."""
+    chance, near = RAYS.background(apart), RAYS.background(neighbours)
+    foreign = [share * near + (1.0 - share) * chance for share in SHARES]
+    return unmix(RAYS, together, foreign, float(apart.sum()), count)
+
+
 def test_a_background_that_is_slightly_wrong_is_no_noise() -> None:
     """A hundred thousand distances with a density that bends by a hundredth leave the noise to the prior."""
     chance = np.diff(BORDERS) * (BORDERS[1:] < 1000.0)
     bent = chance * (1.0 + 0.01 * np.cos(np.clip(BORDERS[1:], 0.0, 1000.0) / 300.0))
-    likelihoods, _, _ = _mixture(1e5 * bent / bent.sum(), np.zeros(len(chance)), 1e5 * chance / chance.sum(), 300)
+    likelihoods = of_rays(1e5 * bent / bent.sum(), np.zeros(len(chance)), 1e5 * chance / chance.sum(), 300).likelihoods
     large = NOISES > 30.0
     assert np.ptp(likelihoods[large]) < 2.0
 
@@ -213,7 +220,7 @@ def test_the_stated_error_of_a_noise_among_strangers_covers_it() -> None:
         own = np.histogram(np.abs(rng.normal(0.0, noise, partners)), BORDERS)[0]
         together = own + rng.poisson(detections * strangers * off / off.sum())
         apart, neighbours = (rng.poisson(k * detections * strangers * chance / chance.sum()) for k in (2, 4))
-        likelihoods, _, _ = _mixture(together, neighbours, apart, detections)
+        likelihoods = of_rays(together, neighbours, apart, detections).likelihoods
         posterior = np.exp(likelihoods - 0.5 * ((logs - np.log(USUAL_NOISE_PX)) / NOISE_SPREAD) ** 2)
         posterior /= posterior.sum()
         mean = posterior @ logs

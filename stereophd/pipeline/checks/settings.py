@@ -15,7 +15,7 @@ from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.rays import TOLERANCES, Geometry, distances
-from stereophd.pipeline.checks.log.sample import LEAST_LENGTH, MOST_BY_CHANCE, CameraSample
+from stereophd.pipeline.checks.log.sample import MOST_BY_CHANCE, CameraSample
 from stereophd.validated import METRES
 from stereophd.wording import number
 
@@ -56,25 +56,17 @@ def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> Measu
         return MeasuredScene(None, samples, samples, None, None)
     depths = np.quantile(samples, [0.05, 0.5, 0.95])
     chains = [sample for sample in geometry.samples if sample.linking[1] <= MOST_BY_CHANCE]
-    return MeasuredScene(depths, samples, first, *measure_motion(chains, float(depths[1])))
+    return MeasuredScene(depths, samples, first, *_motion(chains, float(depths[1])))
 
 
-def measure_motion(
-    samples: list[CameraSample], depth: float, at_most: bool = False
-) -> tuple[Array | None, float | None]:
-    """Return `speed` and `acceleration` of a `MeasuredScene` whose objects are at a depth.
-
-    No speed where noise hides it, or `at_most` the one that the noise allows, from tracks of two frames on if need be.
-    """
-    squares, least, accelerations = _track_motion(samples, depth, LEAST_LENGTH)
-    if len(squares) < LEAST_TRACKS and at_most:
-        squares, least, _ = _track_motion(samples, depth, 2)
+def _motion(samples: list[CameraSample], depth: float) -> tuple[Array | None, float | None]:
+    """Return `speed` and `acceleration` of a `MeasuredScene` at a depth; no speed where noise hides it."""
+    squares, least, accelerations = _track_motion(samples, depth)
     speed = None
     if len(squares) >= LEAST_TRACKS:
-        hidden = 2.0 * float(squares.std()) / np.sqrt(len(squares))
-        mean = max(float(squares.mean()), hidden)
-        if at_most or mean > hidden:
-            speed = np.sqrt([mean / 2.0, max(mean if at_most else 0.0, np.quantile(least, 0.95) ** 2)])
+        mean = float(squares.mean())
+        if mean > 2.0 * float(squares.std()) / np.sqrt(len(squares)):
+            speed = np.array([np.sqrt(mean / 2.0), np.quantile(least, 0.95)])
     acceleration = None
     if len(accelerations) >= LEAST_TRACKS:
         variance = float(np.median(accelerations))
@@ -119,7 +111,7 @@ def _represent(found: list[tuple[Array, Array]], shifts: int) -> Array:
     return np.asarray(depths[order][np.minimum(places, len(depths) - 1)])
 
 
-def _track_motion(samples: list[CameraSample], depth: float, shortest: int) -> tuple[Array, Array, Array]:
+def _track_motion(samples: list[CameraSample], depth: float) -> tuple[Array, Array, Array]:
     """Return squares of speeds (t,), less the noise, and the least that these are, (length/s)^2 and length/s.
 
     The third are squared accelerations (a,) of one component, (length/s^2)^2.
@@ -128,7 +120,7 @@ def _track_motion(samples: list[CameraSample], depth: float, shortest: int) -> t
     for sample in samples:
         scale = depth / sample.camera.fx
         noise = float(sample.camera.detector.sigma.mean())
-        for track in sample.chains(shortest):
+        for track in sample.tracks:
             times, pixels = sample.times[sample.frame_of[track]], sample.pixels[track]
             spread = float(((times - times.mean()) ** 2).sum())
             if spread <= 0.0:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.base import DisparityFilter
@@ -34,9 +33,6 @@ MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 1500, 12_000
 LEAST_FRAMES = 10
 # Log-likelihood that a change must gain, and runs of the filter at most.
 LEAST_GAIN, MOST_RUNS = 0.5, 100
-# Stated error of the noise from rays from which the filter is asked for another, by how many of them at most, and the
-# smallest change of its logarithm that is tried.
-LEAST_UNSURE, MOST_ERRORS, LEAST_STEP = 0.2, 2.0, 0.15
 # Detections of a tentative object that chance gives.
 CHANCE_PAIR = 2
 
@@ -156,50 +152,27 @@ def stretches(stream: EventStream) -> list[EventStream]:
 
 
 @dataclass(frozen=True)
-class _Trial:
-    """Detectors, and what is known of their noise before tracks, moved by so many of its stated errors."""
-
-    cameras: tuple[Camera, ...]
-    priors: Mapping[str, NoisePrior]
-    errors: Array  # (1 + cameras,): of all cameras together, and of each
-
-    def with_detectors(self, estimates: Mapping[str, DetectorEstimate]) -> _Trial:
-        """Return the trial with estimated detectors."""
-        known = {name: estimate.detector for name, estimate in estimates.items()}
-        cameras = tuple(replace(camera, detector=known.get(camera.name, camera.detector)) for camera in self.cameras)
-        return replace(self, cameras=cameras)
-
-    def moved(self, direction: int, errors: float) -> _Trial:
-        """Return the trial with a noise of so many stated errors more, of all cameras (0) or of one."""
-        cameras, priors, total = list(self.cameras), dict(self.priors), self.errors.copy()
-        total[direction] += errors
-        for k, camera in enumerate(self.cameras):
-            if direction in (0, k + 1) and (prior := priors.get(camera.name)) is not None:
-                factor = float(np.exp(errors * (prior.own_spread if direction else prior.spread)))
-                priors[camera.name] = replace(prior, noise=prior.noise * factor)
-                cameras[k] = replace(camera, detector=prior.put(camera.detector, prior.of(camera.detector) * factor))
-        return _Trial(tuple(cameras), priors, total)
-
-
-@dataclass(frozen=True)
 class _Run:
     """What a run of the filter over stretches of a log shows of its detectors."""
 
-    trial: _Trial
+    cameras: tuple[Camera, ...]
     estimates: dict[str, DetectorEstimate]  # What its tracks show
-    evidence: float  # Log-likelihood of the log, less that the noise was moved
+    log_likelihood: float
     own_noise: bool  # Whether the log states its own noise
 
 
 def _run(
-    build_filter: Callable[[tuple[Camera, ...]], Estimator[Any]], parts: Iterable[EventStream], trial: _Trial
+    build_filter: Callable[[tuple[Camera, ...]], Estimator[Any]],
+    parts: Iterable[EventStream],
+    cameras: tuple[Camera, ...],
+    priors: Mapping[str, NoisePrior],
 ) -> _Run:
     """Run over stretches of a log once."""
-    watched, likelihood = _Watched(build_filter(trial.cameras)), 0.0
-    sums = {camera.name: own for camera, own in zip(trial.cameras, watched.sums, strict=True)}
+    watched, likelihood = _Watched(build_filter(cameras)), 0.0
+    sums = {camera.name: own for camera, own in zip(cameras, watched.sums, strict=True)}
     for part in parts:
         run = RunState(watched.init())
-        for record in run_estimator(watched, part.with_cameras(trial.cameras), run=run):
+        for record in run_estimator(watched, part.with_cameras(cameras), run=run):
             likelihood += record.info.log_likelihood
             sums[record.camera].frames += 1
             sums[record.camera].detections += record.n_detections
@@ -211,11 +184,17 @@ def _run(
             for name, count in counts.items():
                 sums[name].undecided += count if sum(counts.values()) > CHANCE_PAIR else 0
     estimates = {}
-    for camera in trial.cameras:
-        if (prior := trial.priors.get(camera.name)) is not None:
+    for camera in cameras:
+        if (prior := priors.get(camera.name)) is not None:
             shown = sums[camera.name].with_noise_of(watched.sums) if prior.boxes else sums[camera.name]
             estimates[camera.name] = estimate_detector(shown, camera.detector, prior)
-    return _Run(trial, estimates, likelihood - 0.5 * float((trial.errors**2).sum()), watched.own_noise)
+    return _Run(cameras, estimates, likelihood, watched.own_noise)
+
+
+def _with_estimates(cameras: tuple[Camera, ...], estimates: Mapping[str, DetectorEstimate]) -> tuple[Camera, ...]:
+    """Return cameras with estimated detectors."""
+    known = {name: estimate.detector for name, estimate in estimates.items()}
+    return tuple(replace(camera, detector=known.get(camera.name, camera.detector)) for camera in cameras)
 
 
 def estimate_detectors(
@@ -226,9 +205,8 @@ def estimate_detectors(
 ) -> tuple[tuple[Camera, ...], dict[str, Any]]:
     """Estimate noise, probability of detection and clutter of cameras from a log.
 
-    The filter runs with what the tracks of the best run so far show, and, where the noise is hardly known before, with
-    one that is larger or smaller, of all cameras or of one. What makes the log more probable is kept, and a noise that
-    its tracks do not confirm goes back to what was known before them, moved as the likelihood has it.
+    The filter runs with what the tracks of the run before show, as long as that makes the log more probable. A noise
+    that its tracks do not confirm goes back to what was known before them.
 
     The cameras have the values to start from, and `priors`, name -> what is known of the noise, are those of the
     cameras whose detectors are estimated (`stereophd.pipeline.detectors.ray_noise.starting_detectors`); the others stay
@@ -236,45 +214,23 @@ def estimate_detectors(
     cameras with the estimates in place, and a report for ``report.json``: by camera the values, their standard errors
     and the numbers behind them, and whether the log states the noise of its detections.
     """
-    own = [priors[camera.name].own_spread if camera.name in priors else 0.0 for camera in cameras]
-    spreads = [max((prior.spread for prior in priors.values()), default=0.0), *own]
-    best, runs = _run(build_filter, parts, _Trial(cameras, priors, np.zeros(len(spreads)))), 1
-
-    def improves(trial: _Trial) -> bool:
-        """Run with other detectors, and keep them if they make the log more probable."""
-        nonlocal best, runs
-        if runs >= MOST_RUNS or np.abs(trial.errors).max() > MOST_ERRORS:
-            return False
-        tried, runs = _run(build_filter, parts, trial), runs + 1
-        LOGGER.info("detectors, run %d: log-likelihood %.1f, less that of the prior", runs, tried.evidence)
-        better = tried.evidence > best.evidence + LEAST_GAIN
-        best = tried if better else best
-        return better
-
-    step = 1.0
-    while True:
-        while improves(best.trial.with_detectors(best.estimates)):
-            pass
-        if spreads[0] < LEAST_UNSURE or step * spreads[0] < LEAST_STEP:
+    best, runs = _run(build_filter, parts, cameras, priors), 1
+    while runs < MOST_RUNS:
+        tried, runs = _run(build_filter, parts, _with_estimates(best.cameras, best.estimates), priors), runs + 1
+        LOGGER.info("detectors, run %d: log-likelihood %.1f", runs, tried.log_likelihood)
+        if tried.log_likelihood <= best.log_likelihood + LEAST_GAIN:
             break
-        for direction, spread in enumerate(spreads):
-            for way in (step, -step) if step * spread >= LEAST_STEP else ():
-                before = best
-                while improves(best.trial.moved(direction, way)):
-                    pass
-                if best is not before:
-                    break
-        step /= 2.0
+        best = tried
     final = {}
-    for camera in best.trial.cameras:
-        if (prior := best.trial.priors.get(camera.name)) is not None:
+    for camera in best.cameras:
+        if (prior := priors.get(camera.name)) is not None:
             estimate = best.estimates[camera.name]
             noise = prior.of(camera.detector) if estimate.confirmed or best.own_noise else prior.noise
             estimate = replace(estimate, detector=prior.put(camera.detector, noise), noise=noise)
             final[camera.name] = estimate.lasting(prior)
-    report = {name: _report(estimate, best.trial.priors[name]) for name, estimate in final.items()}
+    report = {name: _report(estimate, priors[name]) for name, estimate in final.items()}
     found = {"passes": runs, "converged": runs < MOST_RUNS, "noise_in_log": best.own_noise, "cameras": report}
-    return best.trial.with_detectors(final).cameras, found
+    return _with_estimates(best.cameras, final), found
 
 
 def _report(estimate: DetectorEstimate, prior: NoisePrior) -> dict[str, Any]:

@@ -4,23 +4,19 @@ The distances of the detections of two cameras from meeting, in pixels, are thos
 noise of both cameras) or of two. The density of the latter is measured, in two ways: from rays that are moved
 elsewhere, at the same and at other times, as those of false detections are, and from the rays that one camera would
 have of the other's detections, as those of objects that both see. By these, neighbours that stay together (a rigid
-board, a flock, objects at rest) are no partners. Either density is wrong by a share that grows with the distance: over
-a part of the distance that chance bridges, densities of different objects are even. That share is unknown too, a sum
-of bumps of all widths with a prior of its size. Distances beyond the median of chance tell nothing.
-
-The likelihood of a noise is that of the numbers of distances, integrated over the number of partners (at most one of a
-detection; any number is as probable, and none has a probability of its own) and over the errors of the density: where
-strangers hide the partners, it is nearly even, and what small noise cannot hide speaks against small noise. It needs
-neither a depth nor a first guess, and holds from a tenth of a pixel to a hundred.
+board, a flock, objects at rest) are no partners. The likelihood of a noise (`mixture`) needs neither a depth nor a
+first guess, and holds from a tenth of a pixel to a hundred. In a crowd rays say little: there displacements between
+frames tell more (`displacements`).
 
 Where cameras take their frames at different times, objects move between them, and that movement is no noise. Its size
 is unknown, and is integrated out. What it may be is shown by the same pair without the frame that is nearest: there it
 counts for several times as much, and the noise does not.
 
-The likelihoods of all pairs are joined in the noise of the cameras. The prior of a detector's noise is log-normal,
-68 % between 0.4 and 8 px, and the cameras of one log resemble each other. The answer is the mean of draws from the
-posterior of all cameras together, and its error their spread: a pair tells only the sum of two variances. A camera with
-little data takes its value from the others, and without any data the answer is the prior's median.
+The likelihoods of all pairs, and those of displacements, are joined in the noise of the cameras and one speed. The
+prior of a detector's noise is log-normal, 68 % between 0.4 and 8 px, and the cameras of one log resemble each other.
+The answer is the mean of draws from the posterior of all cameras together, and its error their spread: a pair tells
+only the sum of two variances. A camera with little data takes its value from the others, and without any data the
+answer is the prior's median.
 """
 
 from collections.abc import Collection, Sequence
@@ -42,6 +38,8 @@ from stereophd.pipeline.checks.geometry.rays import (
     signed_of_rays,
 )
 from stereophd.pipeline.checks.log.sample import CameraSample
+from stereophd.pipeline.detectors.displacements import PRIOR, likelihoods_of_displacements
+from stereophd.pipeline.detectors.mixture import MOST_EVIDENCE, NOISES, DistanceKind, classes, unmix
 from stereophd.pipeline.detectors.statistics import BETWEEN_CAMERAS, USUAL_P_DETECT, NoisePrior
 
 # The prior: the noise of one detector, px, and the spread of its logarithm.
@@ -50,30 +48,17 @@ USUAL_NOISE_PX, NOISE_SPREAD = 1.7, 1.5
 LEAST_CLUTTER = 0.02
 # Frames of each camera that are looked at.
 SAMPLE_FRAMES = 1500
-# Noises that are tried, px, and borders between classes of distances, px.
-NOISES = np.geomspace(0.03, 300.0, 90)
-BORDERS = np.concatenate([[0.0], np.geomspace(0.01, 10_000.0, 110)])
 # Detections of a pair that are examined at most, and distances of them all, those of chance included, of one pair and
 # of all pairs; times that measure chance, by the detections of a frame; and detections of a frame that others are
 # compared with.
 MOST_DETECTIONS, MOST_DISTANCES, MOST_OF_ALL = 1000, 1_500_000, 8_000_000
 SHIFTS, FEW_SHIFTS, CROWD, OWNERS = 8, 2, 50, 4
-# Errors of the density of distances of different objects, as shares of it: of its level, near 0, and what grows with
-# the square of the width of a bump to the widest, which is the median of chance; number of bumps, each half as wide.
-LEVEL_ERROR, EVEN_ERROR, WIDEST_ERROR, BUMPS = 0.3, 0.01, 0.5, 8
-# Shares of these that are distances of neighbours, and the probability that two cameras share no object.
-SHARES, STRANGERS = (0.0, 0.5, 1.0), 0.1
-# Rounds of a fit, by how much one changes logarithms and partners at most, and draws from the posterior.
-ROUNDS, MOST_CHANGE, DRAWS, LEAST_DRAWS = 12, (1.0, 5.0), 3000, 50
-# Detections that have a partner, at most.
-MOST_PARTNERS = 0.95
-# Log-likelihood that one pair of cameras may weigh: detections of one object are not independent, and the chance of a
-# single pair may look like noise of another size.
-MOST_EVIDENCE = 20.0
+# Distances of rays, and shares of their density that are distances of neighbours.
+RAYS, SHARES = DistanceKind(1, 0.3, 0.01, 0.5, 0.0), (0.0, 0.5, 1.0)
+# Draws from the posterior.
+DRAWS, LEAST_DRAWS = 3000, 50
 # Evidence of partners in nearer frames over that along tracks, from which tracks are wrong.
 CLEARER = 1.5
-# Distances of chance, number and share, below which their density counts as even.
-EVEN_COUNT, EVEN_SHARE = 50, 0.001
 
 
 @dataclass(frozen=True)
@@ -115,14 +100,21 @@ def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
     evidence = {(a, b): pair for a, b in pairs if (pair := _evidence(unit, a, b, most)) is not None}
     # pairs share detections: an object that n cameras see has 2 n - 3 independent distances, and n (n - 1) / 2 pairs
     independent = min(1.0, (2 * len(samples) - 3) / max(len(pairs), 1))
-    logs = _draws({cameras: independent * pair.of_both() for cameras, pair in evidence.items()}, len(samples))
+    # the fewer the objects, the less shows how far apart different ones are
+    crowds = [sample.detections_per_frame / (sample.detections_per_frame + CROWD) for sample in samples]
+    links = [share * likelihoods_of_displacements(sample) for share, sample in zip(crowds, samples, strict=True)]
+    logs = _draws({cameras: independent * pair.of_both() for cameras, pair in evidence.items()}, links)
     spacing = float(np.log(NOISES[1] / NOISES[0]))
     spreads = np.sqrt(logs.var(axis=0) + spacing**2 / 12.0)
     return RayNoise(np.exp(logs.mean(axis=0)), spreads, sum(pair.partners for pair in evidence.values()))
 
 
-def _draws(likelihoods: dict[tuple[int, int], Array], count: int) -> Array:
-    """Return draws (d, cameras) of the logarithm of the noise of all cameras: of two at a time, given the others."""
+def _draws(likelihoods: dict[tuple[int, int], Array], links: Sequence[Array]) -> Array:
+    """Return draws (d, cameras) of the logarithm of the noise of all cameras: of two at a time, given the others.
+
+    `likelihoods` are those of two cameras (noises, noises), `links` of a camera and of the speed (noises, turns).
+    """
+    count, turn = len(links), int(PRIOR.argmax())
     rng, logs, usual = np.random.default_rng(RAY_NOISE_SEED), np.log(NOISES), float(np.log(USUAL_NOISE_PX))
     of_either = likelihoods | {(b, a): table.T for (a, b), table in likelihoods.items()}
     state, draws, pairs = np.full(count, int(np.abs(logs - usual).argmin())), [], pairs_of(count)
@@ -135,12 +127,19 @@ def _draws(likelihoods: dict[tuple[int, int], Array], count: int) -> Array:
             apart = logs - mean
             total = likelihoods.get((a, b), 0.0) - inverse[0, 1] * apart[:, None] * apart
             for camera, axis in ((a, 1), (b, 0)):
-                told = sum(of_either[camera, k][:, state[k]] for k in rest if (camera, k) in of_either)
+                told = links[camera][:, turn]
+                told = told + sum(of_either[camera, k][:, state[k]] for k in rest if (camera, k) in of_either)
                 total = total + np.expand_dims(told - 0.5 * inverse[0, 0] * apart**2, axis)
-            summed = np.exp(total - total.max()).cumsum()
-            state[[a, b]] = divmod(int(np.searchsorted(summed, rng.random() * summed[-1])), len(logs))
+            state[[a, b]] = divmod(_drawn(rng, total), len(logs))
+        turn = _drawn(rng, PRIOR + np.sum([table[k] for table, k in zip(links, state, strict=True)], axis=0))
         draws.append(logs[state])
     return np.array(draws[len(draws) // 5 :])
+
+
+def _drawn(rng: np.random.Generator, likelihoods: Array) -> int:
+    """Return the index, within the flat array, of a draw with these log-likelihoods."""
+    summed = np.exp(likelihoods - likelihoods.max()).cumsum()
+    return int(np.searchsorted(summed, rng.random() * summed[-1]))
 
 
 def starting_detectors(
@@ -252,8 +251,12 @@ def _read(
         motion = np.array([((part * (1.0 - part)) ** 2 * span**power).mean() for power in (3, 4)])
     else:
         kept, motion = 1.0, np.array([((since - late) ** 2).mean()])
-    found = _mixture(_classes(missed), neighbours, _classes(by_chance), len(pair.detections))
-    return _PairEvidence(np.array([share_a, (1.0 - share_a) * kept]), motion, *found)
+    apart = classes(by_chance)
+    chance, near = RAYS.background(apart), RAYS.background(neighbours)
+    foreign = [share * near + (1.0 - share) * chance for share in SHARES]
+    found = unmix(RAYS, classes(missed), foreign, float(apart.sum()), len(pair.detections))
+    shares = np.array([share_a, (1.0 - share_a) * kept])
+    return _PairEvidence(shares, motion, found.likelihoods, found.partners, found.gain)
 
 
 def _neighbours(first: Camera, second: Camera, rays_a: Array, rays_b: Array, met: Booleans) -> Array:
@@ -262,7 +265,7 @@ def _neighbours(first: Camera, second: Camera, rays_a: Array, rays_b: Array, met
     Of every ray (n, 3) of A a few of the detections (n, k, 3) that it can meet are seen where it passes them nearest.
     """
     pose_a, pose_b = first.pose, second.pose
-    found = np.zeros(len(BORDERS) - 1)
+    found = classes(np.empty(0))
     for column in np.linspace(0, rays_b.shape[1], OWNERS, endpoint=False).astype(int):
         owner = (column + np.arange(len(rays_a))) % rays_b.shape[1]
         rows = np.flatnonzero(met[np.arange(len(rays_a)), owner])
@@ -273,96 +276,5 @@ def _neighbours(first: Camera, second: Camera, rays_a: Array, rays_b: Array, met
         apart = np.abs(signed_of_rays(first, second, (seen / seen[:, 2:])[:, None], rays_b[rows]))
         apart[~met[rows]] = np.nan
         apart[np.arange(len(rows)), owner] = np.nan
-        found += _classes(apart)
+        found += classes(apart)
     return found
-
-
-def _classes(missed: Array) -> Array:
-    """Return the numbers of distances between the borders."""
-    return np.histogram(missed[np.isfinite(missed)], BORDERS)[0].astype(np.float64)
-
-
-def _mixture(together: Array, neighbours: Array, apart: Array, count: int) -> tuple[Array, float, float]:
-    """Return the log-likelihood (noises,) of the noise of partners among distances, their number, and its gain.
-
-    Numbers (classes,) are those of distances at the same time, from rays of others in a frame, and at other places and
-    times; the `count` detections have at most one partner each.
-    """
-    chance, near = _background(apart), _background(neighbours)
-    kept = max(int(np.searchsorted(np.cumsum(chance), 0.5)), 1)
-    widths = 0.5 ** np.arange(BUMPS)
-    bumps = np.exp(-0.5 * (BORDERS[1 : kept + 1] / (BORDERS[kept] * widths[:, None])) ** 2)
-    errors = np.vstack([np.full(kept, LEVEL_ERROR), (EVEN_ERROR + WIDEST_ERROR * widths**2)[:, None] * bumps])
-    total = max(float(together.sum()), 1.0)
-    most = MOST_PARTNERS * min(count, total)
-    # chance is counted too: its error is that of so many distances
-    weight = 1.0 / (1.0 + total / max(float(apart.sum()), 1.0))
-    # the last noise is without end: of no partner
-    own = _half_normal(np.append(NOISES, 1e12))[:, :kept]
-    fits = [
-        _fit(together[:kept], (share * near + (1.0 - share) * chance)[:kept], errors, own, most, total, weight)
-        for share in SHARES
-    ]
-    marginal, best, partners = (np.stack(each) for each in zip(*fits, strict=True))
-    chosen = np.unravel_index(int(best[:, :-1].argmax()), best[:, :-1].shape)
-    likelihoods = np.logaddexp.reduce(np.logaddexp(marginal, np.log(STRANGERS) + best[:, -1:]), axis=0)[:-1]
-    gain = float(best[chosen] - best[:, -1].max())
-    return np.logaddexp(likelihoods - likelihoods.max(), -MOST_EVIDENCE), float(partners[chosen]), gain
-
-
-def _fit(
-    together: Array, foreign: Array, errors: Array, own: Array, most: float, total: float, weight: float
-) -> tuple[Array, Array, Array]:
-    """Return the log-likelihoods (s,) of noises over all numbers of partners, those of the best, and these numbers.
-
-    Distances have the densities `own` (s, classes) or `foreign` (classes,), the latter times the exponential of a sum
-    of `errors` (e, classes), each times a standard normal number. Newton's method for these and the partners.
-    """
-    from scipy.special import log_ndtr  # costly to import
-
-    partners, sizes = np.full(len(own), 0.3 * most), np.zeros((len(own), len(errors)))
-    for left in reversed(range(ROUNDS)):
-        density = foreign * np.exp(sizes @ errors)
-        others = (total - partners[:, None]) * density
-        expected = others + partners[:, None] * own
-        excess, change = together / expected - 1.0, own - density
-        slopes = weight * (others * excess) @ errors.T - sizes
-        info = weight * (errors * (others**2 / expected)[:, None]) @ errors.T + np.eye(len(errors))
-        cross = weight * (others * change / expected) @ errors.T
-        step, moved = np.moveaxis(np.linalg.solve(info, np.stack([slopes, cross], axis=2)), 2, 0)
-        slope = weight * (change * excess).sum(axis=1) - (moved * slopes).sum(axis=1)
-        curvature = weight * (change**2 / expected).sum(axis=1) - (moved * cross).sum(axis=1)
-        root = np.sqrt(np.maximum(curvature, 1e-3 / most**2))
-        if left:
-            least, greatest = partners / MOST_CHANGE[1], np.minimum(most, partners * MOST_CHANGE[1])
-            new = np.clip(partners + slope / root**2, least, greatest)
-            sizes = sizes + np.clip(step - moved * (new - partners)[:, None], -MOST_CHANGE[0], MOST_CHANGE[0])
-            partners = new
-    best = weight * (together * np.log(expected) - expected).sum(axis=1) - 0.5 * (sizes**2).sum(axis=1)
-    best = best - 0.5 * np.linalg.slogdet(info)[1]
-    # the normal density of partners between 0 and the most
-    centre = partners + slope / root**2
-    low, high = -centre * root, (most - centre) * root
-    low, high = np.where(low > 0.0, -high, low), np.where(low > 0.0, -low, high)
-    inside = log_ndtr(high) + np.log1p(-np.exp(np.minimum(log_ndtr(low) - log_ndtr(high), -1e-12)))
-    mass = inside + 0.5 * (slope / root) ** 2 + 0.5 * np.log(2.0 * np.pi) - np.log(root * most)
-    return best + mass, best, partners
-
-
-def _background(apart: Array) -> Array:
-    """Return the probability (classes,) of each class of distances of different objects.
-
-    It is even near 0, as far as it takes for enough distances.
-    """
-    widths = np.diff(BORDERS)
-    near = np.cumsum(apart) <= max(EVEN_COUNT, EVEN_SHARE * apart.sum())
-    smooth = np.where(near, apart[near].sum() * widths / max(float(widths[near].sum()), 1e-300), apart)
-    return np.asarray((smooth + widths / widths.sum()) / (smooth.sum() + 1.0))
-
-
-def _half_normal(spreads: Array) -> Array:
-    """Return the probability (s, classes) of each class of distances of these standard deviations (s,), px."""
-    from scipy.special import erf  # costly to import
-
-    below = erf(BORDERS / (np.sqrt(2.0) * spreads[:, None]))
-    return np.asarray(np.maximum(np.diff(below, axis=1), 1e-300))

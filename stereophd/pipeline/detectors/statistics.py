@@ -14,7 +14,8 @@ with residuals e and weights w = p R / S (the probability p of the pair, and the
 
 per axis of the distorted image. Its standard error treats C as known, which is on the safe side:
 sqrt(2 sum(w^2)) / sum(w) for R_new / R, divided by the mean of R / S. Few residuals say little: the estimate is joined
-with what the rays say (`stereophd.pipeline.detectors.ray_noise`), so that it cannot run away from pass to pass.
+with what rays and displacements say (`stereophd.pipeline.detectors.ray_noise`), so that it cannot run away from pass to
+pass.
 
 Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of
 the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last
@@ -136,11 +137,6 @@ class NoisePrior:
     def boxes(self) -> bool:
         """Whether it is that of boxes."""
         return len(self.noise) == len(BOX_NOISE)
-
-    @property
-    def own_spread(self) -> float:
-        """By how much the logarithm may differ from that of the other cameras."""
-        return 0.0 if self.boxes else min(self.spread, BETWEEN_CAMERAS)
 
     def of(self, detector: Detector) -> Array:
         """Return the noise of a detector that this is the prior of."""

@@ -22,7 +22,8 @@ from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run_figures import LASTING, check_estimated_detectors
-from stereophd.pipeline.checks.settings import expected_depths, measure_motion, measure_scene
+from stereophd.pipeline.checks.settings import expected_depths, measure_scene
+from stereophd.pipeline.detectors.displacements import usual_turn
 from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
 from stereophd.pipeline.detectors.statistics import NoisePrior
@@ -42,6 +43,8 @@ LEAST_ANGLE_DEG, ANGLE_NOISES, LEAST_CENTER = 1.0, 5.0, 0.01
 LEAST_FRAMES = 4
 # Margins of what is written about what was seen.
 NEARER, FARTHER, SPREAD, FASTER = 0.7, 1.5, 1.3, 2.5
+# Standard deviations of one component of the velocity that nearly all speeds are within.
+SPREADS = 3.0
 REGION_NEARER, REGION_FARTHER = 0.4, 2.5
 # Largest standard deviation of a reported position, and the cutoff of scores, over the middle depth.
 UNCERTAIN, CUTOFF = 0.1, 0.1
@@ -82,7 +85,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     if not is_placed:  # everything else follows from rays; tracks estimate the detectors once there are any
         return _with_cameras(draft, cameras, measured, estimate=True)
     draft = _with_cameras(draft, cameras, unknown)
-    rough = _rough(draft, samples)
+    rough = _rough(draft, samples, priors)
     if rough is not None:
         usual, draft = draft, draft.with_choices(rough)
         # tracks of wrong cameras tell nothing either
@@ -229,11 +232,10 @@ def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> tuple[Dr
     return replace(draft, camera_notes=notes), unknown
 
 
-def _rough(draft: Draft, samples: list[CameraSample]) -> dict[str, Choice] | None:
-    """Return settings from rays and one-camera tracks, wide enough to track with; None where cameras share nothing."""
+def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, NoisePrior]) -> dict[str, Choice] | None:
+    """Return settings from rays and displacements, wide enough to track with; None where cameras share nothing."""
     geometry = measure(samples, expected_depths(_bare(draft).config, samples))
     scene = measure_scene(geometry, MEETING_SCORE)
-    tracks = "from one-camera tracks at these depths"
     if scene.depths is not None and scene.depths[0] > 0.0:
         near, middle, far = scene.depths.tolist()
         why = "from the depths at which rays of different cameras meet"
@@ -247,10 +249,10 @@ def _rough(draft: Draft, samples: list[CameraSample]) -> dict[str, Choice] | Non
         "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
         "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),
     }
-    speed, _ = measure_motion(samples, middle, at_most=True)
-    if speed is None:
-        tracks = "the log shows no speeds: these depths are crossed in a few seconds"
-    spread, fastest = (0.2 * middle, 2.0 * middle) if speed is None else speed.tolist()
+    spread = middle * usual_turn(samples, priors)
+    fastest, tracks = SPREADS * spread, "from displacements between frames at these depths"
+    if scene.speed is not None:
+        (spread, fastest), tracks = scene.speed.tolist(), "from one-camera tracks at these depths"
     choices["filter.birth.velocity_std"] = Choice(rounded(max(2.0 * spread, 1e-3 * middle)), tracks)
     choices["motion.max_speed"] = Choice(rounded(max(5.0 * fastest, 0.02 * middle)), tracks)
     choices["motion.acceleration_std"] = Choice(rounded(max(0.5 * spread, 1e-4 * middle)), tracks)

@@ -222,10 +222,6 @@ class CameraSample:
     @cached_property
     def tracks(self) -> tuple[Integers, ...]:
         """Detections of every one-camera track of at least `LEAST_LENGTH` frames."""
-        return self.chains(LEAST_LENGTH)
-
-    def chains(self, least: int) -> tuple[Integers, ...]:
-        """Return the detections of every one-camera track of at least so many frames."""
         following = self.links
         starts = np.flatnonzero((following >= 0) & ~self.reached)
         found = []
@@ -234,7 +230,7 @@ class CameraSample:
             while k >= 0:
                 chain.append(k)
                 k = int(following[k])
-            if len(chain) >= least:
+            if len(chain) >= LEAST_LENGTH:
                 found.append(np.array(chain, dtype=np.int64))
         return tuple(found)
 

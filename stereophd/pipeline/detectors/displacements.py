@@ -1,0 +1,88 @@
+"""Noise and motion from the displacements between frames of one camera, which tell of both in crowds too.
+
+Detections of one object in two frames lie apart by the noise of both and by its motion. In a crowd most pairs of
+detections are of different objects, but how many of these lie at which distance is shown by the pairs of one frame,
+and what is beyond them is of one object, though nobody knows which pairs (`mixture`). Over more frames motion counts
+for more, as velocities last, and noise does not: that tells one from the other.
+
+What displacements say of a camera is a table of its noise and of the speed across the line of sight over the depth,
+which is the same for all cameras but for a factor. One object is in many pairs. Where they stand out, those of several
+steps tell what one step tells; where strangers hide them, each adds to the other.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from stereophd.core.arrays import Array
+from stereophd.pipeline.checks.log.sample import CameraSample
+from stereophd.pipeline.detectors.mixture import BORDERS, NOISES, DistanceKind, Mixture, classes, unmix
+from stereophd.pipeline.detectors.statistics import BETWEEN_CAMERAS, NoisePrior
+
+# Frames from one detection to the other, and pairs of detections of a camera for each, at most.
+STEPS, MOST_PAIRS = (1, 2, 3, 4), 4_000_000
+# Detections of a frame from which its pairs are as good as those of other objects.
+CROWD = 50
+# The density of pairs of one frame is that of strangers nearly as it is, and a detection mostly has a successor.
+DISPLACEMENTS = DistanceKind(2, 0.02, 0.003, 0.03, 1.0)
+# Speeds over the depth that are tried, 1/s, their prior (log-normal), and the error of a spread for so few speeds.
+TURNS = np.geomspace(1e-4, 1e2, 90)
+USUAL_TURN, TURN_SPREAD, FEW_SPEEDS = 0.2, 1.5, 0.1
+PRIOR = -0.5 * (np.log(TURNS / USUAL_TURN) / TURN_SPREAD) ** 2
+# Log-likelihood that the displacements of a camera may weigh: errors that last do not show in them.
+MOST_EVIDENCE = 15.0
+
+
+def likelihoods_of_displacements(sample: CameraSample) -> Array:
+    """Return the log-likelihood (noises, turns) of the noise of a camera and of the speed over the depth."""
+    found = [_displacements(sample, steps) for steps in STEPS if steps < len(sample.times)]
+    told = np.zeros((len(NOISES), len(TURNS)))
+    for square, mixture in found:
+        spread = 0.5 * np.log(2.0 * NOISES[:, None] ** 2 + (TURNS * sample.camera.fx) ** 2 * square)
+        weight = 1.0 / (1.0 + (len(found) - 1.0) * mixture.clear)
+        told += weight * np.interp(spread, np.log(NOISES), _blurred(mixture.likelihoods, NOISES, FEW_SPEEDS))
+    return _blurred(np.logaddexp(told - told.max(), -MOST_EVIDENCE), TURNS, BETWEEN_CAMERAS)
+
+
+def usual_turn(samples: Sequence[CameraSample], priors: Mapping[str, NoisePrior]) -> float:
+    """Return the speed across the line of sight over the depth, one component, 1/s: its posterior median.
+
+    The noise is that of the cameras, to within the spread of its prior where there is one.
+    """
+    told = PRIOR
+    for sample in samples:
+        sigma, prior = float(sample.camera.detector.sigma.mean()), priors.get(sample.camera.name)
+        spread = FEW_SPEEDS if prior is None else np.hypot(prior.spread, FEW_SPEEDS)
+        noise = -0.5 * (np.log(NOISES / sigma) / spread) ** 2
+        told = told + np.logaddexp.reduce(likelihoods_of_displacements(sample) + noise[:, None], axis=0)
+    summed = np.exp(told - told.max()).cumsum()
+    return float(TURNS[np.searchsorted(summed, 0.5 * summed[-1])])
+
+
+def _displacements(sample: CameraSample, steps: int) -> tuple[float, Mixture]:
+    """Return the mean square of the time that so many frames take, s^2, and what displacements over them tell."""
+    counts, frames = np.diff(sample.first), np.arange(len(sample.times) - steps)
+    pairs = int((counts[frames] * (counts[frames] + counts[frames + steps])).sum())
+    frames = frames[:: 1 + pairs // MOST_PAIRS]
+    together, apart = [np.empty(0)], [np.empty(0)]
+    for k in frames.tolist():
+        now, later = (sample.pixels[sample.first[i] : sample.first[i + 1]] for i in (k, k + steps))
+        together.append(np.linalg.norm(now[:, None] - later, axis=2).ravel())
+        apart.append(np.linalg.norm(now[:, None] - now, axis=2)[np.triu_indices(len(now), 1)])
+    count, strangers = int(counts[frames].sum()), classes(np.concatenate(apart))
+    # and what one false detection anywhere in the image adds; pairs of few objects stay the same and show little
+    reach = float(np.sqrt(sample.camera.width * sample.camera.height / np.pi))
+    density = DISPLACEMENTS.background(strangers + count * np.diff(np.minimum(BORDERS / reach, 1.0) ** 2))
+    known = float(strangers.sum())
+    error = 1.0 / np.sqrt(max(known / (1.0 + CROWD * len(frames) / max(count, 1)), 1.0))
+    kind = replace(DISPLACEMENTS, level=DISPLACEMENTS.level + error, even=DISPLACEMENTS.even + error)
+    found = unmix(kind, classes(np.concatenate(together)), [density], known + count, count)
+    return float(((sample.times[frames + steps] - sample.times[frames]) ** 2).mean()), found
+
+
+def _blurred(likelihoods: Array, values: Array, spread: float) -> Array:
+    """Return log-likelihoods (..., n) of values (n,) whose logarithms have this standard deviation besides."""
+    apart = -0.5 * (np.log(values[:, None] / values) / spread) ** 2
+    apart = apart - np.logaddexp.reduce(apart, axis=0)
+    return np.asarray(np.logaddexp.reduce(likelihoods[..., :, None] + apart, axis=-2))
