@@ -264,12 +264,12 @@ def test_a_text_that_is_not_estimate(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("start_px", [0.08, 30.0])
-def test_a_noise_that_rays_hardly_know_is_where_the_log_is_most_probable(short: Path, start_px: float) -> None:
+def test_a_noise_that_rays_hardly_know_is_where_the_log_is_most_probable(logs: Path, start_px: float) -> None:
     """From a noise that is wrong by two stated errors; no tracks begin with the small one."""
-    loaded = load_config(short / "scene.yaml", (*SIMULATED, *given(TRUE)), 1)
+    loaded = load_config(logs / "scene.yaml", (*SIMULATED, *given(TRUE)), 1)
     sigma = np.full(2, start_px)
     cameras = tuple(replace(one, detector=replace(one.detector, sigma=sigma)) for one in loaded.build_cameras())
-    parts = stretches(open_stream(loaded.config, cameras, short / "log0" / "detections.parquet"))
+    parts = stretches(open_stream(loaded.config, cameras, logs / "log0" / "detections.parquet"))
     found, report = estimate_detectors(
         cameras, {name: NoisePrior(sigma, 1.5) for name in TRUE},
         lambda used: build_labelled_filter(loaded.config, used, "scene.yaml", 1), parts,
