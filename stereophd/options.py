@@ -20,7 +20,7 @@ import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import wraps
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, Literal, TypeVar, dataclass_transform, get_args, get_origin, get_type_hints
 
 from stereophd.errors import InputError, nearest
@@ -80,6 +80,7 @@ def options(cls: type[Class]) -> type[Class]:
 def _expected(value: Any, hint: Any, declared: Declaration) -> str | None:
     """Return what an option expected where its value is none of that; None of one that may be."""
     if isinstance(value, Real):  # numbers of NumPy, too
+        value = int(value) if isinstance(value, Integral) else float(value)
         if not -math.inf < value < math.inf:
             return "a finite number"
         if declared.above is not None and value <= declared.above:
