@@ -20,6 +20,7 @@ import textwrap
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import wraps
+from numbers import Integral, Real
 from typing import Any, Literal, TypeVar, dataclass_transform, get_args, get_origin, get_type_hints
 
 from stereophd.errors import InputError, nearest
@@ -69,7 +70,8 @@ def options(cls: type[Class]) -> type[Class]:
         for name, declared in declarations(type(made)).items():
             # by `vars`, because options that note what a format reads must not note this
             if (expected := _expected(vars(made)[name], hints[name], declared)) is not None:
-                raise InputError(f"`{name}`: expected {expected}, found {vars(made)[name]}")
+                found = str(vars(made)[name]).removesuffix(".0")
+                raise InputError(f"`{name}`: expected {expected}, found {found}")
 
     cls.__post_init__ = check  # type: ignore[attr-defined]
     return dataclass(frozen=True, kw_only=True)(cls)
@@ -77,12 +79,13 @@ def options(cls: type[Class]) -> type[Class]:
 
 def _expected(value: Any, hint: Any, declared: Declaration) -> str | None:
     """Return what an option expected where its value is none of that; None of one that may be."""
-    if isinstance(value, int | float):
-        if declared.above is not None and not declared.above < value < math.inf:
-            return f"a finite number above {declared.above:g}"
-        if declared.least is not None and value < declared.least:
-            return f"at least {declared.least:g}"
-        return None if math.isfinite(value) else "a finite number"
+    if isinstance(value, Real):  # numbers of NumPy, too
+        value = int(value) if isinstance(value, Integral) else float(value)
+        if not -math.inf < value < math.inf:
+            return "a finite number"
+        if declared.above is not None and value <= declared.above:
+            return f"a number above {declared.above:g}"
+        return f"at least {declared.least:g}" if declared.least is not None and value < declared.least else None
     kinds = [hint] if get_origin(hint) is Literal else [kind for kind in get_args(hint) if kind is not type(None)]
     if len(kinds) != 1 or get_origin(kinds[0]) is not Literal or value is None or value in get_args(kinds[0]):
         return None

@@ -224,7 +224,7 @@ def test_tracks_are_scored_on_the_ground_and_in_a_region(log: Path, tmp_path: Pa
         ({"plane": (0.0, 0.0, 0.0)}, "`plane`: expected a normal"),
         ({"region": {"w": (0.0, 1.0)}}, "`region`: expected x, y or z"),
         ({"region": {"x": (1.0, 0.0)}}, "`region`: expected x, y or z"),
-        ({"switch_cost": 0.0}, "`switch_cost`: expected a finite number above 0"),
+        ({"switch_cost": 0.0}, "`switch_cost`: expected a number above 0, found 0"),
         ({"plane": (0.0, 0.0, 1.0), "base": "mahalanobis"}, "`plane`: expected `base` euclidean"),
     ],
 )

@@ -22,12 +22,28 @@ BOX_NOISE = (0.06, 0.045, 0.05, 0.09)
 
 @dataclass(frozen=True, init=False, eq=False)
 class Detector(EqualByValue):
-    """A camera's detector: noise, misses and false detections. Raises ValueError if a value is out of its range."""
+    """A camera's detector: noise, misses and false detections.
 
-    sigma: Array  # (2,): Standard deviation of a detection along u and v, px; read-only
-    p_detect: float  # Probability that an object in view is detected
-    clutter_per_frame: float  # Mean number of false detections per frame, uniform over the image
-    # Standard deviations of the middle u, the top, the bottom and the width of a box, as parts of its height
+    Parameters
+    ----------
+    sigma : (2,) array_like
+        Standard deviation of a detection along u and v, px (kept as a read-only array).
+    p_detect : float
+        Probability that an object in view is detected.
+    clutter_per_frame : float
+        Mean number of false detections per frame, uniform over the image.
+    box_noise : (4,) array_like
+        Standard deviations of the middle u, the top, the bottom and the width of a box, as parts of its height.
+
+    Raises
+    ------
+    ValueError
+        If a value is out of its range.
+    """
+
+    sigma: Array
+    p_detect: float
+    clutter_per_frame: float
     box_noise: tuple[float, float, float, float]
 
     def __init__(
@@ -76,27 +92,54 @@ class Camera:
 
     Camera axes: x right, y down, z forward. Pixel (0, 0) is the centre of the top-left pixel (OpenCV).
     Undistorted pixels are those of the pinhole camera with the same intrinsics; detections are
-    distorted pixels. Raises ValueError if the image size or a focal length is not positive.
+    distorted pixels.
+
+    Parameters
+    ----------
+    name : str
+        Name, as in logs and configurations.
+    width, height : int
+        Image size, px.
+    fx, fy : float
+        Focal lengths along u and v, px.
+    cx, cy : float
+        Principal point, px.
+    pose : Pose
+        Pose in the world; of a moving camera, at ``pose.time_s``.
+    lens : Lens
+        Lens distortion.
+    detector : Detector
+        Noise, misses and false detections.
+    frame_rate_hz : float or None
+        Frames per second, for simulation; None if it is not stated.
+    phase_s : float
+        Time of the first frame after the start, s, for simulation.
+    clock : Clock
+        The camera's own clock.
+    readout_s : float
+        Time from the first row of the image to the one after the last, s (rolling shutter; negative: read from the
+        bottom up). The time of a frame is that of row 0; row v of the distorted image is exposed ``readout_s * v /
+        height`` later. Zero: all rows at once.
+
+    Raises
+    ------
+    ValueError
+        If the image size or a focal length is not positive.
     """
 
-    name: str  # As in logs and configurations
-    # `width`, `height`: Image size, px.
+    name: str
     width: int
     height: int
-    # `fx`, `fy`, `cx`, `cy`: Focal lengths along u and v, and principal point, px.
     fx: float
     fy: float
     cx: float
     cy: float
-    pose: Pose  # In the world; of a moving camera, at ``pose.time_s``
+    pose: Pose
     lens: Lens
     detector: Detector
-    frame_rate_hz: float | None = None  # Frames per second, for simulation; None if it is not stated
-    phase_s: float = 0.0  # Time of the first frame after the start, s, for simulation
+    frame_rate_hz: float | None = None
+    phase_s: float = 0.0
     clock: Clock = field(default_factory=Clock)
-    # Time from the first row of the image to the one after the last, s (rolling shutter; negative: read from the bottom
-    # up). The time of a frame is that of row 0; row v of the distorted image is exposed ``readout_s * v / height``
-    # later. Zero: all rows at once.
     readout_s: float = 0.0
 
     def __post_init__(self) -> None:

@@ -97,19 +97,36 @@ class Pose(EqualByValue):
 
     Camera axes: x right, y down, z forward. A moving camera has a constant velocity of its centre and a
     constant angular velocity about its own axes, or it follows a known path; `rotation` and `center` hold at
-    `time_s`. Poses are equal when all their values are, and their arrays are read-only. Raises ValueError if a shape is
-    wrong, a value is not finite, or the matrix is not a rotation.
+    `time_s`. Poses are equal when all their values are, and their arrays are read-only.
+
+    Parameters
+    ----------
+    rotation : (3, 3) array_like
+        Rotation from world to camera axes. A matrix given with few digits is replaced by the nearest
+        rotation, so that its transpose is its inverse.
+    center : (3,) array_like
+        Optical centre in the world, length.
+    velocity : (3,) array_like
+        Velocity of the centre in the world, length/s.
+    rotation_rate : (3,) array_like
+        Angular velocity of the camera about its own axes, rad/s, right-handed: (0, w, 0) turns it to
+        the right.
+    time_s : float
+        Time at which rotation and center hold, s.
+    path : MountedPath, optional
+        The camera follows it at all times; the other values are those at `time_s` (see `following`).
+
+    Raises
+    ------
+    ValueError
+        If a shape is wrong, a value is not finite, or the matrix is not a rotation.
     """
 
-    # (3, 3): From world to camera axes. A matrix given with few digits is replaced by the nearest rotation, so that its
-    # transpose is its inverse.
     rotation: Array
-    center: Array  # (3,): Optical centre in the world, length
-    velocity: Array  # (3,): Of the centre in the world, length/s
-    # (3,): Angular velocity about its own axes, rad/s, right-handed: (0, w, 0) turns it to the right
+    center: Array
+    velocity: Array
     rotation_rate: Array
-    time_s: float  # Time at which rotation and center hold, s
-    # The camera follows it at all times; the other values are those at `time_s` (see `following`).
+    time_s: float
     path: MountedPath | None
 
     def __init__(

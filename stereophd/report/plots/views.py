@@ -82,8 +82,9 @@ def field_of_view(camera: Camera, depth: float, view: SceneView) -> Array:
     far = camera.unproject(pixels, np.full(len(pixels), depth))
     corners = np.concatenate([camera.pose.center[None], far[np.isfinite(far).all(axis=1)]])
     drawn = view.project(corners)
+    shape = drawn - drawn[0]  # far from the origin, rounding would flatten it
     # a lens may reach so little of the image that all lie on a line
-    return drawn[ConvexHull(drawn).vertices] if np.linalg.matrix_rank(drawn - drawn[0]) == 2 else drawn
+    return drawn[ConvexHull(shape).vertices] if np.linalg.matrix_rank(shape) == 2 else drawn
 
 
 def viewing_depth(camera: Camera, points: Array) -> float:

@@ -12,6 +12,7 @@ from stereophd.config.loading import load_config, make_config
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.pose import Pose
 from stereophd.io.logs.reading import Frame
+from stereophd.io.logs.rows import LogWriter
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL
 from stereophd.pipeline.checks.geometry.causes import LEAST_CLOCK_FRAMES, RATES, Trial, _clock_trials
@@ -28,7 +29,7 @@ from stereophd.pipeline.checks.geometry.rays import (
 from stereophd.pipeline.checks.log import sample as sampling
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
-from stereophd.pipeline.checks.run import check_samples
+from stereophd.pipeline.checks.run import check_log
 from stereophd.pipeline.checks.run_figures import (
     check_detections,
     check_estimated_detectors,
@@ -445,12 +446,14 @@ def test_noise_is_asked_whatever_the_detector_states_of_misses(sigma: float, sta
 
 
 @pytest.mark.parametrize("thorough", [False, True])
-def test_a_contradicted_noise_is_no_mistake_of_poses_and_clocks(thorough: bool) -> None:
+def test_a_contradicted_noise_is_no_mistake_of_poses_and_clocks(thorough: bool, tmp_path: Path) -> None:
     """Rays that miss each other by five stated deviations: a rate of 0.999 would let more of them meet by chance."""
     loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml")
-    seen = sample_log(_frames(CAMERAS, count=300), CAMERAS)
-    wrong = [one.with_camera(replace(one.camera, detector=Detector([0.15] * 2, 0.95, 1.0))) for one in seen]
-    found = check_samples(loaded, wrong, thorough, whole=True)
+    log, wrong = tmp_path / "log.parquet", Detector([0.15] * 2, 0.95, 1.0)
+    with LogWriter(log) as table:
+        for frame in _frames(CAMERAS, count=300):
+            table.write(frame.time_s, CAMERAS[frame.camera].name, frame.frame, frame.pixels)
+    found = check_log(loaded, log, thorough, tuple(replace(camera, detector=wrong) for camera in CAMERAS))
     geometry = [one for one in found if one.name.startswith("geometry.")]
     assert {one.status for one in geometry} == {"ok"}
     assert [one.value for one in geometry if one.name == "geometry.residuals"] == [pytest.approx(1.0, abs=0.3)]

@@ -127,8 +127,13 @@ def test_overlaps_longer_than_a_piece_are_refused() -> None:
     for overlap in (5.0, math.nan):
         with pytest.raises(InputError, match="`overlap_s`: expected"):
             overlap_of(4.0, overlap)
-    for length in (0.0, math.inf):
-        with pytest.raises(InputError, match="`pieces_s`: expected a finite number above 0"):
+    refused = (
+        (0.0, "a number above 0, found 0"),
+        (np.float32(-0.5), "a number above 0, found -0.5"),
+        (math.inf, "a finite number, found inf"),
+    )
+    for length, expected in refused:
+        with pytest.raises(InputError, match=f"`pieces_s`: expected {expected}$"):
             TrackOptions(pieces_s=length)
 
 
