@@ -45,12 +45,13 @@ from stereophd.core.calibration.annealing.starts import (
     wanted,
 )
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
-from stereophd.core.calibration.unknowns.held import EnlargedSet, enlarge, free_of
+from stereophd.core.calibration.unknowns.held import FOCAL_STD, EnlargedSet, enlarge, free_of
 from stereophd.core.calibration.unknowns.observability import posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import scale_is_free
 from stereophd.core.calibration.unknowns.unknown_sets import candidates
 from stereophd.core.numerics.random_streams import NOISE_SEED
+from stereophd.wording import percent
 
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 25
@@ -456,7 +457,17 @@ def statement_remarks(believed: Believed, is_doubted: bool) -> tuple[Remark, ...
             f"the answer depends on what is stated: the data allow {fitting(largest)} too, which moves tracks by "
             f"{largest.expected_move:.1f} of their stated standard deviations"
         )
-        remarks.append(Remark("sensitivity", text, is_reservation=True))
+        return (*remarks, Remark("sensitivity", text, is_reservation=True))
+    hidden = max(
+        (s for s in believed.held if not is_shown(s, believed.task.parameters)), key=lambda s: s.moves, default=None
+    )
+    if contradicted is None and not is_doubted and hidden is not None and hidden.moves > LARGEST_MOVE:
+        text = (
+            f"two cameras do not show whether {' and '.join(hidden.group.names)} are as stated: if they were "
+            f"{percent(FOCAL_STD)} off, tracks would be off by {hidden.moves:.1f} of their stated standard deviations "
+            "(remedy: state how well they are known, calibration.priors.NAME.focal_std)"
+        )
+        remarks.append(Remark("sensitivity", text))
     return tuple(remarks)
 
 

@@ -169,6 +169,12 @@ def test_core_alone_calibrates(made: MadeUp, task: Task) -> None:
     (said,) = (one for one in statement_remarks(replace(result.believed, held=(wrong,)), False) if one.topic == "model")
     assert said.text.endswith(f"another {', '.join(focal.group.names)} fits; measure it: two cameras do not show it")
     assert may_be_freed(first, Choices(model=FREE), task.parameters)
+    # and where tracks depend on these, a warning says so
+    for moves, count in ((2.5, 1), (0.5, 0)):
+        held = (replace(focal, moves=moves, expected_move=0.1, log_evidence=-5.0),)
+        remarks = statement_remarks(replace(result.believed, given_up=(), held=held), False)
+        assert [one.is_reservation for one in remarks] == [False] * count
+        assert all("off by 2.5 of their stated standard deviations" in one.text for one in remarks)
 
 
 def test_a_noise_that_is_stated_too_small_lets_a_start_succeed(made: MadeUp, task: Task) -> None:
