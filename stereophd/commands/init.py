@@ -89,19 +89,23 @@ def init(
 def _with_overrides(draft: Draft, overrides: Sequence[str]) -> Draft:
     """Return the draft with values that the user gives."""
     cameras = Tree({"cameras": {name: camera.model_dump(mode="json") for name, camera in draft.cameras.items()}})
-    values = {}
+    values, stated = {}, set[str]()
     for path, change in map(parse_override, overrides):
         if path[0] == "units":
             raise InputError("`overrides` units: expected the unit with `length_unit` or in the cameras, found it here")
         if path[0] == "cameras":
             apply_override(cameras, path, change)
+            if path[2:3] == ("detector",) and path[3:] not in ((), ("estimate",)):
+                # a detector of which values are given is not estimated, whatever its camera had before
+                cameras.data["cameras"][path[1]]["detector"]["estimate"] = False
+                stated.add(f"cameras.{path[1]}.detector")
         else:
             values[".".join(map(str, path))] = change.data
     draft = draft.with_given(values)
     if not values and not overrides:
         return draft
     loaded = make_config({**draft.values(), **(cameras.data if draft.cameras else {})}, "`overrides`")
-    return replace(draft, cameras=loaded.cameras if draft.cameras else {})
+    return replace(draft, cameras=loaded.cameras if draft.cameras else {}, given=draft.given | stated)
 
 
 def _check_target(target: Path, force: bool) -> None:

@@ -121,6 +121,23 @@ def test_cameras_whose_rays_do_not_meet_are_calibrated_first(
     name, command, config, *_ = shlex.split(capsys.readouterr().out.splitlines()[-1])
     assert (name, command) == ("stereophd", "calibrate")
     assert run(["config", "check", config, "--for", "calibrate"]) == 0
+    # nobody has measured a distance
+    assert "scale" not in yaml.safe_load(Path(config).read_text())["calibration"]
+
+
+def test_a_detector_that_is_given_stays(scene: Path, tmp_path: Path) -> None:
+    """As the remedies ask for that `init` prints, where cameras state no detector."""
+    values = yaml.safe_load((scene / "cameras.yaml").read_text())
+    for camera in values["cameras"].values():
+        del camera["detector"]
+    (tmp_path / "guess.yaml").write_text(yaml.safe_dump(values))
+    first, *others = values["cameras"]
+    given = [f"cameras.{first}.detector.sigma_px=[4.5, 4.5]"]
+    init(tmp_path / "study", scene / "detections.parquet", tmp_path / "guess.yaml", given)
+    loaded = load_config(tmp_path / "study" / "config.yaml")
+    assert loaded.cameras[first].detector.sigma_px == (4.5, 4.5)
+    assert not loaded.cameras[first].detector.estimate
+    assert all(loaded.cameras[name].detector.sigma_px != (4.5, 4.5) for name in others)
 
 
 def test_noise_follows_from_one_camera_tracks_where_poses_are_unknown(scene: Path, tmp_path: Path) -> None:

@@ -107,8 +107,10 @@ def _check_priors(loaded: LoadedConfig, section: CalibrationConfig, camera: Came
 def _unavailable(quantity: Quantity, component: str, camera: Camera) -> str:
     """Return the reason why a camera does not have a component."""
     if quantity.named:
-        known = ", ".join(quantity.available(camera)) or "none"
-        return f"expected coefficients of its lens model {camera.lens.model} ({known}), found {component}"
+        expected = f"expected coefficients of its lens model {camera.lens.model}"
+        if known := ", ".join(quantity.available(camera)):
+            return f"{expected} ({known}), found {component}"
+        return f"{expected}, which has none, found {component}; give it one: distortion: {{model: radial, k1: 0.0}}"
     if camera.pose.path is None:
         return "expected a camera that a body of known trajectory carries (pose.trajectory), found one without"
     return "expected no prior of the pose of a camera on a known trajectory (mount_center_std, mount_rotation_std_deg)"

@@ -165,7 +165,7 @@ def _calibration(draft: Draft) -> Iterator[str]:
     yield "  # Moving objects do not show the scale. A distance that you have measured, such as that of two cameras,"
     yield f"  # fixes it ({draft.unit}); without it the scale is that of the centres above, as far as they are known."
     yield (
-        f"  scale: {{kind: baseline, cameras: {scalar(names[:2])}, distance: {rounded(apart, 4)}, "
+        f"  # scale: {{kind: baseline, cameras: {scalar(names[:2])}, distance: {rounded(apart, 4)}, "
         f"std: {rounded(0.005 * apart)}}}"
     )
 
@@ -223,8 +223,10 @@ def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> tuple[Dr
     }
     notes, unknown = dict(draft.camera_notes), []
     for name, camera in draft.cameras.items():
-        if not camera.detector.estimate and name not in contradicted:
-            notes[name] = (*notes.get(name, ()), "detector: as the file of cameras states it")
+        is_given = draft.is_given(f"cameras.{name}.detector")
+        if not camera.detector.estimate and (is_given or name not in contradicted):
+            said = "detector: as given" if is_given else "detector: as the file of cameras states it"
+            notes[name] = (*notes.get(name, ()), said)
             continue
         unknown.append(name)
         if not camera.detector.estimate:
