@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from stereophd.commands.options import CalibrateOptions
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.alignment.to_points import ControlPoints
+from stereophd.core.calibration.annealing.method import SAID_FACTOR
 from stereophd.core.calibration.time_limit import TimeLimit
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
@@ -60,7 +61,10 @@ FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, AS
 # Requirement -> the statuses of a report that meet it.
 ACCEPTED = {None: (DETERMINED, PARTLY, UNDETERMINED), "partly": (DETERMINED, PARTLY), "determined": (DETERMINED,)}
 
-NOISE_NOTE = "sigma_px is what the residuals show, where what was stated is wrong by more than a factor of 1.5."
+NOISE_NOTE = (
+    f"sigma_px is what the residuals show where what was stated is wrong by more than a factor of {SAID_FACTOR}."
+)
+# Checks that need the calibrated cameras; the checks of the log alone come first.
 WITH_CAMERAS = ("geometry.", "settings.")
 
 

@@ -1,13 +1,13 @@
-"""Noise and motion from the displacements between frames of one camera, which tell of both in crowds too.
+"""Noise and motion from the displacements between frames of one camera, in crowds too.
 
 Detections of one object in two frames lie apart by the noise of both and by its motion. In a crowd most pairs of
-detections are of different objects, but how many of these lie at which distance is shown by the pairs of one frame,
-and what is beyond them is of one object, though nobody knows which pairs (`mixture`). Over more frames motion counts
-for more, as velocities last, and noise does not: that tells one from the other.
+detections are of different objects. The pairs of one frame show how many of these lie at which distance, and the rest
+is of one object, although it is not known which pairs these are (`mixture`). Over more frames the motion grows, because
+velocities last, and the noise does not: this separates the two.
 
-What displacements say of a camera is a table of its noise and of the speed across the line of sight over the depth,
-which is the same for all cameras but for a factor. One object is in many pairs. Where they stand out, those of several
-steps tell what one step tells; where strangers hide them, each adds to the other.
+The result for a camera is a table of likelihoods of its noise and of the speed across the line of sight over the depth,
+which is the same for all cameras but for a factor. One object is in many pairs. Where they stand out, several steps
+repeat the information of one step; where strangers hide them, each step adds information.
 """
 
 from collections.abc import Mapping, Sequence

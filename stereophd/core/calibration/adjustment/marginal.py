@@ -328,9 +328,9 @@ class MarginalPosterior:
         return out
 
     def covariance(self, at: Point) -> Array:
-        """Covariance (size, size) of the unknowns by the normal equations of a point, with all they know of the noise.
+        """Covariance (size, size) of the unknowns by the normal equations of a point.
 
-        What they know of the noise is half of what there is, as the head of this module says.
+        Their information about the noise of the motion counts twice, as the head of this module derives.
         """
         covariance = within_prior(at.eliminated[1], self.prior_std)
         if not self.links:

@@ -431,9 +431,9 @@ def noise_remarks(task: Task, noise: Array) -> tuple[Remark, ...]:
 
 
 def statement_remarks(believed: Believed, is_doubted: bool) -> tuple[Remark, ...]:
-    """Say which statements were given up, which the data contradict, and on which an answer depends.
+    """Return remarks on statements that were given up or that the data contradict, and on which the answer depends.
 
-    Of an answer that is doubted nothing is said but what the data contradict.
+    Of an answer that is doubted only the contradictions are reported.
     """
     remarks = [
         Remark(

@@ -84,7 +84,7 @@ def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[Doubt]:
 
 
 def _second_optimum(pair: Link, two: str) -> Doubt:
-    """Say how the second-best pose of a camera differs from the best."""
+    """Return how the second-best pose of a camera differs from the best, and the remedy."""
     turn, later = pair.other
     away = f"turned by {np.rad2deg(turn):.0f} degrees, {later:+.2f} s away"
     another = f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, {away}"
