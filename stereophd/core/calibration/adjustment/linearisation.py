@@ -90,7 +90,8 @@ class Linearisation:
         # motion model, its noise in units of the scene's scale
         logarithm, gradient = log_scale(parameters, problem.reference, values)
         energy, pull = self._add_motion(sums, states, logarithm + log_noise)
-        coupling -= np.outer(pull, gradient)
+        scales = np.flatnonzero(gradient)
+        coupling[:, scales] -= np.outer(pull, gradient[scales])
         matrix += energy * np.outer(gradient, gradient)
         value_vector += energy * gradient
         # priors

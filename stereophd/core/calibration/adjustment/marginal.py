@@ -63,7 +63,7 @@ from stereophd.core.calibration.adjustment.linearisation import Linearisation, N
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
     Adjustment,
-    eliminate,
+    Eliminated,
     factor_knots,
     within_prior,
 )
@@ -175,9 +175,9 @@ class Point:
     objective: float
 
     @cached_property
-    def eliminated(self) -> tuple[Array, Array]:
-        """The knots eliminated from the normal equations (`solver.eliminate`)."""
-        return eliminate(self.equations, self.factor)
+    def eliminated(self) -> Eliminated:
+        """The knots eliminated from the normal equations."""
+        return Eliminated.of(self.equations, self.factor)
 
 
 @dataclass(frozen=True)
@@ -332,7 +332,7 @@ class MarginalPosterior:
 
         Their information about the noise of the motion counts twice, as the head of this module derives.
         """
-        covariance = within_prior(at.eliminated[1], self.prior_std)
+        covariance = within_prior(at.eliminated.schur, self.prior_std)
         if not self.links:
             return covariance
         of_knots = at.equations.coupling[:, -1]
@@ -409,9 +409,9 @@ def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tup
 
     The knots begin where they follow the step to first order, near their minimum.
     """
-    following = (at.eliminated[0][:, :-1] @ step).reshape(at.states.shape)
+    following = at.eliminated.followed(step).reshape(at.states.shape)
     share = 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):
-            yield share, posterior.at(at.unknowns + share * step, at.states - share * following)
+            yield share, posterior.at(at.unknowns + share * step, at.states + share * following)
         share *= 0.5

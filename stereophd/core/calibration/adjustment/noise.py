@@ -38,9 +38,8 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.normal_equations import substitute
 from stereophd.core.calibration.adjustment.problem import Observations, Problem
-from stereophd.core.calibration.adjustment.solver import Adjustment, eliminate, factor_knots, within_prior
+from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, factor_knots, within_prior
 from stereophd.core.calibration.adjustment.trajectories import positions
 from stereophd.core.numerics.compilation.compiled import compiled
 
@@ -199,15 +198,13 @@ def remaining_errors(
     value_steps, steps = np.empty((0, 0)), np.empty((0, 0))
     for problem in (counted,) if counted is linearisation else (counted, linearisation):
         equations = problem.at(values, states)
-        factor = factor_knots(equations.bands, DAMPING)
-        eliminated, matrix = eliminate(equations, factor)
+        eliminated = Eliminated.of(equations, factor_knots(equations.bands, DAMPING))
         sums = [problem.summed(path, one, *seen[2:]) for one in errors]
-        steps = np.stack([one.state_vector for one in sums], axis=1)
-        substitute(factor.T, steps)
+        steps = eliminated.of_knots(np.stack([one.state_vector for one in sums], axis=1))
         if problem is counted:
             right = np.stack([one.value_vector for one in sums], axis=1) - equations.coupling.T @ steps
-            value_steps = within_prior(matrix, problem.problem.parameters.prior_std) @ right
-        steps = steps - eliminated[:, :-1] @ value_steps
+            value_steps = within_prior(eliminated.schur, problem.problem.parameters.prior_std) @ right
+        steps = steps + eliminated.followed(value_steps)
     left, still = errors.copy(), np.zeros((len(by_point), 3))
     for out, step, value_step in zip(left, steps.T, value_steps.T, strict=True):
         moved = positions(step.reshape(states.shape), path.knot, path.weights, still)

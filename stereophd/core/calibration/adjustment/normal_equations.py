@@ -15,8 +15,8 @@ BEHIND = 1e4
 
 
 @compiled
-def substitute(factor: Array, right: Array) -> None:
-    """Solve A x = b for many right sides (6 k, m) in place, with the Cholesky factor (6 k, 12) of A, a row a column.
+def substitute_forward(factor: Array, right: Array) -> None:
+    """Solve L x = b for many right sides (6 k, m) in place, with the Cholesky factor L, its columns as rows (6 k, 12).
 
     LAPACK reads the factor anew for each right side.
     """
@@ -29,6 +29,12 @@ def substitute(factor: Array, right: Array) -> None:
             below, part = right[j + k], factor[j, k]
             for c in range(row.shape[0]):
                 below[c] -= part * row[c]
+
+
+@compiled
+def substitute_back(factor: Array, right: Array) -> None:
+    """Solve L^T x = b for many right sides (6 k, m) in place, as `substitute_forward` does L x = b."""
+    size, width = factor.shape
     for j in range(size - 1, -1, -1):
         row = right[j]
         for k in range(1, min(width, size - j)):

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky_banded
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
@@ -58,24 +58,61 @@ def factor_knots(bands: Array, damping: float = 0.0) -> Array:
     return np.asarray(cholesky_banded(bands, overwrite_ab=True, lower=True, check_finite=False))
 
 
-def eliminate(equations: NormalEquations, factor: Array) -> tuple[Array, Array]:
-    """Eliminate the knots by the factor of their matrix: A^-1 [C, a] (6 k, m + 1), and B - C^T A^-1 C (m, m)."""
-    if not equations.coupling.any():  # all values are held
-        alone = equations.state_vector[:, None].copy()
-        normal_equations.substitute(factor.T, alone)
-        return np.hstack([equations.coupling, alone]), equations.matrix
-    eliminated = np.column_stack([equations.coupling, equations.state_vector])
-    normal_equations.substitute(factor.T, eliminated)
-    return eliminated, equations.matrix - equations.coupling.T @ eliminated[:, :-1]
+@dataclass(frozen=True)
+class Eliminated:
+    """Normal equations of the values alone, and how the knots follow: with A = L L^T, all by L^-1 [C, a]."""
+
+    factor: Array  # (12, 6 k): L, lower banded
+    whitened: Array  # (6 k, m + 1): L^-1 [C, a]
+    schur: Array  # (m, m): B - C^T A^-1 C
+    right: Array  # (m,): b - C^T A^-1 a
+
+    @staticmethod
+    def of(equations: NormalEquations, factor: Array) -> Eliminated:
+        """Eliminate the knots by the factor of their matrix."""
+        coupling, vector = equations.coupling, equations.state_vector[:, None]
+        moves: Booleans = np.asarray(coupling.any(axis=0))  # held values do not couple
+        used = np.hstack([coupling if moves.all() else coupling[:, moves], vector])
+        normal_equations.substitute_forward(factor.T, used)
+        whitened = used
+        if not moves.all():
+            whitened = np.zeros((len(coupling), len(moves) + 1))
+            whitened[:, np.append(moves, True)] = used
+        products = whitened.T @ whitened
+        return Eliminated(
+            factor, whitened, equations.matrix - products[:-1, :-1], equations.value_vector - products[:-1, -1]
+        )
+
+    def knots_after(self, values: Array) -> Array:
+        """Step (6 k,) of the knots beside a step (m,) of the values."""
+        return self._solved(self.whitened[:, -1] - self.whitened[:, :-1] @ values)
+
+    def followed(self, values: Array) -> Array:
+        """Step (6 k,) that takes knots from their minimum to that after a step (m,) of the values, to first order."""
+        return self._solved(-self.whitened[:, :-1] @ values)
+
+    def following(self) -> Array:
+        """Derivatives (6 k, m) of the knots, at their minimum, by the values: -A^-1 C."""
+        return self._solved(-self.whitened[:, :-1])
+
+    def of_knots(self, right: Array) -> Array:
+        """Return A^-1 times right sides (6 k, r), without the values."""
+        right = np.array(right, order="C")
+        normal_equations.substitute_forward(self.factor.T, right)
+        return self._solved(right)
+
+    def _solved(self, right: Array) -> Array:
+        """Return L^-T times right sides, which it overwrites."""
+        normal_equations.substitute_back(self.factor.T, right.reshape(len(right), -1))
+        return right
 
 
 def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
     """Steps of values (m,) and knots (6 k,) by damped normal equations; LinAlgError if not positive definite."""
-    eliminated, schur = eliminate(equations, factor_knots(equations.bands, damping))
-    damped = schur + damping * np.diag(np.diag(equations.matrix))
-    right = equations.value_vector - equations.coupling.T @ eliminated[:, -1]
-    values = cho_solve(cho_factor(damped), right)
-    return values, eliminated[:, -1] - eliminated[:, :-1] @ values
+    eliminated = Eliminated.of(equations, factor_knots(equations.bands, damping))
+    damped = eliminated.schur + damping * np.diag(np.diag(equations.matrix))
+    values = cho_solve(cho_factor(damped), eliminated.right)
+    return values, eliminated.knots_after(values)
 
 
 def adjust(
@@ -111,7 +148,7 @@ def adjust(
 
 def posterior_covariance(equations: NormalEquations, prior_std: Array) -> Array:
     """Covariance (m, m) of the values, the trajectories integrated out: the inverse Schur complement."""
-    return within_prior(eliminate(equations, factor_knots(equations.bands))[1], prior_std)
+    return within_prior(Eliminated.of(equations, factor_knots(equations.bands)).schur, prior_std)
 
 
 def within_prior(precision: Array, prior_std: Array) -> Array:

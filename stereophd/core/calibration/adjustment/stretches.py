@@ -68,7 +68,7 @@ def _scores(linearisation: Linearisation, point: Point, log_noise: float, volume
     unknowns, states = len(point.unknowns), point.states
     values = point.unknowns[: problem.parameters.size]
     assert observations.weights is not None
-    following = -point.eliminated[0][:, :-1].reshape(len(states), 2, 3, unknowns)
+    following = point.eliminated.following().reshape(len(states), 2, 3, unknowns)
     path, errors, visible, by_point, by_value = linearisation.residuals(values, states)
     pulls = np.einsum("n,nij,nj->ni", visible * observations.weights, observations.precisions, errors)
     direct = np.einsum("nrq,nr->nq", np.where(visible[:, None, None], by_value, 0.0), pulls)

@@ -9,7 +9,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
-from stereophd.core.calibration.adjustment.solver import Adjustment, eliminate, factor_knots
+from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, factor_knots
 from stereophd.core.calibration.unknowns.scale import log_scale
 
 # Points of the tracks that are looked at.
@@ -27,9 +27,9 @@ class TrackMoves:
     @staticmethod
     def of(problem: Problem, values: Array, states: Array, equations: NormalEquations) -> TrackMoves:
         """Return the moves of the knots (k, 2, 3) of a fit, which follow the values (m,) to first order."""
-        eliminated, _ = eliminate(equations, factor_knots(equations.bands))
+        following = Eliminated.of(equations, factor_knots(equations.bands)).following()
         origin = problem.parameters.cameras[problem.reference].pose.center
-        slopes = -eliminated[:, :-1].reshape(len(states), 2, 3, -1)[:, 0]
+        slopes = following.reshape(len(states), 2, 3, -1)[:, 0]
         chosen = np.arange(0, len(slopes), -(-len(slopes) // MOST_POINTS))
         scale = np.zeros(slopes.shape[-1])
         scale[: len(values)] = log_scale(problem.parameters, problem.reference, values)[1]

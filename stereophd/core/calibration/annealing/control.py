@@ -20,7 +20,7 @@ from stereophd.core.alignment.to_track import align_to_track
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import true_times
-from stereophd.core.calibration.adjustment.solver import eliminate, factor_knots
+from stereophd.core.calibration.adjustment.solver import Eliminated, factor_knots
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.controlled_linearisation import WORLD, ControlledLinearisation
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, problem_of
@@ -138,16 +138,16 @@ def _adjusted(task: Task, answer: Fit, fit: Fit, control: WorldControl, found: A
         matrix[:count, :count] = precision
         vector[:count] = -precision @ (values[:count] - answer.adjustment.values)
         for sign, equations in ((1.0, both.at(values, states[0])), (-1.0, alone.at(values[:count], states[1]))):
-            eliminated, schur = eliminate(equations, factor_knots(equations.bands))
-            size = len(schur)
-            matrix[:size, :size] += sign * schur
-            vector[:size] += sign * (equations.value_vector - equations.coupling.T @ eliminated[:, -1])
+            eliminated = Eliminated.of(equations, factor_knots(equations.bands))
+            size = len(eliminated.right)
+            matrix[:size, :size] += sign * eliminated.schur
+            vector[:size] += sign * eliminated.right
             followed.append(eliminated)
-        step = np.linalg.solve(matrix, vector)
+        step = np.asarray(np.linalg.solve(matrix, vector), dtype=np.float64)
         values = values + step
         states = [
-            state + (one[:, -1] - one[:, :-1] @ step[: one.shape[1] - 1]).reshape(state.shape)
-            for state, one in zip(states, followed, strict=True)
+            state + eliminated.knots_after(step[: len(eliminated.right)]).reshape(state.shape)
+            for state, eliminated in zip(states, followed, strict=True)
         ]
         if step @ matrix @ step < SETTLED:
             break
@@ -172,7 +172,8 @@ def _adjusted_to_points(task: Task, answer: Fit, fit: Fit, points: ControlPoints
     alone = Linearisation.of(problem.weighted(problem.weights(answer.adjustment.distances)))
     for _ in range(ROUNDS):
         equations = alone.at(values, states)
-        states = states + eliminate(equations, factor_knots(equations.bands))[0][:, -1].reshape(states.shape)
+        eliminated = Eliminated.of(equations, factor_knots(equations.bands))
+        states = states + eliminated.knots_after(np.zeros(len(values))).reshape(states.shape)
     std = float(np.median(points.precisions[points.precisions > 0.0]) ** -0.5)
     return _at(task, fit, alone, values, states, covariance), World(alignment, covariance, std)
 

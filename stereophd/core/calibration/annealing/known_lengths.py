@@ -19,11 +19,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
-from stereophd.core.calibration.adjustment.solver import eliminate, factor_knots
+from stereophd.core.calibration.adjustment.solver import Eliminated, factor_knots
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.fits import problem_of
 from stereophd.core.calibration.annealing.known_scale import (
@@ -194,25 +194,23 @@ class _Factors:
     state_step: Array
     covariance: Array
     coupling: Array
-    eliminated: Array
-    of_knots: tuple[Array, bool]
+    eliminated: Eliminated
     of_schur: tuple[Array, bool]
 
     @staticmethod
     def of(equations: NormalEquations) -> _Factors:
-        factor = factor_knots(equations.bands, DAMPING)
-        eliminated, schur = eliminate(equations, factor)
-        of_schur = cho_factor(schur)
-        value_step = cho_solve(of_schur, equations.value_vector - equations.coupling.T @ eliminated[:, -1])
-        state_step = eliminated[:, -1] - eliminated[:, :-1] @ value_step
-        covariance = cho_solve(of_schur, np.eye(len(schur)))
-        return _Factors(value_step, state_step, covariance, equations.coupling, eliminated, (factor, True), of_schur)
+        eliminated = Eliminated.of(equations, factor_knots(equations.bands, DAMPING))
+        of_schur = cho_factor(eliminated.schur)
+        value_step = cho_solve(of_schur, eliminated.right)
+        covariance = cho_solve(of_schur, np.eye(len(value_step)))
+        state_step = eliminated.knots_after(value_step)
+        return _Factors(value_step, state_step, covariance, equations.coupling, eliminated, of_schur)
 
     def gains(self, slopes: Array) -> tuple[Array, Array]:
         """N^-1 G^T by values (m, k) and knots (size, k), with G the slopes (k, size)."""
-        across = cho_solve_banded(self.of_knots, slopes.T)
+        across = self.eliminated.of_knots(slopes.T)
         of_values = -cho_solve(self.of_schur, self.coupling.T @ across)
-        return of_values, across - self.eliminated[:, :-1] @ of_values
+        return of_values, across + self.eliminated.followed(of_values)
 
 
 def _step(equations: NormalEquations, slopes: Array, missing: Array, std: float) -> tuple[Array, Array, Array]:

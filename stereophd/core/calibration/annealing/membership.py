@@ -17,7 +17,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import Observations, Problem
 from stereophd.core.calibration.adjustment.recording import Scans
-from stereophd.core.calibration.adjustment.solver import Adjustment, eliminate, factor_knots
+from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, factor_knots
 from stereophd.core.calibration.adjustment.volume import covariances_of_points, inverse_in_band
 
 # Squared distance from its prediction within which a detection belongs to a trajectory: 0.1 % of a normal distribution
@@ -44,8 +44,7 @@ class Predictions:
         factor = factor_knots(equations.bands)
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
-        eliminated, _ = eliminate(equations, factor)
-        return Predictions(weighted, adjustment, inverse, -eliminated[:, :-1])
+        return Predictions(weighted, adjustment, inverse, Eliminated.of(equations, factor).following())
 
     def judged(self, seen: Observations, weights: Array) -> tuple[Array, Array]:
         """Squared distances (n,) of detections from their predictions without them, and the log of the densities there.

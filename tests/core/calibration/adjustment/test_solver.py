@@ -12,8 +12,8 @@ from stereophd.core.calibration.adjustment.linearisation import Linearisation, N
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Problem
 from stereophd.core.calibration.adjustment.solver import (
     Adjustment,
+    Eliminated,
     adjust,
-    eliminate,
     factor_knots,
     posterior_covariance,
     within_prior,
@@ -236,10 +236,16 @@ def test_knots_are_eliminated_as_by_a_dense_solver() -> None:
     lower = sum(np.diag(bands[k, : 30 - k], -k) for k in range(12))
     coupling, vector = rng.standard_normal((30, 3)), rng.standard_normal(30)
     equations = NormalEquations(0.0, bands, coupling, np.eye(3), vector, np.zeros(3), np.empty(0))
-    eliminated, schur = eliminate(equations, factor_knots(bands))
+    coupling[:, 1] = 0.0  # as that of a held value
+    eliminated, step = Eliminated.of(equations, factor_knots(bands)), rng.standard_normal(3)
     expected = np.linalg.solve(lower + np.tril(lower, -1).T, np.column_stack([coupling, vector]))
-    np.testing.assert_allclose(eliminated, expected, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(schur, np.eye(3) - coupling.T @ expected[:, :3], rtol=1e-9)
+    following, alone = -expected[:, :3], expected[:, 3]
+    np.testing.assert_allclose(eliminated.following(), following, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(eliminated.followed(step), following @ step, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(eliminated.knots_after(step), alone + following @ step, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(eliminated.of_knots(vector[:, None]), alone[:, None], rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(eliminated.schur, np.eye(3) + coupling.T @ following, rtol=1e-9)
+    np.testing.assert_allclose(eliminated.right, -coupling.T @ alone, rtol=1e-9)
 
 
 def test_where_all_values_are_held_only_trajectories_are_adjusted() -> None:
