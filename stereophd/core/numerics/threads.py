@@ -1,7 +1,11 @@
-"""The variables of the environment that libraries of linear algebra read their number of threads from, when loaded."""
+"""Threads: of linear algebra, by the variables of the environment that it reads when it is loaded, and of our own."""
 
 import os
+from collections.abc import Callable, Iterable
+from typing import TypeVar
 
+Item = TypeVar("Item")
+Result = TypeVar("Result")
 OF_LINEAR_ALGEBRA = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 OF_ALL = "OMP_NUM_THREADS"
 
@@ -14,3 +18,11 @@ def use_one_thread() -> None:
     if OF_ALL not in os.environ:
         for name in OF_LINEAR_ALGEBRA:
             os.environ.setdefault(name, "1")
+
+
+def in_threads(function: Callable[[Item], Result], items: Iterable[Item], threads: int) -> list[Result]:
+    """Call a function that leaves the interpreter for most of its time for each item; return the results in order."""
+    # Costly to import, and the command line needs this module first.
+    from joblib import Parallel, delayed
+
+    return list(Parallel(threads, backend="threading")(delayed(function)(item) for item in items))

@@ -18,7 +18,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.bounds.cramer_rao import mean_error_norm
 from stereophd.core.calibration.adjustment.recording import Recording
-from stereophd.core.calibration.annealing.method import HistoryRow
+from stereophd.core.calibration.annealing.fits import HistoryRow
 from stereophd.core.calibration.unknowns.observability import UNDETERMINED, observability, pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.quantities.base import LENGTH, RADIANS, SUFFIXES

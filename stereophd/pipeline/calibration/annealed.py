@@ -44,7 +44,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     """Method annealed, with the posterior that the section names."""
     problem, section = run.problem, run.section
     run.limit.begin("one-camera tracks are made")
-    task = replace(annealed_task(run.loaded, section, problem), limit=run.limit)
+    task = replace(annealed_task(run.loaded, section, problem), limit=run.limit, threads=run.jobs)
     starts = _all_starts(run, task)
     if section.posterior == "smc":  # particles are weighed at the stated noise
         starts = [one if one.noise == 1.0 else replace(one, outcome=AT_LARGER_NOISE) for one in starts]

@@ -17,7 +17,8 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves
 from stereophd.core.calibration.annealing.control import World, WorldControl
-from stereophd.core.calibration.annealing.method import HistoryRow, Remark
+from stereophd.core.calibration.annealing.fits import HistoryRow
+from stereophd.core.calibration.annealing.method import Remark
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet

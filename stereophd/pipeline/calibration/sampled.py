@@ -5,8 +5,8 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.annealing.fits import fit_from
-from stereophd.core.calibration.annealing.method import Calibrated, HistoryRow
+from stereophd.core.calibration.annealing.fits import HistoryRow, fit_from
+from stereophd.core.calibration.annealing.method import Calibrated
 from stereophd.core.calibration.annealing.starts import NOISE_AS_STATED, RIVAL_DISTANCE, disagreement, explained
 from stereophd.core.calibration.sampling import bridging, sequential
 from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeResult, BridgeSampler, BridgeState

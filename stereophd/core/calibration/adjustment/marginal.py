@@ -71,6 +71,7 @@ from stereophd.core.calibration.adjustment.trajectories import banded_product
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.random_streams import BENDS_SEED
+from stereophd.core.numerics.threads import in_threads
 
 # Prior standard deviation of the logarithm of the noise of the motion over what is stated, beside that of the scale.
 NOISE_STD = 0.5
@@ -138,25 +139,27 @@ def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 
     return MarginalOptimum(moved, float(np.exp(log_noise)))
 
 
-def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: float) -> Array:
+def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: float, threads: int = 1) -> Array:
     """Covariance (m, m) of the values by the second derivatives of the objective at its minimum.
 
     They are differences of the gradient along each column of a root of the covariance by the normal equations. Raises
     LinAlgError where an end of such a difference has no normal equations that are positive definite.
     """
     posterior, at = at_answer(problem, adjustment, noise_factor)
-    root = posterior.root(at)
-    curvature, size = np.empty_like(root), len(adjustment.values)
-    for k, step in enumerate(CURVATURE_STEP * root.T):
-        ends = [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
+    root, size = posterior.root(at), len(adjustment.values)
+
+    def curvature(step: Array) -> Array:
+        ends = _ends(posterior, at, step)
         if len(ends) < 2:
             raise LinAlgError("no normal equations beside the optimum")
         (ahead, beyond), (behind, before) = ends
         change = posterior.gradient(beyond) - posterior.gradient(before)
-        curvature[:, k] = root.T @ change / (CURVATURE_STEP * (ahead + behind))
+        return np.asarray(root.T @ change / (CURVATURE_STEP * (ahead + behind)))
+
+    curvatures: Array = np.column_stack(in_threads(curvature, CURVATURE_STEP * root.T, threads))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
-    covariance = within_prior(inverse.T @ curvature @ inverse, posterior.prior_std)
-    bends = _bends(posterior, at, covariance, np.random.default_rng(BENDS_SEED))
+    covariance = within_prior(inverse.T @ curvatures @ inverse, posterior.prior_std)
+    bends = _bends(posterior, at, covariance, np.random.default_rng(BENDS_SEED), threads)
     return (covariance + bends.T @ bends / max(len(bends) - 1, 1))[:size, :size]
 
 
@@ -356,7 +359,12 @@ def at_answer(problem: Problem, adjustment: Adjustment, noise_factor: float) -> 
     return posterior, posterior.at(np.append(adjustment.values, log_noise), adjustment.states)
 
 
-def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.random.Generator) -> Array:
+def _ends(posterior: MarginalPosterior, at: Point, step: Array) -> list[tuple[float, Point]]:
+    """Return the points after a step and its opposite, or the first share of each that is regular, with the shares."""
+    return [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
+
+
+def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.random.Generator, threads: int) -> Array:
     """Moves (d, u) of what is well known beside draws of what is loosely known, to second order.
 
     A step of the loose directions and its opposite leave gradients whose mean, but for that at the minimum, is of
@@ -365,13 +373,16 @@ def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.r
     std = posterior.prior_std
     variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
     root, loose = std[:, None] * vectors * np.sqrt(np.maximum(variances, 0.0)), variances > LOOSE**2
-    bends, gradient = [np.zeros(len(std))], posterior.gradient(at)
-    for step in BEND_STEP * rng.standard_normal((BENDS, int(loose.sum()))) @ root[:, loose].T:
-        ends = [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
-        if len(ends) == 2 and ends[0][0] == ends[1][0]:
-            mean = sum(posterior.gradient(point) for _, point in ends) / 2.0 - gradient
-            bends.append(-root[:, ~loose] @ (root[:, ~loose].T @ mean) / (BEND_STEP * ends[0][0]) ** 2)
-    return np.array(bends)
+    gradient, steps = posterior.gradient(at), rng.standard_normal((BENDS, int(loose.sum()))) @ root[:, loose].T
+
+    def bend(step: Array) -> list[Array]:
+        ends = _ends(posterior, at, step)
+        if len(ends) < 2 or ends[0][0] != ends[1][0]:
+            return []
+        mean = sum(posterior.gradient(point) for _, point in ends) / 2.0 - gradient
+        return [-root[:, ~loose] @ (root[:, ~loose].T @ mean) / (BEND_STEP * ends[0][0]) ** 2]
+
+    return np.array([np.zeros(len(std)), *(b for found in in_threads(bend, BEND_STEP * steps, threads) for b in found)])
 
 
 def _short(bands: Array, direction: Array) -> float:

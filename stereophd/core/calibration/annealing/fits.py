@@ -1,6 +1,6 @@
 """Adjustments of cameras and trajectories to detections: to paired tracks, to the tracks of a filter, to fits."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import enlarged, reduced
+from stereophd.core.numerics.threads import in_threads
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
 # are rather false ones (at that distance a normal density is down to this part of its peak).
@@ -40,12 +41,23 @@ FITTED_LOSS = Loss(normal_equations.FLOOR, 1e-3)
 SEARCHED_PART = 0.1
 # Iterations of an adjustment, of one that others follow, and of one for the history where more than poses is unknown.
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
+# Times at which the history holds the posterior.
+HISTORY_TIMES = 25
 # Relative change of the cost at which an adjustment ends, and one that others follow.
 TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 3
 # Frames by which a trajectory may go on before its first detection and after its last one, in a pass.
 PADDED_FRAMES = 2.0
+
+
+@dataclass(frozen=True)
+class HistoryRow:
+    """Posterior of the parameters given the log up to a time."""
+
+    time_s: float
+    mean: Array
+    covariance: Array
 
 
 def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list[Pairing]:
@@ -161,6 +173,24 @@ def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
     # with many unknowns the optimum of a part of the log is flat: the history need not end at its last digit
     most = MOST_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
     return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), most)
+
+
+def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
+    """Return the posterior over time: joint optima of the log so far, and the result as the last row.
+
+    Marginalising the trajectories at every time would take too long.
+    """
+    times = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:].tolist()
+
+    def until(numbered: tuple[int, float]) -> list[HistoryRow]:
+        number, time_s = numbered
+        if not task.limit.begin(f"the history of the answer, {number + 1} of {HISTORY_TIMES}"):
+            return []
+        fit = fit_until(task, answer, time_s)
+        return [] if fit is None else [HistoryRow(time_s, fit.adjustment.values, fit.adjustment.covariance)]
+
+    rows = [row for found in in_threads(until, enumerate(times[:-1]), task.threads) for row in found]
+    return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
 
 
 def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None:

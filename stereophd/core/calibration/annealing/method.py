@@ -23,7 +23,8 @@ from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
     ANNEALED_LOSS,
-    fit_until,
+    HistoryRow,
+    history_of,
     marginal_fit,
     problem_of,
     readjusted,
@@ -53,8 +54,6 @@ from stereophd.core.calibration.unknowns.unknown_sets import candidates
 from stereophd.core.numerics.random_streams import NOISE_SEED
 from stereophd.wording import percent
 
-# Times at which the history holds the posterior.
-HISTORY_TIMES = 25
 # Largest number of refits under a better model.
 MOST_ROUNDS = 12
 # Factor on a noise that hides itself.
@@ -100,15 +99,6 @@ class Remark:
     topic: str
     text: str
     is_reservation: bool = False  # Whether the data determine the cameras partly at most.
-
-
-@dataclass(frozen=True)
-class HistoryRow:
-    """Posterior of the parameters given the log up to a time."""
-
-    time_s: float
-    mean: Array
-    covariance: Array
 
 
 @dataclass(frozen=True)
@@ -347,7 +337,7 @@ def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[
     problem, fit = problem_of_answer(task, answer), answer.fit
     if fit.adjustment.converged:
         try:
-            exact = exact_covariance(replace(problem, held=None), fit.adjustment, answer.noise_factor)
+            exact = exact_covariance(replace(problem, held=None), fit.adjustment, answer.noise_factor, task.threads)
             fit = with_covariance(task, fit, exact)
         except LinAlgError:
             fit = replace(fit, adjustment=replace(fit.adjustment, converged=False))
@@ -382,21 +372,6 @@ def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion
     values = np.append(fit.adjustment.values, suspicion.values)
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
     return task, chosen_anew(task, readjusted(task, begin, loss=ANNEALED_LOSS))
-
-
-def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
-    """Return the posterior over time: joint optima of the log so far, and the result as the last row.
-
-    Marginalising the trajectories at every time would take too long.
-    """
-    times = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:]
-    rows = [
-        HistoryRow(float(time_s), until.adjustment.values, until.adjustment.covariance)
-        for number, time_s in enumerate(times[:-1])
-        if task.limit.begin(f"the history of the answer, {number + 1} of {HISTORY_TIMES}")
-        and (until := fit_until(task, answer, float(time_s))) is not None
-    ]
-    return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
 
 
 def motion_remarks(answer: Answer) -> tuple[Remark, ...]:

@@ -52,6 +52,7 @@ class Task:
     # Unknowns that are free while tracking, pass by pass, the last of them also in the passes that follow.
     stages: tuple[UnknownSet, ...]
     limit: TimeLimit = ENDLESS
+    threads: int = 1  # Of what is computed side by side from an answer
     # (c,): Part of the noise's variance that detections of a cell share (`adjustment.noise`); default none.
     shared: Array | None = None
 

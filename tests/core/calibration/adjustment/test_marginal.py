@@ -70,6 +70,8 @@ def test_the_exact_covariance_is_that_of_the_objective_where_velocities_follow_t
     step = np.append(covariance[-1] / np.sqrt(covariance[-1, -1]), 0.0)
     ahead, behind = (posterior.at(at.unknowns + sign * step, at.states).objective for sign in (1.0, -1.0))
     assert ahead + behind - 2.0 * at.objective == pytest.approx(1.0, abs=0.02)
+    in_threads = exact_covariance(problem, found.adjustment, found.noise_factor, threads=2)
+    np.testing.assert_array_equal(in_threads, covariance)
 
 
 def test_the_gradient_minimises_the_knots_where_one_camera_alone_sees_an_object_for_long() -> None:
