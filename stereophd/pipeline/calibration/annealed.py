@@ -1,13 +1,14 @@
 """Method annealed of `calibrate`: its starts, kept while the run is unfinished, on processes, and its `Outcome`."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
+from itertools import starmap
 from typing import Any
 
 import numpy as np
 
 from stereophd.config.calibration import CalibrationConfig, LengthScale, SpeedScale
-from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.annealing.known_scale import rescaled
 from stereophd.core.calibration.annealing.method import (
@@ -19,6 +20,7 @@ from stereophd.core.calibration.annealing.method import (
 )
 from stereophd.core.calibration.annealing.starts import (
     agreeing_with_best,
+    at_larger_noise,
     best_of,
     distinct,
     enough,
@@ -96,39 +98,49 @@ def choices_of(section: CalibrationConfig) -> Choices:
 
 
 def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
-    """Run starts until enough agree."""
+    """Run starts until enough agree; where too few do, those that have failed are judged at larger noise.
+
+    That is where all were run, or where none of as many as are to agree then has succeeded.
+    """
     count, agreeing = task.most_starts, task.settings.agreeing_starts
     values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.seed), count)
     seeds = CALIBRATION_PAIRING.seed(run.seed).spawn(count)
     starts: list[Start] = run.unfinished.read("starts", list[Start], {Motion: task.filter.motion}) or []
-    if enough(starts, agreeing) or (starts and run.limit.is_over):
-        return starts
-    for start in _run_starts(task, values, seeds, len(starts), run.jobs):
-        starts.append(start)
-        if not run.limit.is_over:  # one that the time has cut short is done again
-            run.unfinished.keep("starts", starts)
-        run.report_progress(len(starts), count)
-        if enough(starts, agreeing) or run.limit.is_over:
-            break
+
+    def is_done() -> bool:
+        return enough(starts, agreeing) or (bool(starts) and run.limit.is_over)
+
+    def failed() -> list[int]:
+        """Places of the starts that are to be judged at larger noise now."""
+        none_succeeded = not any(start.succeeded and start.noise == 1.0 for start in starts)
+        is_time = len(starts) == count or (len(starts) == 2 * agreeing and none_succeeded)
+        return [place for place, start in enumerate(starts) if is_time and start.looser]
+
+    while not is_done() and (len(starts) < count or failed()):
+        again, new = failed(), range(len(starts), count)
+        if again:
+            found = _each(at_larger_noise, ((task, starts[place]) for place in again), run.jobs)
+        else:
+            found = _each(run_start, ((task, place, values[place], seeds[place]) for place in new), run.jobs)
+        for place, start in zip(again or new, found, strict=False):
+            starts[place : place + 1] = [start]
+            if not run.limit.is_over:  # one that the time has cut short is done again
+                run.unfinished.keep("starts", starts)
+            run.report_progress(len(starts), count)
+            if is_done() or (not again and failed()):
+                break
     return starts
 
 
-def _run_starts(
-    task: Task, values: Array, seeds: list[np.random.SeedSequence], done: int, jobs: int
-) -> Iterator[Start]:
-    """Outcomes of the starts that are not done yet, in order."""
-    numbers = range(done, len(values))
-    if jobs == 1 or len(numbers) < 2:
-        for number in numbers:
-            yield run_start(task, number, values[number], seeds[number])
-        return
-    # No more ahead than there are workers: starts that are not needed are not begun.
-    arguments = ((task, number, values[number], seeds[number]) for number in numbers)
-    yield from on_processes(_run_start, arguments, jobs)
+def _each(function: Callable[..., Start], arguments: Iterable[tuple[Any, ...]], jobs: int) -> Iterator[Start]:
+    """Starts that a function returns, in order; what is not needed is not begun beyond as many as there are workers."""
+    if jobs == 1:
+        return starmap(function, arguments)
+    return on_processes(partial(_call, function), arguments, jobs)
 
 
-def _run_start(arguments: tuple[Task, int, Array, np.random.SeedSequence]) -> Start:
-    return run_start(*arguments)
+def _call(function: Callable[..., Start], arguments: tuple[Any, ...]) -> Start:
+    return function(*arguments)
 
 
 def _clock_report(task: Task) -> dict[str, Any]:

@@ -6,7 +6,7 @@ trajectories to those detections, which improves the cameras. The inflation fall
 the fitted trajectories choose their detections themselves. See docs/explanation/calibration.md.
 
 A start succeeds only if the trajectories that two cameras share explain the detections, at the stated noise or, where
-none of its ways does, at a larger one. The best start has the greatest sum of evidence (PMB filter at the noise of the
+too few starts do, at a larger one. The best start has the greatest sum of evidence (PMB filter at the noise of the
 start) and log-prior.
 """
 
@@ -56,9 +56,9 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
     """Follow one start through all passes: from the pairings found, the best first, then from its own values (m,).
 
     A pairing nearly as good as the best is followed too, and the one of the greater evidence counts. Further pairings,
-    and the start's own values at the widest noise, are tried only where none has succeeded so far, and larger noise
-    than what is stated where none does. The number is for the record; the seed is that of the further draws among which
-    one-camera tracks are paired.
+    and the start's own values at the widest noise, are tried only where none has succeeded so far. A start that fails
+    can be judged at larger noise (`at_larger_noise`). The number is for the record; the seed is that of the further
+    draws among which one-camera tracks are paired.
     """
     tried: list[Start] = []
     passes: list[list[Start]] = []
@@ -74,7 +74,8 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
         tried.append(passes[-1][-1])
     if (best := best_of(tried)) is not None or task.limit.is_over:
         return best or max(tried, key=lambda one: one.explained)
-    return _at_larger_noise(task, max(passes, key=lambda one: one[-1].explained))
+    *tracked, judged = max(passes, key=lambda one: one[-1].explained)
+    return replace(judged, looser=tuple(begun for begun in tracked if 1.0 < begun.noise <= PAIRED_INFLATION))
 
 
 def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> list[Start]:
@@ -89,7 +90,7 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
         inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
     out: list[Start] = []
     for number_of_pass, inflation in enumerate(inflations):
-        step = f"pass {number_of_pass + 1} of {len(inflations) + FITTED_PASSES}, {inflation:g} times the noise"
+        step = f"pass {number_of_pass + 1} of {len(inflations)}, {inflation:g} times the noise"
         if not task.limit.begin(f"{_name_of(task, begun)}: {step}"):
             return [*out, replace(begun, fit=None, outcome=TIME_OVER)]
         ratio = 1.0 if fit is None else depth_ratio(task, fit, KEPT_WITHIN)
@@ -99,22 +100,21 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
             return [*out, replace(begun, fit=None, outcome=why)]
         begun, values = begun.with_pass(fit), fit.adjustment.values
         out.append(replace(begun, noise=inflation))
-    return [*out, _judged(task, begun, len(inflations))]
+    return [*out, _judged(task, begun)]
 
 
-def _at_larger_noise(task: Task, passes: list[Start]) -> Start:
+def at_larger_noise(task: Task, start: Start) -> Start:
     """Judge a start that disagrees with the data at the stated noise at that of its passes, the largest first.
 
     The noise may be stated too small, or a lens or a clock wrong: the answer, which is doubted, shows which. The
     smallest noise counts down to which the start agrees; a start that does not at the largest is as it was judged.
     """
-    *tracked, judged = passes
-    for begun in tracked:
-        if 1.0 < begun.noise <= PAIRED_INFLATION:
-            again = _judged(task.with_noise(begun.noise), begun, len(tracked))
-            if not again.succeeded:
-                break
-            judged = again
+    judged = replace(start, looser=())
+    for begun in start.looser:
+        again = _judged(task.with_noise(begun.noise), begun)
+        if not again.succeeded:
+            break
+        judged = again
     return judged
 
 
@@ -124,10 +124,10 @@ def _name_of(task: Task, start: Start) -> str:
     return f"start {start.number + 1} of at most {task.most_starts}, from {start.origin}{at}"
 
 
-def _judged(task: Task, start: Start, done: int) -> Start:
+def _judged(task: Task, start: Start) -> Start:
     """Let the fitted trajectories of a start choose their detections themselves, and judge the fit."""
     for number_of_pass in range(FITTED_PASSES):
-        step = f"pass {done + number_of_pass + 1} of {done + FITTED_PASSES}"
+        step = f"fitted trajectories choose their detections, {number_of_pass + 1} of {FITTED_PASSES}"
         if not task.limit.begin(f"{_name_of(task, start)}: {step}") and number_of_pass:
             break  # judged as it is
         assert start.fit is not None

@@ -1,0 +1,78 @@
+"""Which starts are run, and which of them are judged at larger noise."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from stereophd.core.calibration.adjustment.solver import Adjustment
+from stereophd.core.calibration.annealing.task import SUCCEEDED, Fit, Start, Task
+from stereophd.core.calibration.time_limit import ENDLESS
+from stereophd.pipeline.calibration import annealed
+from stereophd.pipeline.calibration.problem import CalibrationRun
+
+COUNT, AGREEING = 8, 2
+
+
+def start(number: int, place: float | None, noise: float = 1.0) -> Start:
+    """A start that ended at a place at a noise, or failed and can be judged at larger noise."""
+    values = np.full(3, place or 0.0)
+    adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(3), 0.0, np.full(4, 2.0), 1, True)
+    fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
+    outcome = "it failed" if place is None else SUCCEEDED
+    made = Start(number, outcome, values, np.empty((0, 3)), fit, -100.0, 0.0, 1.0, "pairing 0", noise)
+    return replace(made, looser=(made,)) if place is None else made
+
+
+@pytest.fixture
+def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[list[Start], list[int]]]:
+    """A function of where starts end, and from which kept ones to go on; also which were judged at larger noise."""
+
+    def run(places: list[float | None], loose: float | None, kept: list[Start] | None = None) -> Any:
+        judged: list[int] = []
+
+        def judge(task: Task, failed: Start) -> Start:
+            judged.append(failed.number)
+            return replace(start(failed.number, loose, 2.0), looser=())
+
+        monkeypatch.setattr(annealed, "start_values", lambda *_: np.zeros((COUNT, 3)))
+        monkeypatch.setattr(annealed, "run_start", lambda task, number, *_: start(number, places[number]))
+        monkeypatch.setattr(annealed, "at_larger_noise", judge)
+        settings, motion = SimpleNamespace(agreeing_starts=AGREEING), SimpleNamespace(motion=None)
+        task = SimpleNamespace(most_starts=COUNT, settings=settings, parameters=None, filter=motion)
+        unfinished = SimpleNamespace(read=lambda *_: kept, keep=lambda *_: None)
+        of_run = SimpleNamespace(seed=1, jobs=1, limit=ENDLESS, unfinished=unfinished, report_progress=lambda *_: None)
+        return annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task)), judged
+
+    return run
+
+
+def test_where_enough_starts_agree_none_is_judged_at_larger_noise(run_all: Any) -> None:
+    starts, judged = run_all([None, 5.0, None, None, None, 5.0, 5.0, 5.0], 7.0)
+    assert [one.number for one in starts] == [0, 1, 2, 3, 4, 5]
+    assert judged == []
+
+
+def test_where_none_of_the_first_succeeds_they_are_judged_at_larger_noise_at_once(run_all: Any) -> None:
+    starts, judged = run_all([None] * COUNT, 7.0)
+    assert judged == [0, 1, 2, 3]  # twice as many as at the stated noise are to agree
+    assert [one.noise for one in starts] == [2.0] * 4
+    starts, judged = run_all([None] * 4 + [5.0] * 4, None)
+    assert judged == [0, 1, 2, 3]
+    assert [one.number for one in starts] == [0, 1, 2, 3, 4, 5]
+
+
+def test_where_all_starts_do_not_agree_those_that_failed_are_judged_at_larger_noise(run_all: Any) -> None:
+    starts, judged = run_all([5.0, *[None] * 7], 7.0)
+    assert len(starts) == COUNT
+    assert judged == list(range(1, 8))
+
+
+def test_a_run_that_is_continued_judges_the_same_starts(run_all: Any) -> None:
+    first = [replace(start(0, 7.0, 2.0), looser=()), *(start(number, None) for number in (1, 2, 3))]
+    starts, judged = run_all([None] * COUNT, 7.0, first)
+    assert judged == [1, 2, 3]
+    assert len(starts) == 4
