@@ -306,7 +306,6 @@ def main() -> None:
         report = calibrate(loaded, log, out, force=True, plots=False)
         spent = round(time.process_time() - begin, 1)
         print(json.dumps({"status": report["status"], "reason": report["reason"], "processor_s": spent}))
-        print(json.dumps(report.get("selection")))
     if (out / "cameras.yaml").exists():
         print(json.dumps(scores(folder, out, shifts, given.nothing is not None), indent=1))
         if given.control is not None:

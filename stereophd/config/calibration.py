@@ -167,11 +167,6 @@ class CalibrationConfig(Model):
         "the rest last; auto: poses and clocks, focal lengths and k1, the rest",
         default="auto",
     )
-    select: Literal["auto", "all"] = parameter(
-        "which unknowns are estimated besides poses and clocks: all; auto: fewer of them if a smaller set predicts "
-        "held-out stretches of the log better",
-        default="auto",
-    )
     model: Literal["as_stated", "lenses", "free"] = parameter(
         "what is estimated although it is stated as known, where the data contradict it: nothing; lenses that are "
         "stated as none, and clocks that are said to agree; intrinsics, readouts and rates of clocks too",

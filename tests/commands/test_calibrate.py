@@ -141,7 +141,6 @@ WAYS = {
             "calibration.smc={particles: 8, moves: 1, max_events: 30}",
             "calibration.priors.right.focal_std=0.05",
             "calibration.priors.right.clock_offset_std_s=0.05",
-            "calibration.select=all",
             *ONE_START,
         ),
         4,
@@ -432,7 +431,7 @@ def test_rolling_shutters_are_taken_into_account(tmp_path: Path) -> None:
     lines = [line for line in guess.read_text().splitlines() if "readout_s" not in line]
     guess.write_text("\n".join(lines) + "\n")
     # the evidence is that of the start: what is stated need not be tested
-    held = loaded(tmp_path / "scene", (*overrides, "calibration.model=as_stated", "calibration.select=all"))
+    held = loaded(tmp_path / "scene", (*overrides, "calibration.model=as_stated"))
     ignored = calibrate(held, log, tmp_path / "ignored", plots=False)
     assert ignored["fit"]["log_evidence"] < report["fit"]["log_evidence"] - 10.0
 

@@ -94,7 +94,7 @@ def choices_of(section: CalibrationConfig) -> Choices:
         known = KnownMeasure("speed", section.scale.speed, section.scale.std)
     elif isinstance(section.scale, LengthScale):
         known = KnownMeasure("length", section.scale.length, section.scale.std)
-    return Choices(section.select, section.model, known, section.posterior == "smc")
+    return Choices(section.model, known, section.posterior == "smc")
 
 
 def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
@@ -188,17 +188,6 @@ def _result_report(result: Calibrated, best: Start) -> dict[str, Any]:
         "stated": _statements(result),
         "fit": _fit_report(best, result.fit),
     }
-    if (comparison := believed.answer.comparison) is not None:
-        report["selection"] = {
-            "chosen": list(comparison.sets[comparison.chosen].names),
-            "sets": [
-                {"unknowns": list(unknowns.names), "held_out_loss": float(total),
-                 "above_all": float(total - comparison.totals[-1]), "above_all_std_error": float(error)}
-                for unknowns, total, error in zip(
-                    comparison.sets, comparison.totals, comparison.errors, strict=True
-                )
-            ],
-        }  # fmt: skip
     if result.pairs_of_known_length is not None:
         report["known_lengths"] = result.pairs_of_known_length
     if (why := next((remark.text for remark in result.remarks if remark.topic == "scale"), None)) is not None:

@@ -113,7 +113,7 @@ class MarginalOptimum:
 def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 1.0) -> MarginalOptimum:
     """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
 
-    Values that the problem holds stay, and keep the covariance of the prior. The search begins at a factor on the noise
+    The problem holds nothing. The search begins at a factor on the noise
     of the motion. Returns the adjustment given, not converged, at the noise stated, where the normal equations are
     singular.
     """
@@ -217,8 +217,6 @@ class MarginalPosterior:
         values, log_noise, std = unknowns[:count], float(unknowns[count]), self.prior_std[count]
         found = self.linearisation.at(values, states, log_noise)
         with_scale = found.energy * log_scale(problem.parameters, problem.reference, values)[1]
-        if problem.held is not None:
-            with_scale[problem.held] = 0.0
         return replace(
             found,
             cost=found.cost + (log_noise / std) ** 2,
@@ -286,12 +284,8 @@ class MarginalPosterior:
         ahead, behind = (self.equations(at.unknowns, at.states + sign * moved).value_vector for sign in (1.0, -1.0))
         # the knots are at the minimum but for a trace, whose effect is removed to first order
         left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
-        gradient: Array = (
-            direct + (ahead - behind) / (2.0 * step) + equations.coupling.T @ left - equations.value_vector
-        )
-        if (held := problem.held) is not None:
-            gradient[: len(held)][held] = 0.0
-        return gradient
+        followed = (ahead - behind) / (2.0 * step)
+        return np.asarray(direct + followed + equations.coupling.T @ left - equations.value_vector)
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""

@@ -38,8 +38,6 @@ def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, noise_fa
     posterior, point = at_answer(problem, adjustment, noise_factor)
     covariance, prior_std = posterior.covariance(point), posterior.prior_std
     scores = _scores(posterior.linearisation, point, float(np.log(noise_factor)), posterior.slopes(point))
-    if problem.held is not None:
-        scores[:, :size][:, problem.held] = 0.0
     determined = max(float((1.0 - np.diag(covariance) / prior_std**2).sum()), 1.0)
     root = np.linalg.cholesky(covariance)
     widened = widening((scores - scores.mean(axis=0)) @ root, determined)

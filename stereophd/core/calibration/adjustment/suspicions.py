@@ -70,7 +70,7 @@ def quadratic_posterior(
     """Return the posterior of everything about a fit, in units of the prior standard deviations."""
     parameters = enlarged.parameters
     values = np.append(adjustment.values, np.zeros(parameters.size - len(adjustment.values)))
-    of_all = replace(problem, parameters=parameters, held=None)
+    of_all = replace(problem, parameters=parameters)
     posterior, point = at_answer(of_all, replace(adjustment, values=values), noise_factor)
     precision = np.asarray(np.linalg.inv(posterior.covariance(point)), dtype=np.float64)
     std = posterior.prior_std

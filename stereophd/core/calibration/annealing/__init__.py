@@ -10,13 +10,12 @@ fit                    detections of a trajectory             holds             
 ``tracked_fit``        tracks of the filter, noise inflated   the unknowns of its pass    Cauchy  ``starts.run_start``
 ``refitted``           chosen anew by the trajectories        nothing, or all values      floor   ``starts``, ``method``
 ``adjusted_to``        those given                            what the fit given held     floor   the others below
-``fit_until``          those until a time                     as the fit given            floor   ``method.history_of``
-``restricted_fit``     as the fit given                       unknowns not selected       floor   ``method.state``
+``fit_until``          those until a time                     as the fit given            floor   ``fits.history_of``
 ``rescaled``           as the fit given                       as the fit given            floor   ``at_known_scale``
 ``readjusted``         as the fit given                       nothing, or all values      floor   ``method.believe``
 ``with_freed``         as the fit given                       nothing                     Cauchy  ``method.believe``
-``marginal_fit``       as the fit given                       as the fit given            fixed   ``method.state``
-``restated_fit``       chosen anew at a marginal optimum      as the fit given            fixed   ``method.believe``
+``marginal_fit``       as the fit given                       nothing                     fixed   ``method.believe``
+``restated_fit``       chosen anew at a marginal optimum      nothing                     fixed   ``method.believe``
 ``with_lengths``       as the fit given                       nothing                     fixed   ``method.calibrated``
 ``with_control``       as the fit given                       nothing                     floor   ``method.calibrated``
 =====================  =====================================  ==========================  ======  =====================

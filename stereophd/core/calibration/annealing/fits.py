@@ -11,7 +11,7 @@ from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import marginal_optimum
 from stereophd.core.calibration.adjustment.problem import Loss, Observations, Problem, true_times
-from stereophd.core.calibration.adjustment.solver import adjust, factor_knots, posterior_covariance
+from stereophd.core.calibration.adjustment.solver import adjust, factor_knots
 from stereophd.core.calibration.adjustment.trajectories import (
     Knots,
     fit_states,
@@ -267,54 +267,26 @@ def problem_of(task: Task, fit: Fit) -> Problem:
     return Problem(task.parameters, task.reference, fit.knots, fit.observations, FITTED_LOSS, task.scale)
 
 
-def restricted_fit(task: Task, fit: Fit, free: Booleans) -> Fit:
-    """Adjust again with only some values free (m,), the others at the prior mean.
-
-    The covariance is that of all values being unknown: what is held at the prior mean is known no better than that,
-    and the free values are only as sure as that leaves them.
-    """
-    parameters = task.parameters
-    values = np.where(free, fit.adjustment.values, parameters.prior_mean)
-    begin = replace(fit, adjustment=replace(fit.adjustment, values=values), held=~free)
-    again = adjusted_to(task, begin, fit.observations, fit.observations.trajectories, fit.detections)
-    return _with_held_unknown(task, again)
-
-
-def _with_held_unknown(task: Task, fit: Fit) -> Fit:
-    """Give a fit with held values the covariance of all values being unknown, as `restricted_fit` says."""
-    equations = Linearisation.of(problem_of(task, fit)).at(fit.adjustment.values, fit.adjustment.states)
-    return with_covariance(task, fit, posterior_covariance(equations, task.parameters.prior_std))
-
-
-def with_covariance(task: Task, fit: Fit, covariance: Array) -> Fit:
-    """Give a fit the covariance (m, m) of all values being unknown; what it holds is known as by the prior."""
-    if (held := fit.held) is not None:
-        covariance = np.where(held[:, None] | held, np.diag(task.parameters.prior_std**2), covariance)
-    return replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
-
-
 def marginal_fit(task: Task, fit: Fit, factor: float = 1.0) -> tuple[Fit, float]:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
-    Values that are held stay. Also returns the noise of the motion over that of the fit; it is looked for from a factor
-    on.
+    Nothing is held. Also returns the noise of the motion over that of the fit; it is looked for from a factor on.
     """
-    found = marginal_optimum(replace(problem_of(task, fit), held=fit.held), fit.adjustment, factor)
+    found = marginal_optimum(problem_of(task, fit), fit.adjustment, factor)
     cameras = task.parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
-    moved = replace(fit, adjustment=found.adjustment, knots=knots, observations=observations)
-    return (moved if fit.held is None else _with_held_unknown(task, moved)), found.noise_factor
+    return Fit(found.adjustment, knots, observations, fit.detections), found.noise_factor
 
 
-def restated_fit(task: Task, stated: Fit, chosen: Fit, factor: float) -> tuple[Fit, float]:
+def restated_fit(task: Task, chosen: Fit, factor: float) -> tuple[Fit, float]:
     """`marginal_fit` of the detections that the trajectories of a marginal optimum have chosen.
 
     The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
     residuals look like shared errors. The search goes on from the marginal optimum, with the noise of the task.
     """
     again = readjusted(task, chosen, np.ones(task.parameters.size, dtype=np.bool_))
-    return marginal_fit(task, with_stated_motion(task, replace(again, held=stated.held)), factor)
+    return marginal_fit(task, with_stated_motion(task, again), factor)
 
 
 def readjusted(task: Task, fit: Fit, held: Booleans | None = None, loss: Loss = FITTED_LOSS) -> Fit:

@@ -54,11 +54,9 @@ MOST_COST = 2.0
 def with_lengths(task: Task, fit: Fit, length: float, std: float) -> tuple[Fit, int]:
     """Adjust cameras and trajectories to pairs of objects that keep a known distance, and count the pairs.
 
-    Each distance may deviate by `std`, and all of them together by as much. The scale of the fit is known already;
-    nothing of it is held. Returns the fit given, and 0, if no pair keeps that distance or the detections contradict it.
+    Each distance may deviate by `std`, and all of them together by as much. The scale of the fit is known already.
+    Returns the fit given, and 0, if no pair keeps that distance or the detections contradict it.
     """
-    if fit.held is not None:
-        return fit, 0
     # the scale is what the lengths measure
     linearisation = Linearisation.of(replace(problem_of(task, fit), scale=None))
     before = linearisation.at(fit.adjustment.values, fit.adjustment.states).cost

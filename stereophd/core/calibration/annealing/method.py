@@ -16,7 +16,6 @@ from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.adjustment.marginal import exact_covariance
 from stereophd.core.calibration.adjustment.noise import estimate_noise
 from stereophd.core.calibration.adjustment.problem import Problem
-from stereophd.core.calibration.adjustment.selection import Comparison, compare
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
@@ -30,8 +29,6 @@ from stereophd.core.calibration.annealing.fits import (
     readjusted,
     refitted,
     restated_fit,
-    restricted_fit,
-    with_covariance,
     with_stated_motion,
 )
 from stereophd.core.calibration.annealing.known_lengths import with_lengths
@@ -46,11 +43,10 @@ from stereophd.core.calibration.annealing.starts import (
     wanted,
 )
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
-from stereophd.core.calibration.unknowns.held import FOCAL_STD, EnlargedSet, enlarge, free_of
+from stereophd.core.calibration.unknowns.held import FOCAL_STD, EnlargedSet, enlarge
 from stereophd.core.calibration.unknowns.observability import posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import scale_is_free
-from stereophd.core.calibration.unknowns.unknown_sets import candidates
 from stereophd.core.numerics.random_streams import NOISE_SEED
 from stereophd.wording import percent
 
@@ -84,7 +80,6 @@ class KnownMeasure:
 class Choices:
     """What decides between starts and result."""
 
-    select: str = "auto"  # Whether a smaller set of unknowns may be chosen (`auto`) or not (`all`).
     model: str = LENSES  # What may be given up of what is stated.
     known: KnownMeasure | None = None
     is_sampled: bool = False  # Whether a sampler states the posterior afterwards.
@@ -107,7 +102,6 @@ class Answer:
 
     fit: Fit  # The marginal optimum.
     noise_factor: float  # Noise of the motion over what is stated.
-    comparison: Comparison | None  # Of sets of unknowns.
 
 
 @dataclass(frozen=True)
@@ -232,20 +226,6 @@ def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Ta
     return replace(task, scale=measured), rescaled(task, fit, measured), ()
 
 
-def compared(task: Task, fit: Fit, choices: Choices) -> Comparison | None:
-    """Compare sets of unknowns by how well they predict the log of a fit; None if all are to be free."""
-    if choices.select == "all" or choices.is_sampled:
-        return None
-    return compare(problem_of(task, fit), fit.adjustment.values, fit.adjustment.states, candidates(task.parameters))
-
-
-def state(task: Task, fit: Fit, comparison: Comparison | None) -> Answer:
-    """State the answer of a fit: with the unknowns that predict the log best, and the trajectories integrated out."""
-    if comparison is not None and not comparison.free.all():
-        fit = restricted_fit(task, fit, comparison.free)
-    return Answer(*marginal_fit(task, fit), comparison)
-
-
 def chosen_anew(task: Task, fit: Fit, still: bool = False) -> Fit:
     """Let the trajectories of a fit choose their detections anew, unless that leaves many out."""
     chosen = refitted(task, fit, still=still)
@@ -256,25 +236,23 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict.
 
     Trajectories of an answer choose their detections and show the noise, and the search goes on from the answer. Once
-    the noise stays, unknowns are compared with it, and what is held is tested. Another set of unknowns, and a search
-    that did not end, begin at the joint optimum again. `noise_of_fit` is the noise of the task over what is stated.
+    the noise stays, what is held is tested. Other unknowns, and a search that did not end, begin at the joint optimum
+    again. `noise_of_fit` is the noise of the task over what is stated.
     """
     count = len(task.parameters.cameras)
     noise, shared = np.full(count, noise_of_fit), np.zeros(count)
     given_up, held = list[Suspicion](), list[Suspicion]()
     from_above, remarks = np.full(count, noise_of_fit > 1.0), tuple[Remark, ...]()
     answer: Answer | None = None
-    comparison: Comparison | None = None  # With the present noise, if any
     for number in range(MOST_ROUNDS):
         if not task.limit.begin(f"what the answer assumes is tested, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and tested: these cameras are the best so far"
-            answer = answer or Answer(fit, 1.0, None)
+            answer = answer or Answer(fit, 1.0)
             held, remarks = [], (Remark("time", text, is_reservation=True),)
             break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         if answer is None:
-            comparison = comparison or compared(task, fit, choices)
-            answer = state(task, fit, comparison)
+            answer = Answer(*marginal_fit(task, fit))
         chosen = chosen_anew(task, answer.fit, still=True) if answer.fit.adjustment.converged else answer.fit
         estimate = estimate_noise(
             problem_of(task, chosen), chosen.adjustment, noise, shared, task.settings.shared_error_px,
@@ -286,9 +264,9 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
             factors = np.where(hides, LOOSENED, np.where(differs, estimate.factors, 1.0))
             shared = np.where(hides, 0.0, np.where(differs, estimate.shared, shared))
             task, noise = task.with_noise(factors, shared), noise * factors
-            from_above, comparison = from_above | hides, None
+            from_above |= hides
         if answer.fit.adjustment.converged and not hides.any():
-            again = restated_fit(task, answer.fit, chosen, answer.noise_factor)
+            again = restated_fit(task, chosen, answer.noise_factor)
             if is_new or again[0].adjustment.converged:
                 answer = replace(answer, fit=again[0], noise_factor=again[1])
         fit = with_stated_motion(task, answer.fit)
@@ -296,18 +274,13 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
             if hides.any() or not answer.fit.adjustment.converged:
                 fit, answer = chosen_anew(task, readjusted(task, fit)), None
             continue
-        if comparison is None and (comparison := compared(task, fit, choices)) is not None and not last:
-            if answer.comparison is None or answer.comparison.chosen != comparison.chosen:
-                fit, answer = chosen_anew(task, readjusted(task, fit)), None
-                continue
-            answer = replace(answer, comparison=comparison)
         enlarged, held = suspected(task, answer)
         wrong = next((s for s in held if s.is_contradicted and may_be_freed(s, choices, task.parameters)), None)
         if wrong is None or last:
             break
         given_up.append(wrong)
         task, fit = with_freed(task, fit, enlarged, wrong)
-        answer, comparison = None, None
+        answer = None
     assert answer is not None
     size = task.parameters.size
     doubtful = np.hstack([np.zeros((size, 0)), *(suspicion.spread[:size] for suspicion in held)])
@@ -321,12 +294,12 @@ def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]
     quadratic = quadratic_posterior(
         problem_of_answer(task, answer), enlarged, answer.fit.adjustment, answer.noise_factor
     )
-    return enlarged, suspect(quadratic, enlarged, free_of(task.parameters, answer.fit.held))
+    return enlarged, suspect(quadratic, enlarged, np.arange(task.parameters.size))
 
 
 def problem_of_answer(task: Task, answer: Answer) -> Problem:
     """Return the problem that an answer solves, with the noise of the motion that is stated."""
-    return replace(problem_of(task, with_stated_motion(task, answer.fit)), held=answer.fit.held)
+    return problem_of(task, with_stated_motion(task, answer.fit))
 
 
 def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[Remark, ...]]:
@@ -337,8 +310,8 @@ def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[
     problem, fit = problem_of_answer(task, answer), answer.fit
     if fit.adjustment.converged:
         try:
-            exact = exact_covariance(replace(problem, held=None), fit.adjustment, answer.noise_factor, task.threads)
-            fit = with_covariance(task, fit, exact)
+            exact = exact_covariance(problem, fit.adjustment, answer.noise_factor, task.threads)
+            fit = replace(fit, adjustment=replace(fit.adjustment, covariance=exact))
         except LinAlgError:
             fit = replace(fit, adjustment=replace(fit.adjustment, converged=False))
     more, factor = disagreement_of_stretches(problem, fit.adjustment, answer.noise_factor)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
@@ -92,8 +92,3 @@ def _wide_priors(camera: Camera, period: float, is_reference: bool) -> dict[str,
     }
     of_the_frame = {quantity.name for quantity in quantities() if quantity.of_the_frame}
     return {name: stds for name, stds in wide.items() if not (is_reference and name in of_the_frame)}
-
-
-def free_of(parameters: ParameterSet, held: Booleans | None) -> Integers:
-    """Places of the values that a fit did not hold."""
-    return np.arange(parameters.size) if held is None else np.flatnonzero(~held)

@@ -1,4 +1,4 @@
-"""Sets of unknowns: those that are freed stage by stage, and those that are compared.
+"""Sets of unknowns: those that are freed stage by stage.
 
 A wrong clock looks like a wrong pose, and a wrong principal point like a turn of the camera. If everything is free from
 the start, an adjustment to a rough association distorts the unknowns that the association does not determine. So the
@@ -68,11 +68,3 @@ def stages_named(parameters: ParameterSet, stages: Sequence[Sequence[str]]) -> t
         free = free | _named(parameters, names)
         masks.append(free)
     return _distinct(parameters, (*masks, np.ones(parameters.size, dtype=np.bool_)))
-
-
-def candidates(parameters: ParameterSet) -> tuple[UnknownSet, ...]:
-    """Sets to compare, the smallest first: poses and clocks; with focal lengths; with k1 too; all."""
-    frame = _of_the_frame(parameters)
-    focal = frame | _named(parameters, ("focal",))
-    k1 = focal | _named(parameters, ("k1",))
-    return _distinct(parameters, (frame, focal, k1, np.ones(parameters.size, dtype=np.bool_)))

@@ -181,29 +181,6 @@ def test_trajectories_are_integrated_out_for_poses_alone_too() -> None:
     assert reached < posterior.at(np.append(joint.values, 0.0), states).objective - 1.0
 
 
-def test_held_values_stay_and_are_as_unknown_as_before_where_trajectories_are_integrated_out() -> None:
-    problem, states, drawn = some_problem(("center", "rotation", "focal"))
-    free = np.array([parameter.quantity.name != "focal" for parameter in problem.parameters.parameters])
-    held = replace(problem, held=~free)
-    fit = Fit(adjust(held, drawn, states), problem.knots, problem.observations, np.arange(len(problem.observations)),
-              ~free)  # fmt: skip
-    task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
-    found, factor = marginal_fit(task, fit)
-    values, covariance = found.adjustment.values, found.adjustment.covariance
-    np.testing.assert_allclose(values[~free], drawn[~free], rtol=1e-9)
-    np.testing.assert_allclose(covariance[np.ix_(~free, ~free)], np.diag(problem.parameters.prior_std[~free] ** 2))
-    assert not covariance[np.ix_(free, ~free)].any()
-    # with the true focal lengths held, the others are as right as if those were known
-    known = np.linalg.inv(
-        np.linalg.inv(marginal_optimum(held, fit.adjustment).adjustment.covariance)[np.ix_(free, free)]
-    )
-    error = (values - drawn)[free]
-    assert error @ np.linalg.solve(known, error) < 4.0 * free.sum()
-    posterior = MarginalPosterior(Linearisation.of(held))
-    before = posterior.at(np.append(fit.adjustment.values, 0.0), states).objective
-    assert posterior.at(np.append(values, np.log(factor)), found.adjustment.states).objective < before - 0.5
-
-
 def test_held_centres_stay_although_the_noise_of_the_motion_is_in_units_of_their_distance() -> None:
     problem, states, drawn = some_problem(("center", "rotation", "focal"))
     held = np.array([parameter.quantity.name == "center" for parameter in problem.parameters.parameters])
