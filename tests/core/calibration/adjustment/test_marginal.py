@@ -181,17 +181,6 @@ def test_trajectories_are_integrated_out_for_poses_alone_too() -> None:
     assert reached < posterior.at(np.append(joint.values, 0.0), states).objective - 1.0
 
 
-def test_held_centres_stay_although_the_noise_of_the_motion_is_in_units_of_their_distance() -> None:
-    problem, states, drawn = some_problem(("center", "rotation", "focal"))
-    held = np.array([parameter.quantity.name == "center" for parameter in problem.parameters.parameters])
-    problem = replace(problem, held=held)
-    joint = adjust(problem, drawn, states)
-    found = marginal_optimum(problem, joint).adjustment
-    assert found.converged
-    np.testing.assert_allclose(found.values[held], joint.values[held], rtol=1e-9)
-    np.testing.assert_allclose(found.covariance[held], np.diag(problem.parameters.prior_std**2)[held], atol=1e-12)
-
-
 def test_the_scale_of_objects_that_stand_still_is_left_to_the_prior() -> None:
     """Their knots have no velocity: a volume that counts one would take the scene for too small."""
     made = make_problem(3, objects=8, still=True)
