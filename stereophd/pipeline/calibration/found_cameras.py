@@ -41,9 +41,9 @@ from stereophd.validated import NO_LENGTH
 MOST_SEARCHED = 20_000
 # Prior deviations about what was found: so many stated ones, and at least these: rad, share of the distance, frames.
 STATED, LEAST_ROTATION, LEAST_SHARE, LEAST_FRAMES = 5.0, np.deg2rad(3.0), 0.05, 1.0
-# Prior of an unknown focal length (relative) and of its principal point (in widths of the image), of the rate of an
-# unknown clock, and of a first radial coefficient.
-FOCAL_STD, PRINCIPAL_STD, RATE_STD, LENS_STD = float(np.log(1.6)), 0.01, 1e-3, 0.1
+# Priors where none is stated: of an unknown focal length and of one that is given (relative), of the principal point
+# (in widths of the image), of the rate of an unknown clock, and of a first radial coefficient.
+FOCAL_STD, GIVEN_FOCAL_STD, PRINCIPAL_STD, RATE_STD, LENS_STD = float(np.log(1.6)), 0.03, 0.01, 1e-3, 0.1
 # What determined cameras are known to at least: rad, share of the size of the rig, relative focal length, frames.
 MOST_ROTATION, MOST_SHARE, MOST_FOCAL, MOST_FRAMES = np.deg2rad(2.0), 0.05, 0.05, 1.0
 UNIT = "no length is known: the unit of length is the distance of the first two cameras that were joined"
@@ -222,14 +222,13 @@ def _read(loaded: LoadedConfig, cameras: tuple[Camera, ...], log_path: Path | st
 def _stated(section: CalibrationConfig, name: str, key: str, default: float) -> float:
     """Return a prior deviation of one number that the configuration states of a camera; else a default."""
     prior = section.priors.get(name)
-    value = getattr(prior, key) if prior is not None else 0.0
-    return float(np.max(value)) if np.any(value) else default
+    return float(getattr(prior, key)) if prior is not None and key in prior.model_fields_set else default
 
 
 def _view(loaded: LoadedConfig, section: CalibrationConfig, camera: Camera) -> View:
     """Return what is known of a camera."""
     config = loaded.cameras[camera.name]
-    focal = _stated(section, camera.name, "focal_std", FOCAL_STD if config.intrinsics.unknown else 0.0)
+    focal = _stated(section, camera.name, "focal_std", FOCAL_STD if config.intrinsics.unknown else GIVEN_FOCAL_STD)
     lens = config.intrinsics.unknown and camera.lens.model == "none"
     clock = config.clock.unknown and camera.name != section.reference
     rate = _stated(section, camera.name, "clock_rate_std", RATE_STD) if clock else 0.0
@@ -262,8 +261,7 @@ def _priors(
         prior = copy.deepcopy(loaded.tree.data["calibration"].get("priors", {}).get(camera.name, {}))
         if view.focal_std > 0.0:
             prior["focal_std"] = min(view.focal_std, max(STATED * spread.focal, 0.01))
-        if loaded.cameras[camera.name].intrinsics.unknown:
-            prior.setdefault("principal_point_std_px", PRINCIPAL_STD * camera.width)
+        prior.setdefault("principal_point_std_px", PRINCIPAL_STD * camera.width)
         if view.lens_is_unknown:
             prior["distortion_std"] = {"k1": LENS_STD}
         if camera.name != section.reference:

@@ -110,7 +110,8 @@ def test_cameras_are_found_in_the_unit_of_their_distance(tmp_path: Path, log: Pa
     angle = np.degrees(np.arccos(0.5 * (np.trace(right.pose.rotation) - 1.0)))
     assert angle == pytest.approx(30.0, abs=3.0)
     assert loaded.config.calibration is not None
-    assert set(loaded.config.calibration.priors) == {"right"}
+    # what is stated of the images is not exact either
+    assert set(loaded.config.calibration.priors) == {"left", "right"}
     # the settings follow: objects lie somewhat beyond the depth that the births expect, the cameras 40 cm apart
     assert 6.0 / 40.0 < loaded.config.motion.max_speed < 2.0 * 6.0 / 40.0
 
@@ -125,16 +126,21 @@ def test_a_known_distance_gives_the_scale(tmp_path: Path, log: Path) -> None:
     assert np.linalg.norm(right.pose.center - left.pose.center) == pytest.approx(40.0)
 
 
-def test_the_principal_point_of_unknown_intrinsics_is_unknown_too(tmp_path: Path) -> None:
-    """Held in the middle of the image, it turned four cameras by five and more of their stated deviations."""
-    loaded = stated(tmp_path, "calibration.priors.right={principal_point_std_px: 3.0}", intrinsics={"focal": "unknown"})
+@pytest.mark.parametrize("intrinsics", [{}, {"intrinsics": {"focal": "unknown"}}])
+def test_images_are_known_no_better_than_stated(tmp_path: Path, intrinsics: dict[str, object]) -> None:
+    """Four cameras of a drone whose stated principal points were taken as exact were undetermined."""
+    right = "calibration.priors.right={principal_point_std_px: 3.0, focal_std: 0.0}"
+    loaded = stated(tmp_path, right, **intrinsics)
     section = found_cameras.refuse_search(loaded)
     cameras = tuple(config.build(name) for name, config in loaded.cameras.items())
     views = [found_cameras._view(loaded, section, camera) for camera in cameras]
-    rig = FoundRig(cameras, (Spread(0.01, 0.01, 0.0, 0.02),) * 2, (), ())
+    rig = FoundRig(cameras, (Spread(0.01, 0.01, 0.0, 0.002),) * 2, (), ())
     priors = found_cameras._priors(loaded, section, views, rig, {})
     assert priors["left"]["principal_point_std_px"] == pytest.approx(0.01 * cameras[0].width)
     assert priors["right"]["principal_point_std_px"] == 3.0
+    assert priors["left"]["focal_std"] == pytest.approx(0.01)
+    assert priors["right"]["focal_std"] == 0.0
+    assert views[1].focal_std == 0.0
 
 
 def test_unknowns_that_were_freed_are_judged_too(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -62,9 +62,12 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
+    LEAST_SHARE,
+    LONGER,
     Adjustment,
     Eliminated,
     factor_knots,
+    settled_knots,
     within_prior,
 )
 from stereophd.core.calibration.adjustment.trajectories import banded_product
@@ -81,15 +84,12 @@ SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS = 0.05, 20.0, 1.0, 200
 # A search has settled as well where so many steps lower the objective by less than this together: no detection tells
 # their points apart. It follows curved valleys of scenes that hold little, step by small step.
 STALLED_STEPS, STALLED = 6, 0.5
-# A step is halved, down to the least share of it, until the objective falls by this part of what the gradient says. The
-# next one may be as long as what was taken, and longer by this factor where that was the whole.
-DECREASE, LEAST_SHARE, LONGER = 1e-4, 1.0 / 64.0, 2.0
+# A step is halved until the objective falls by this part of what the gradient says.
+DECREASE = 1e-4
 # Squared distance from which a detection is left out by the loss.
 LEFT_OUT = 50.0
 # Most times that the weights of detections are taken anew, and their change at which they are the same.
 MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
-# Most steps of the knots at given values, and the fall of the cost that is left.
-KNOT_STEPS, KNOTS_SETTLED = 15, 1e-8
 # Step of differences of the gradient, in standard deviations by the normal equations.
 CURVATURE_STEP = 0.3
 # Directions of the posterior beyond this part of the prior are loose. Draws of these, beside which the bend of the
@@ -242,24 +242,7 @@ class MarginalPosterior:
         Raises LinAlgError when the normal equations are not positive definite, or the cost is not finite.
         """
         values, log_noise = self._parted(unknowns)
-        placement = self.linearisation.placed(values, by_values=False)
-        cost, bands, vector = self.linearisation.of_knots(values, states, log_noise, placement)
-        for _ in range(KNOT_STEPS):
-            if not np.isfinite(cost):
-                raise LinAlgError("the cost is not finite")
-            step = cho_solve_banded((factor_knots(bands), True), vector, check_finite=False)
-            if float(vector @ step) <= KNOTS_SETTLED:
-                break
-            share = 1.0
-            while share >= LEAST_SHARE:
-                moved = states + share * step.reshape(states.shape)
-                tried = self.linearisation.of_knots(values, moved, log_noise, placement)
-                if tried[0] <= cost:
-                    break
-                share *= 0.5
-            else:
-                break
-            states, (cost, bands, vector) = moved, tried
+        states = settled_knots(self.linearisation, values, states, log_noise)
         equations = self.equations(unknowns, states)
         factor = factor_knots(equations.bands)
         return Point(unknowns, states, equations, factor, 0.5 * equations.cost + self._volume(unknowns, factor))

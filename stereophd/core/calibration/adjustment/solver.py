@@ -6,28 +6,39 @@ Minimised is half of
 
 with the reprojection error e_n of every detection, its precision P_n and weight w_n, the priors of the camera
 parameters, the motion model m(x) of the trajectories' knots x (positions and velocities have no prior), and the scale s
-of the scene (`calibration.unknowns.scale`). The steps are those of Levenberg and Marquardt on the normal equations
+of the scene (`calibration.unknowns.scale`). The steps are those of Gauss and Newton on the normal equations
 
     [ A   C ] [dx]   [a]
     [ C^T B ] [dv] = [b],     A banded (knots), B small (cameras),
 
 solved by the Schur complement B - C^T A^-1 C (W. Triggs et al., "Bundle adjustment - a modern synthesis", 2000),
 whose inverse at the optimum is the covariance of the camera parameters, the trajectories integrated out.
+
+Valleys are curved: where cameras move, points do not follow on straight lines. A step after which the cost has grown is
+therefore judged once the knots have settled, and no step is longer than the valley allowed last. Damped steps
+(Levenberg, Marquardt) crept along such valleys: of 200 every other one was rejected, and starts of one optimum ended
+apart.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cholesky_banded
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
 
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 
-# Marquardt's damping: where it starts, its factor, and where it gives up.
+# Most steps of the knots at given values, and the fall of the cost that is left; most of them that follow a step.
+KNOT_STEPS, KNOTS_SETTLED, FOLLOWING_STEPS = 15, 1e-8, 3
+# A step is halved, down to the least share of it, until the cost falls. The next one may be as long as what was taken,
+# and longer by this factor where that was the whole.
+LEAST_SHARE, LONGER = 1.0 / 64.0, 2.0
+# Marquardt's damping of the first steps, and of equations that are singular: where it starts, its factor, and where it
+# gives up.
 FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10
 # Relative weight on the diagonal that keeps the factorisation of nearly singular knots from failing.
 ROUNDING = 1e-13
@@ -115,35 +126,97 @@ def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
     return values, eliminated.knots_after(values)
 
 
+def settled_knots(
+    linearisation: Linearisation,
+    values: Array,
+    states: Array,
+    log_noise: float = 0.0,
+    most: int = KNOT_STEPS,
+    settled: float = KNOTS_SETTLED,
+) -> Array:
+    """Minimise the cost by the knots (k, 2, 3) alone, until it would fall by no more than `settled`.
+
+    Raises LinAlgError when the matrix of the knots is not positive definite, or the cost is not finite.
+    """
+    placement = linearisation.placed(values, by_values=False)
+    cost, bands, vector = linearisation.of_knots(values, states, log_noise, placement)
+    for _ in range(most):
+        if not np.isfinite(cost):
+            raise LinAlgError("the cost is not finite")
+        step = cho_solve_banded((factor_knots(bands), True), vector, check_finite=False)
+        if float(vector @ step) <= settled:
+            break
+        share = 1.0
+        while share >= LEAST_SHARE:
+            moved = states + share * step.reshape(states.shape)
+            tried = linearisation.of_knots(values, moved, log_noise, placement)
+            if tried[0] <= cost:
+                break
+            share *= 0.5
+        else:
+            break
+        states, (cost, bands, vector) = moved, tried
+    return states
+
+
 def adjust(
     problem: Problem, values: Array, states: Array, max_iterations: int = 200, tolerance: float = 1e-7
 ) -> Adjustment:
-    """Minimise from values (m,) and knots (k, 2, 3), trying at most `max_iterations` steps.
+    """Minimise from values (m,) and knots (k, 2, 3), trying about `max_iterations` steps at most.
 
-    Converged when a step lowers the cost by less than the part `tolerance` of it. The covariance is that of the
-    undamped equations; held values keep that of the prior.
+    Converged when a step promises to lower the cost by less than the part `tolerance` of it. The covariance is that of
+    the undamped equations; held values keep that of the prior.
     """
     linearisation = Linearisation.of(problem)
     current = linearisation.at(values, states)
-    damping, converged, iteration = FIRST_DAMPING, False, 0
-    while iteration < max_iterations and not converged and damping < MOST_DAMPING:
-        iteration += 1
+    damping, longest, converged, iteration = FIRST_DAMPING, np.inf, False, 0
+    while iteration < max_iterations and damping < MOST_DAMPING:
         try:
             value_step, state_step = solve(current, damping)
         except LinAlgError:
-            damping *= DAMPING_FACTOR
+            damping, iteration = max(DAMPING_FACTOR * damping, FIRST_DAMPING), iteration + 1
             continue
-        new_values, new_states = values + value_step, states + state_step.reshape(states.shape)
-        new = linearisation.at(new_values, new_states)
-        if np.isfinite(new.cost) and new.cost <= current.cost:
-            converged = current.cost - new.cost <= tolerance * max(current.cost, 1.0)
-            values, states, current = new_values, new_states, new
-            damping = max(damping / DAMPING_FACTOR, 1e-12)
-        else:
-            converged = damping > 1e4 and abs(new.cost - current.cost) <= tolerance * max(current.cost, 1.0)
-            damping *= DAMPING_FACTOR
+        promised = float(value_step @ current.value_vector + state_step @ current.state_vector)
+        if promised <= tolerance * max(current.cost, 1.0):
+            if converged := damping == 0.0:
+                break
+            damping = 0.0
+            continue
+        length = float(np.linalg.norm(value_step / problem.parameters.prior_std))
+        whole = share = longest / length if length > longest else 1.0
+        while True:
+            moved = states + share * state_step.reshape(states.shape)
+            tried = _followed(linearisation, current, values + share * value_step, moved, tolerance)
+            iteration += 1
+            if (is_lower := bool(tried[2].cost <= current.cost)) or share < LEAST_SHARE * whole:
+                break
+            share *= 0.5
+        if not is_lower:
+            break
+        longest = (LONGER if share == whole else 1.0) * share * length
+        (values, states, current), damping = tried, damping / DAMPING_FACTOR
     covariance = posterior_covariance(current, problem.parameters.prior_std)
-    return Adjustment(values, states, covariance, current.cost, current.distances, iteration, bool(converged))
+    return Adjustment(values, states, covariance, current.cost, current.distances, iteration, converged)
+
+
+def _followed(
+    linearisation: Linearisation, before: NormalEquations, values: Array, states: Array, tolerance: float
+) -> tuple[Array, Array, NormalEquations]:
+    """Return values and knots after a step, and the equations there; where the cost has grown, the knots settle first.
+
+    Detections keep the weights from before the step: the loss would leave out at once what is far from knots that do
+    not follow yet.
+    """
+    after = linearisation.at(values, states)
+    if after.cost <= before.cost:
+        return values, states, after
+    problem = linearisation.problem.weighted(linearisation.problem.weights(before.distances))
+    settled = tolerance * max(before.cost, 1.0)
+    try:
+        states = settled_knots(replace(linearisation, problem=problem), values, states, 0.0, FOLLOWING_STEPS, settled)
+    except LinAlgError:
+        return values, states, after
+    return values, states, linearisation.at(values, states)
 
 
 def posterior_covariance(equations: NormalEquations, prior_std: Array) -> Array:

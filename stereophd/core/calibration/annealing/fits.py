@@ -4,14 +4,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cho_solve_banded
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import marginal_optimum
-from stereophd.core.calibration.adjustment.problem import Loss, Observations, Problem, true_times
-from stereophd.core.calibration.adjustment.solver import adjust, factor_knots
+from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
+from stereophd.core.calibration.adjustment.solver import adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
     Knots,
     fit_states,
@@ -43,8 +42,6 @@ SEARCHED_PART = 0.1
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 25
-# Relative change of the cost at which an adjustment ends, and one that others follow.
-TOLERANCE, ANNEALED_TOLERANCE = 1e-7, 1e-5
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 3
 # Frames by which a trajectory may go on before its first detection and after its last one, in a pass.
@@ -86,7 +83,7 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
-    return _fit(task, problem, pairing.values, states, detections, ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
+    return _fit(task, problem, pairing.values, states, detections, ANNEALED_ITERATIONS)
 
 
 def with_clocks(task: Task, draws: Array) -> Array:
@@ -123,14 +120,14 @@ def tracked_fit(
     precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
-    return _fit(task, problem, values, states, detections, ANNEALED_ITERATIONS, ANNEALED_TOLERANCE)
+    return _fit(task, problem, values, states, detections, ANNEALED_ITERATIONS)
 
 
-def refitted(task: Task, fit: Fit, tracked: bool = False, last: bool = True, still: bool = False) -> Fit | None:
+def refitted(task: Task, fit: Fit, tracked: bool = False, still: bool = False) -> Fit | None:
     """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
 
-    `last`: no other adjustment follows. `still`: the cameras stay, and the trajectories follow every detection at the
-    weight of its noise alone (`adjustment.noise`).
+    `still`: the cameras stay, and the trajectories follow every detection at the weight of its noise alone
+    (`adjustment.noise`).
     """
     cameras = task.parameters.build(fit.adjustment.values)
     scans = task.tracked_scans(cameras) if tracked else task.all_scans(cameras)
@@ -155,8 +152,7 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, last: bool = True, sti
     observations = task.observations(cameras, numbers, of_log)
     if still:
         observations = replace(observations, weights=None)
-    tolerance = TOLERANCE if last else ANNEALED_TOLERANCE
-    return adjusted_to(task, fit, observations, trajectories[rows], of_log, tolerance=tolerance)
+    return adjusted_to(task, fit, observations, trajectories[rows], of_log)
 
 
 def fit_from(task: Task, values: Array) -> Fit | None:
@@ -218,7 +214,6 @@ def adjusted_to(
     of_fit: Integers,
     detections: Integers,
     max_iterations: int = MOST_ITERATIONS,
-    tolerance: float = TOLERANCE,
     loss: Loss = FITTED_LOSS,
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
@@ -234,7 +229,7 @@ def adjusted_to(
     problem = Problem(task.parameters, task.reference, knots, observations, loss, task.scale, fit.held)
     # the loss would leave out at once what a trajectory has to reach out for, beyond its last detection so far
     states = with_all_members(problem, fit.adjustment.values, states)
-    found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, tolerance)
+    found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations)
     standing = ~_collapsed(task, found)
     if standing.all():
         return found
@@ -243,11 +238,7 @@ def adjusted_to(
 
 def with_all_members(problem: Problem, values: Array, states: Array) -> Array:
     """Move the knots (k, 2, 3) of trajectories one linear step to all their detections, whatever the loss says."""
-    given = problem.observations.weights
-    weights = np.ones(len(problem.observations)) if given is None else given
-    _, bands, vector = Linearisation.of(problem.weighted(weights)).of_knots(values, states)
-    step: Array = cho_solve_banded((factor_knots(bands), True), vector)
-    return states + step.reshape(states.shape)
+    return settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=1)
 
 
 def _collapsed(task: Task, fit: Fit) -> Booleans:
@@ -308,10 +299,9 @@ def _fit(
     states: Array,
     detections: Integers,
     max_iterations: int = MOST_ITERATIONS,
-    tolerance: float = TOLERANCE,
 ) -> Fit:
     """Adjust, and time the detections by the cameras found."""
-    found = adjust(problem, values, states, max_iterations, tolerance)
+    found = adjust(problem, values, states, max_iterations)
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:
         observations = replace(observations, times=true_times(cameras, observations))

@@ -75,6 +75,20 @@ def test_errors_are_those_of_the_bound(names: tuple[str, ...]) -> None:
     assert np.mean(squares) < 5.0
 
 
+def test_steps_are_as_long_as_a_curved_valley_allows() -> None:
+    """It took 23 steps when this was written, and 167 where damping alone kept them short."""
+    names = ("center", "rotation", "readout", "velocity", "rotation_rate")
+    true = unknowns(rig(), names)
+    guess = true.about(true.guess(true.sample(np.random.default_rng(104), 1)[0]))
+    observations, _, points = observe(true.cameras, 4, 3, 8.0)
+    problem, states = problem_of(guess, observations, points)
+    found = adjust(problem, np.zeros(guess.size), states, 60)
+    assert found.converged
+    # nothing is left: no step from there promises more
+    again = adjust(problem, found.values, found.states)
+    assert again.cost == pytest.approx(found.cost, rel=1e-7)
+
+
 def test_shared_parameters_are_one() -> None:
     cameras = rig()
     parameter = Parameter("focal", "cam0", 0.0, 0.1, ("cam1", "cam2"))
