@@ -47,6 +47,7 @@ from stereophd.core.calibration.unknowns.held import FOCAL_STD, EnlargedSet, enl
 from stereophd.core.calibration.unknowns.observability import posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import scale_is_free
+from stereophd.core.numerics.covariance_factors import covariance_factor
 from stereophd.core.numerics.random_streams import NOISE_SEED
 from stereophd.wording import percent
 
@@ -65,6 +66,9 @@ LARGEST_MOVE = 1.0
 FAR_FROM_PRIOR, SAID_FACTOR, MOTION_FACTOR = 3.0, 1.5, 4.0
 # An answer whose stated deviations are widened by more than this is not determined.
 LARGEST_WIDENING = 3.0
+# Where cameras leave tracks uncertain by more than this part s of their distance, deviations hold to first order only: a
+# disparity that is two of its deviations off is a distance 1 / (1 - 2 s) times as large, not 1 + 2 s times.
+LARGEST_SPREAD = 0.15
 
 
 @dataclass(frozen=True)
@@ -90,7 +94,7 @@ class Choices:
 class Remark:
     """A remark on the answer, for the report."""
 
-    # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `starts`, `control` or `time`
+    # `noise`, `model`, `sensitivity`, `stretches`, `prior`, `motion`, `scale`, `spread`, `starts`, `control` or `time`
     topic: str
     text: str
     is_reservation: bool = False  # Whether the data determine the cameras partly at most.
@@ -170,6 +174,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
         doubt = f"with the known {by} {against}" if by else against
     history, moves = history_of(task, answer.fit, fit), track_moves(problem_of(task, fit), fit.adjustment)
     remarks += (*statement_remarks(believed, is_doubted=bool(doubt)), *prior_remarks(task, values))
+    remarks += spread_remarks(moves, fit.adjustment.covariance)
     return Calibrated(believed, fit, history, pairs, moves, doubt, remarks, world)
 
 
@@ -345,6 +350,18 @@ def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion
     values = np.append(fit.adjustment.values, suspicion.values)
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
     return task, chosen_anew(task, readjusted(task, begin, loss=ANNEALED_LOSS))
+
+
+def spread_remarks(moves: TrackMoves, covariance: Array) -> tuple[Remark, ...]:
+    """Say where the cameras leave tracks so uncertain that a Gaussian statement of them does not hold."""
+    spread = moves.relative_std(covariance_factor(covariance))
+    if spread <= LARGEST_SPREAD:
+        return ()
+    text = (
+        f"the cameras leave tracks uncertain by {percent(spread)} of their distance, and with so much their standard "
+        "deviations hold to first order only: more objects, or objects nearer to the cameras, narrow it"
+    )
+    return (Remark("spread", text, is_reservation=True),)
 
 
 def motion_remarks(answer: Answer) -> tuple[Remark, ...]:

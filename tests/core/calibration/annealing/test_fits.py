@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stereophd.core.calibration.adjustment.track_moves import TrackMoves
 from stereophd.core.calibration.annealing.fits import (
     fit_from,
     fit_until,
@@ -22,6 +23,7 @@ from stereophd.core.calibration.annealing.method import (
     Choices,
     calibrated,
     may_be_freed,
+    spread_remarks,
     statement_remarks,
     suspected,
     with_freed,
@@ -176,6 +178,14 @@ def test_core_alone_calibrates(made: MadeUp, task: Task) -> None:
         remarks = statement_remarks(replace(result.believed, given_up=(), held=held), False)
         assert [one.is_reservation for one in remarks] == [False] * count
         assert all("off by 2.5 of their stated standard deviations" in one.text for one in remarks)
+
+
+def test_cameras_that_leave_tracks_uncertain_by_a_large_part_of_their_distance_are_partly_determined() -> None:
+    moves = TrackMoves(np.array([[0.0, 0.0, 10.0]]), np.eye(3)[None, :, :], np.zeros(3))  # the point is the values
+    few, many = (spread_remarks(moves, std**2 * np.eye(3)) for std in (0.5, 1.0))  # of a distance of 10, times sqrt(3)
+    assert few == ()
+    assert [one.is_reservation for one in many] == [True]
+    assert "by 17 % of their distance" in many[0].text
 
 
 def test_a_noise_that_is_stated_too_small_lets_a_start_succeed(made: MadeUp, task: Task) -> None:
