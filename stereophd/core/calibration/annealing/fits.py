@@ -227,18 +227,15 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, loss, task.scale, fit.held)
-    # the loss would leave out at once what a trajectory has to reach out for, beyond its last detection so far
-    states = with_all_members(problem, fit.adjustment.values, states)
+    # one step whatever the loss says: it would leave out at once what a trajectory has to reach out for, beyond its
+    # last detection so far
+    without_loss = Linearisation.of(replace(problem, loss=SQUARED))
+    states = settled_knots(without_loss, fit.adjustment.values, states, most=1)
     found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations)
     standing = ~_collapsed(task, found)
     if standing.all():
         return found
     return _part(task, found, np.flatnonzero(standing), max_iterations) or found
-
-
-def with_all_members(problem: Problem, values: Array, states: Array) -> Array:
-    """Move the knots (k, 2, 3) of trajectories one linear step to all their detections, whatever the loss says."""
-    return settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=1)
 
 
 def _collapsed(task: Task, fit: Fit) -> Booleans:
