@@ -7,6 +7,7 @@ statement may be given up, the answer is stated anew under the better model. Wha
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,7 +44,7 @@ from stereophd.core.calibration.annealing.starts import (
     wanted,
 )
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
-from stereophd.core.calibration.unknowns.held import FOCAL_STD, EnlargedSet, enlarge
+from stereophd.core.calibration.unknowns.held import FOCAL_STD, IMAGE, EnlargedSet, enlarge
 from stereophd.core.calibration.unknowns.observability import posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import scale_is_free
@@ -279,7 +280,7 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
             if hides.any() or not answer.fit.adjustment.converged:
                 fit, answer = chosen_anew(task, readjusted(task, fit)), None
             continue
-        enlarged, held = suspected(task, answer)
+        enlarged, held = suspected(task, answer, given_up)
         wrong = next((s for s in held if s.is_contradicted and may_be_freed(s, choices, task.parameters)), None)
         if wrong is None or last:
             break
@@ -293,13 +294,21 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
     return Believed(task, answer, noise, tuple(given_up), tuple(held), doubtful, remarks)
 
 
-def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
-    """Test what an answer holds as stated; the statement of the greatest evidence against it first."""
+def suspected(task: Task, answer: Answer, given_up: Sequence[Suspicion]) -> tuple[EnlargedSet, list[Suspicion]]:
+    """Test what an answer holds as stated; the statement of the greatest evidence against it first.
+
+    Who measures an image measures its focal length, principal point and lens together. Where one of them is
+    contradicted, here or among what was given up, the others count as uncertain.
+    """
     enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
     quadratic = quadratic_posterior(
         problem_of_answer(task, answer), enlarged, answer.fit.adjustment, answer.noise_factor
     )
-    return enlarged, suspect(quadratic, enlarged, np.arange(task.parameters.size))
+    free = np.arange(task.parameters.size)
+    held = suspect(quadratic, enlarged, free)
+    if any(one.group.quantity in IMAGE for one in (*given_up, *(one for one in held if one.is_contradicted))):
+        held += suspect(quadratic, enlarged.of_makers(), free)
+    return enlarged, held
 
 
 def problem_of_answer(task: Task, answer: Answer) -> Problem:
@@ -333,7 +342,7 @@ def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[
 def may_be_freed(suspicion: Suspicion, choices: Choices, parameters: ParameterSet) -> bool:
     """Whether a contradicted statement may be given up."""
     is_asked = choices.model == FREE or (choices.model != AS_STATED and suspicion.group.is_unmeasured)
-    return is_asked and is_shown(suspicion, parameters)
+    return is_asked and suspicion.group.quantity != "image" and is_shown(suspicion, parameters)
 
 
 def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:

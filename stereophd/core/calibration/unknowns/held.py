@@ -2,8 +2,11 @@
 
 Makers state no lens, a focal length of the data sheet, the middle of the image. Whether the data contradict that, and
 how far an answer moves if it is not quite so, are questions to one set of unknowns in which everything is free
-(`calibration.adjustment.suspicions`).
+(`calibration.adjustment.suspicions`). Where one of these statements is contradicted, nobody has measured the image, and
+the others are known to no more than these priors.
 """
+
+from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
@@ -17,9 +20,12 @@ from stereophd.core.geometry.lens import Lens
 
 # Standard deviations of what is stated as known: of k1, of the logarithm of the focal length, of the principal point
 # in widths of the image, of the readout and the clock's offset in periods of the frames, of the clock's rate.
-K1_STD, FOCAL_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.3, 0.05, 0.03, 1.0, 1e-3
-# Odds, before the data, that a statement is wrong: of what nobody may have measured, and of any other value.
-UNMEASURED_ODDS, STATED_ODDS = 0.1, 1e-3
+K1_STD, FOCAL_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.3, 0.03, 0.015, 1.0, 1e-3
+# Odds, before the data, that a statement is wrong: of what nobody may have measured, of any other value, and of what
+# nobody has measured.
+UNMEASURED_ODDS, STATED_ODDS, CERTAIN_ODDS = 0.1, 1e-3, 1e30
+# What is measured of an image together; the middle is stated to half a pixel (its edges are those of pixels, or not).
+IMAGE, MIDDLE_PX = ("distortion", "focal", "principal_point"), 0.5
 
 
 @dataclass(frozen=True)
@@ -29,12 +35,12 @@ class HeldGroup:
     quantity: str
     names: tuple[str, ...]  # Of its values.
     places: Integers  # Where they are in the enlarged set.
-    is_unmeasured: bool  # Whether nobody may have measured it: that a camera has no lens, or that clocks agree.
+    odds: float  # Before the data, that the values are not as stated.
 
     @property
-    def odds(self) -> float:
-        """Odds, before the data, that the values are not as stated."""
-        return UNMEASURED_ODDS if self.is_unmeasured else STATED_ODDS
+    def is_unmeasured(self) -> bool:
+        """Whether nobody may have measured it: that a camera has no lens, or that clocks agree."""
+        return self.odds >= UNMEASURED_ODDS
 
 
 @dataclass(frozen=True)
@@ -48,6 +54,22 @@ class EnlargedSet:
         """Return the unknowns of the calibration together with some of those that it holds."""
         more = tuple(self.parameters.parameters[i] for i in places.tolist())
         return replace(self.parameters, parameters=(*known.parameters, *more))
+
+    def of_makers(self) -> EnlargedSet:
+        """Return the set with one group: all that it holds of the images that are stated as makers state them."""
+        makers = {camera.name for camera in self.parameters.cameras if is_of_maker(camera)}
+        held = np.unique(np.concatenate([np.empty(0, np.int64), *(group.places for group in self.groups)])).tolist()
+        unknowns = self.parameters.parameters
+        places = [i for i in held if unknowns[i].camera in makers and unknowns[i].quantity.name in IMAGE]
+        names = tuple(self.parameters.names[i] for i in places)
+        return replace(self, groups=(HeldGroup("image", names, np.array(places), CERTAIN_ODDS),) if places else ())
+
+
+def is_of_maker(camera: Camera) -> bool:
+    """Whether an image is stated as makers state it: no lens, square pixels, its middle as the principal point."""
+    middle = np.array([camera.cx - (camera.width - 1) / 2.0, camera.cy - (camera.height - 1) / 2.0])
+    is_plain = not camera.lens.coefficients.any() and camera.fx == camera.fy
+    return is_plain and bool((np.abs(middle) <= MIDDLE_PX).all())
 
 
 def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> EnlargedSet:
@@ -65,16 +87,16 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
                 continue
             places = np.arange(size + len(extra), size + len(extra) + len(names))
             extra += [Parameter(name, camera.name, 0.0, stds[name]) for name in names]
-            has_lens = camera.lens.coefficients.any()
-            is_unmeasured = quantity == "clock_offset" or (quantity == "distortion" and not has_lens)
-            group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, is_unmeasured)
+            is_absent = quantity == "clock_offset" or (quantity == "distortion" and not camera.lens.coefficients.any())
+            odds = UNMEASURED_ODDS if is_absent else STATED_ODDS
+            group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, odds)
             by_quantity.setdefault(quantity, []).append(group)
     for quantity, each in by_quantity.items():
         groups += each
         if len(each) > 1:
             together = tuple(name for group in each for name in group.names)
             places = np.concatenate([group.places for group in each])
-            groups.append(HeldGroup(quantity, together, places, all(group.is_unmeasured for group in each)))
+            groups.append(HeldGroup(quantity, together, places, min(group.odds for group in each)))
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
 
 

@@ -44,6 +44,23 @@ def test_absent_lenses_are_told_from_stated_ones() -> None:
     assert [group.is_unmeasured for group in lenses] == [True, False, False]
 
 
+def test_images_that_nobody_has_measured_have_no_lens_and_their_middle_as_principal_point() -> None:
+    left, right = cameras(Lens())
+    known = (Parameter("focal", "right", 0.0, 0.01),)
+    images = ["left.k1", "left.focal", "left.principal_point_u", "left.principal_point_v"]
+    measured = (
+        replace(right, cx=right.cx + 2.0),
+        replace(right, fy=880.0),
+        replace(right, lens=Lens("radial", k1=0.1)),
+    )
+    for camera in measured:
+        (image,) = enlarge(ParameterSet((left, camera), known), 0, PERIODS).of_makers().groups
+        assert list(image.names) == images
+    (image,) = enlarge(ParameterSet((left, right), known), 0, PERIODS).of_makers().groups
+    assert sorted(image.names) == sorted([*images, "right.k1", "right.principal_point_u", "right.principal_point_v"])
+    assert not enlarge(ParameterSet(measured[:1], known), 0, PERIODS).of_makers().groups
+
+
 def test_what_is_freed_follows_the_unknowns() -> None:
     stated = ParameterSet(cameras(Lens()), (Parameter("focal", "right", 0.0, 0.01),))
     enlarged = enlarge(stated, 0, PERIODS)
