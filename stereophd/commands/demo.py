@@ -79,7 +79,9 @@ def _check_folder(config: Path, page: Path) -> None:
     if there is None:
         return
     with expecting("a configuration", config):
-        ours = config.exists() and config.read_text(encoding="utf-8", errors="replace") == config_text()
+        # the first line, which other versions of the package write too
+        text = config.read_text(encoding="utf-8", errors="replace") if config.exists() else ""
+        ours = text.partition("\n")[0] == config_text().partition("\n")[0]
     if not ours:
         raise InputError(f"{there}: expected no file, or that of a demonstration, found another; choose a new folder")
 

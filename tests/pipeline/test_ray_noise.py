@@ -117,12 +117,11 @@ def test_nothing_to_compare_gives_the_prior() -> None:
     empty = sample_log([Frame(0.0, c, 0, np.empty((0, 2))) for c in range(2)], tuple(cameras))
     found = noise_from_rays(empty)
     np.testing.assert_allclose(found.sigma_px, USUAL_NOISE_PX, rtol=0.05)
-    assert found.partners == 0.0
-    # and the detectors stay as they are given
+    assert found.relative_error == pytest.approx(NOISE_SPREAD, rel=0.1)
+    # and detectors that are known stay as they are given
     used, priors = starting_detectors(cameras, ["cam1"], empty)
     assert used[0] is cameras[0]
-    assert used[1].detector.sigma.tolist() == [1.0, 1.0]
-    assert priors["cam1"].spread == NOISE_SPREAD
+    assert used[1].detector.sigma.tolist() == priors["cam1"].noise.tolist() == [found.sigma_px[1]] * 2
 
 
 def test_noise_of_a_crowd_between_frames_that_no_track_links() -> None:

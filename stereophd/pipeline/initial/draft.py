@@ -17,6 +17,7 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.cameras.models import CameraConfig, DetectorConfig
 from stereophd.pipeline.build import build_labelled_filter
+from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.causes import best_explanation
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
@@ -36,9 +37,9 @@ from stereophd.wording import counted, number
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
-# Standard deviations of the priors of a calibration that is not asked for: of angles, in degrees at least and over the
-# angle of the noise, and of centres over their distance.
-LEAST_ANGLE_DEG, ANGLE_NOISES, LEAST_CENTER = 1.0, 5.0, 0.01
+# Standard deviations of the priors of a calibration: of angles, in degrees at least, where cameras do not agree, and
+# over the angle of the noise, and of centres over their distance.
+LEAST_ANGLE_DEG, WRONG_ANGLE_DEG, ANGLE_NOISES, LEAST_CENTER = 1.0, 10.0, 5.0, 0.01
 # Frames of all cameras from which a filter shows anything.
 LEAST_FRAMES = 4
 # Margins of what is written about what was seen.
@@ -51,7 +52,6 @@ UNCERTAIN, CUTOFF = 0.1, 0.1
 CAUSES_OF_DETECTORS = ("clutter", "sigma")
 # Figures of a filter that concern points only.
 UNUSED_BY_BODIES = {"region.depth", "report.max_position_std", "evaluation.cutoff"}
-HARDLY_MEET = "not from the log, whose rays hardly meet: the depths that two cameras have in view"
 
 
 def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
@@ -69,30 +69,49 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     only_boxes, is_placed = all(sample.box_height_px is not None for sample in samples), not draft.is_unplaced
     bodies = _with_bodies(draft, cameras, unknown, log_path) if only_boxes and is_placed else None
     if bodies is not None:
-        return replace(bodies, calibration=tuple(_calibration(bodies)))
+        return bodies
     cameras, priors = starting_detectors(cameras, unknown, samples, is_placed)
     samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
     sharp = [sample.with_measured_noise if sample.camera.name in unknown else sample for sample in samples]
-    measured = {new.camera.name for new, old in zip(sharp, samples, strict=True) if new is not old}
     cause = _mistake(draft, sharp) if is_placed else "the poses are unknown"
-    if cause is not None:
-        # rays that miss each other for this reason say nothing of the noise
-        samples = sharp
-        cameras = tuple(sample.camera for sample in samples)
-        why = f"detector: the noise about one-camera tracks, because rays show none: {cause}"
-        notes = {name: (*draft.camera_notes.get(name, ()), why) for name in measured}
-        draft = replace(draft, camera_notes=draft.camera_notes | notes)
-    if not is_placed:  # everything else follows from rays; tracks estimate the detectors once there are any
-        return _with_cameras(draft, cameras, measured, estimate=True)
-    draft = _with_cameras(draft, cameras, unknown)
-    rough = _rough(draft, samples, priors)
-    if rough is not None:
-        usual, draft = draft, draft.with_choices(rough)
-        # tracks of wrong cameras tell nothing either
-        draft = draft if cause else _with_filter(draft, usual, priors, log_path)
-    calibration = tuple(_calibration(draft))
-    rays_meet = not calibration or draft.choices["filter.birth.depth_range"].reason != HARDLY_MEET
-    return replace(draft, calibration=calibration, rays_meet=rays_meet)
+    if cause is None:
+        tracked, why = _with_tracks(_with_cameras(draft, cameras, unknown), samples, priors, log_path)
+        if why is None:
+            return tracked
+        cause = "the cameras do not agree"
+        doubt = Finding("geometry.rays", "warning", f"{cause}: {why}", remedy=CHECK_CAMERAS, cause=DO_NOT_MEET)
+        draft = replace(draft, findings=(doubt,))
+    # rays and tracks of wrong cameras say nothing of the noise either
+    cameras, priors = starting_detectors(cameras, unknown, samples, are_placed=False)
+    samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
+    why = f"detector: the noise about one-camera tracks and in displacements, because rays show none: {cause}"
+    notes = {name: (*draft.camera_notes.get(name, ()), why) for name in unknown}
+    draft = replace(draft, camera_notes=draft.camera_notes | notes)
+    # everything else follows from rays; tracks estimate the detectors once there are any
+    draft = _with_cameras(draft, cameras, unknown, estimate=not is_placed)
+    return draft if not is_placed else draft.with_choices(_rough(draft, samples, priors) or {})
+
+
+def _with_tracks(
+    draft: Draft, samples: list[CameraSample], priors: Mapping[str, NoisePrior], log_path: Path | str
+) -> tuple[Draft, str | None]:
+    """Return the draft with what rays and the filter show, and why the cameras are wrong, if they are.
+
+    They are if the log is more probable, with the same settings, where each camera has objects of its own.
+    """
+    rough, name = _rough(draft, samples, priors), str(log_path)
+    if rough is None:
+        return draft, "no two cameras have a view in common" if len(samples) > 1 else None
+    parts = stretches(open_stream(loaded_draft(draft, name).config, [sample.camera for sample in samples], log_path))
+    found = _with_filter(draft.with_choices(rough), draft, priors, parts, name)
+    loaded = loaded_draft(found, name)
+    events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
+    gain = float(log_likelihoods(loaded, events).sum())
+    for index, (camera, described) in enumerate(found.cameras.items()):
+        own = [[replace(event, camera=0) for event in part if event.camera == index] for part in events]
+        gain -= float(log_likelihoods(loaded_draft(replace(found, cameras={camera: described}), name), own).sum())
+    why = f"the log is more probable (by {-gain:,.0f} of the logarithm) if each sees objects of its own"
+    return found, None if gain > 0.0 else why
 
 
 def _mistake(draft: Draft, samples: list[CameraSample]) -> str | None:
@@ -145,21 +164,23 @@ def _with_bodies(
     return draft.with_choices({key: choice for key, choice in final.items() if key not in UNUSED_BY_BODIES})
 
 
-def _calibration(draft: Draft) -> Iterator[str]:
+def calibration_section(draft: Draft) -> Iterator[str]:
     """Yield a section ``calibration``, with priors of the size that the noise and the depths suggest."""
     names = list(draft.cameras)
     cameras = [camera.build(name) for name, camera in draft.cameras.items()]
     if len(names) < 2 or not all(camera.pose.is_static for camera in cameras):
         return
     depths = draft.choices["filter.birth.depth_range"].value
-    middle = float(np.sqrt(depths[0] * depths[1]))
+    middle, least = float(np.sqrt(depths[0] * depths[1])), LEAST_ANGLE_DEG
+    if draft.must_be_calibrated:  # and no depth is known
+        middle, least = 0.0, WRONG_ANGLE_DEG
     yield "calibration:"
     yield f"  reference: {scalar(names[0])}"
     yield "  priors:"
     for name, camera in zip(names[1:], cameras[1:], strict=True):
-        angle = max(LEAST_ANGLE_DEG, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
+        angle = max(least, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
         apart = float(np.linalg.norm(camera.pose.center - cameras[0].pose.center))
-        std = max(np.deg2rad(angle) * middle, LEAST_CENTER * apart)
+        std = max(np.deg2rad(angle) * (middle or apart), LEAST_CENTER * apart)
         yield f"    {scalar(name)}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
     apart = float(np.linalg.norm(cameras[1].pose.center - cameras[0].pose.center))
     yield "  # Moving objects do not show the scale. A distance that you have measured, such as that of two cameras,"
@@ -236,9 +257,10 @@ def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> tuple[Dr
 
 def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, NoisePrior]) -> dict[str, Choice] | None:
     """Return settings from rays and displacements, wide enough to track with; None where cameras share nothing."""
-    geometry = measure(samples, expected_depths(_bare(draft).config, samples))
-    scene = measure_scene(geometry, MEETING_SCORE)
-    if scene.depths is not None and scene.depths[0] > 0.0:
+    scene = None
+    if not draft.must_be_calibrated:
+        scene = measure_scene(measure(samples, expected_depths(_bare(draft).config, samples)), MEETING_SCORE)
+    if scene is not None and scene.depths is not None and scene.depths[0] > 0.0:
         near, middle, far = scene.depths.tolist()
         why = "from the depths at which rays of different cameras meet"
     else:
@@ -246,14 +268,14 @@ def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, Noise
         if shared is None:
             return None
         near, middle, far = shared.tolist()
-        why = HARDLY_MEET
+        why = "not from the log, whose rays hardly meet: the depths that two cameras have in view"
     choices = {
         "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
         "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),
     }
     spread = middle * usual_turn(samples, priors)
     fastest, tracks = SPREADS * spread, "from displacements between frames at these depths"
-    if scene.speed is not None:
+    if scene is not None and scene.speed is not None:
         (spread, fastest), tracks = scene.speed.tolist(), "from one-camera tracks at these depths"
     choices["filter.birth.velocity_std"] = Choice(rounded(max(2.0 * spread, 1e-3 * middle)), tracks)
     choices["motion.max_speed"] = Choice(rounded(max(5.0 * fastest, 0.02 * middle)), tracks)
@@ -261,24 +283,24 @@ def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, Noise
     return choices
 
 
-def _with_filter(draft: Draft, usual: Draft, priors: Mapping[str, NoisePrior], log_path: Path | str) -> Draft:
-    """Return the draft with what the filter finds in the log."""
-    loaded = loaded_draft(draft, str(log_path))
-    parts = stretches(open_stream(loaded.config, loaded.build_cameras(), log_path))
+def _with_filter(
+    draft: Draft, usual: Draft, priors: Mapping[str, NoisePrior], parts: Sequence[EventStream], name: str
+) -> Draft:
+    """Return the draft with what the filter finds in stretches of the log of this name."""
     events = [list(part) for part in parts]
     if sum(map(len, events)) < LEAST_FRAMES:
         return draft
-    draft = _with_acceleration(draft, events, str(log_path))
+    draft = _with_acceleration(draft, events, name)
     if priors:
-        draft = _with_detectors(draft, loaded_draft(draft, str(log_path)), priors, parts)
-        cameras = loaded_draft(draft, str(log_path)).build_cameras()
+        draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
+        cameras = loaded_draft(draft, name).build_cameras()
         events = [list(part.with_cameras(cameras)) for part in parts]
-        draft = _with_acceleration(draft, events, str(log_path))
-    figures = measure_with_filter(loaded_draft(draft, str(log_path)), events)
+        draft = _with_acceleration(draft, events, name)
+    figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
         return draft
     draft = draft.with_choices(_final(figures, usual, draft.unit))
-    return _with_damping(draft, figures.speed_std, events, str(log_path))
+    return _with_damping(draft, figures.speed_std, events, name)
 
 
 def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str) -> Draft:

@@ -13,7 +13,7 @@ from stereophd.core.motion.settings import motion_models
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.cameras.writing import CONVENTIONS, cameras_text
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
 from stereophd.site import page
 from stereophd.validated import METRES
 
@@ -60,7 +60,7 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
             lines += [*(SMOOTHING if smoothing else ()), ""]
     if "calibration" not in values and draft.calibration:
         lines += ["# For `stereophd calibrate`: poses that are known roughly, within these standard deviations."]
-        lines += [f"# {line}" if draft.rays_meet else line for line in draft.calibration]
+        lines += [line if draft.must_be_calibrated else f"# {line}" for line in draft.calibration]
     return "\n".join(lines).rstrip() + "\n"
 
 
@@ -131,14 +131,19 @@ class Draft:
     camera_notes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # Comments on each camera
     head: tuple[str, ...] = ()  # Comments at the top of the file
     findings: tuple[Finding, ...] = ()  # What is doubtful of the estimates
-    calibration: tuple[str, ...] = ()  # Lines at the end of the file: a section ``calibration``, to uncomment
-    rays_meet: bool = True  # If not, that section is in use
+    # Lines at the end of the file: a section ``calibration``, in use if cameras `must_be_calibrated`
+    calibration: tuple[str, ...] = ()
     given: frozenset[str] = frozenset()  # Keys and sections that the user states: nothing changes them
 
     @property
     def is_unplaced(self) -> bool:
         """Whether a pose or a clock is unknown."""
         return any(camera.must_be_found for camera in self.cameras.values())
+
+    @property
+    def must_be_calibrated(self) -> bool:
+        """Whether a pose or a clock is unknown, or poses are so wrong that no tracks follow from them."""
+        return self.is_unplaced or any(found.cause == DO_NOT_MEET for found in self.findings)
 
     def with_choices(self, changes: Mapping[str, Choice]) -> Draft:
         """Return the draft with other values, save those that are given."""

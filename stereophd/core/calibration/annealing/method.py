@@ -55,6 +55,11 @@ from stereophd.wording import percent
 
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 25
+# What to try if no start succeeds.
+IF_NONE_AGREES = (
+    "`check` compares clocks and noise with the log; a pose that may be far off needs wider priors, or none "
+    "(`pose: unknown`); cameras that share hardly any object need more objects that two of them see"
+)
 # Largest number of refits under a better model.
 MOST_ROUNDS = 12
 # Factor on a noise that hides itself.
@@ -220,9 +225,9 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
 
 
 def why_none_succeeded(starts: list[Start]) -> str:
-    """Return the most frequent reason why starts failed."""
+    """Return the most frequent reason why starts failed, and what to try."""
     often, _ = Counter(start.outcome for start in starts).most_common(1)[0]
-    return f"none of {len(starts)} starts agrees with the data; most often: {often}"
+    return f"none of {len(starts)} starts agrees with the data; most often: {often}; {IF_NONE_AGREES}"
 
 
 def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Task, Fit, tuple[Remark, ...]]:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.causes import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
 from stereophd.pipeline.checks.geometry.rays import (
     LEAST_EXPECTED,
@@ -19,7 +19,6 @@ CHANCE_SCORE, LEAST_SHARE = 2.5, 0.4
 # Standard deviations that the promise must be away from chance for a test, and by which it must be missed: the quantile
 # of 0.5 % of Student's distribution with as many degrees of freedom as the times that measure chance leave.
 POWER, LARGEST_DEFICIT = 6.0, 3.5
-DO_NOT_MEET = "rays_do_not_meet"
 
 
 def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
@@ -56,7 +55,7 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
                 f"{text}: the rays meet no more often than chance",
                 value,
                 expected,
-                remedy="check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses",
+                remedy=CHECK_CAMERAS,
                 cause=DO_NOT_MEET,
             )
         else:
