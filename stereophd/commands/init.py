@@ -17,7 +17,7 @@ from stereophd.io.outputs.json_text import REPORT_VERSION
 from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
-from stereophd.pipeline.initial.draft import calibration_section, draft_from_log, loaded_draft
+from stereophd.pipeline.initial.draft import draft_from_log, loaded_draft
 from stereophd.pipeline.initial.template import MARK, Draft, Kind, config_text, template
 from stereophd.pipeline.inspection.log import summarise_log
 from stereophd.site import page
@@ -54,7 +54,6 @@ def init(
         loaded, alone = loaded_draft(draft, str(target)), draft.is_unplaced
         checked = check_log_alone(loaded, log_path) if alone else check_log(loaded, log_path, thorough=False)
         draft = replace(draft, findings=(*draft.findings, *checked))
-        draft = replace(draft, calibration=tuple(calibration_section(draft)))
     sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
     source = f"from {' and '.join(sources)}" if sources else "without a log"
     _write(target, config_text(draft, stereophd.__version__, source, CAMERAS_FILE), force)

@@ -64,14 +64,6 @@ CLEARER = 1.5
 
 
 @dataclass(frozen=True)
-class RayNoise:
-    """Noise of the detectors of a log."""
-
-    sigma_px: Array  # (cameras,): posterior mean of its logarithm
-    relative_error: Array  # (cameras,): standard deviation of that logarithm
-
-
-@dataclass(frozen=True)
 class _PairEvidence:
     """The evidence of one pair of cameras about the standard deviation of distances between rays of one object."""
 
@@ -89,12 +81,13 @@ class _PairEvidence:
         return np.asarray(np.interp(0.5 * np.log(variance), np.log(NOISES), self.likelihoods))
 
 
-def noise_from_rays(samples: Sequence[CameraSample], are_placed: bool = True) -> RayNoise:
-    """Return the noise of two or more cameras, from how their rays miss each other's, each camera alone, and the prior.
+def noise_from_rays(samples: Sequence[CameraSample], are_placed: bool = True) -> tuple[Array, Array]:
+    """Return the noise (cameras,) of two or more cameras, px, and the standard deviations of its logarithm.
 
-    The detectors that are stated are not used. Rays of cameras that are not placed right (`are_placed`) tell nothing.
+    They follow from how their rays miss each other's, each camera alone, and the prior; the detectors that are stated
+    are not used. Rays of cameras that are not placed right (`are_placed`) tell nothing.
     """
-    unit = [sample.with_camera(with_noise(sample.camera, 1.0)) for sample in samples]
+    unit = [sample.with_camera(sample.camera.with_noise(1.0)) for sample in samples]
     pairs = pairs_of(len(unit)) if are_placed else []
     most = min(MOST_DISTANCES, MOST_OF_ALL // max(len(pairs), 1))
     evidence = {(a, b): pair for a, b in pairs if (pair := _evidence(unit, a, b, most)) is not None}
@@ -108,8 +101,7 @@ def noise_from_rays(samples: Sequence[CameraSample], are_placed: bool = True) ->
     ]
     logs = _draws({cameras: independent * pair.of_both() for cameras, pair in evidence.items()}, links)
     spacing = float(np.log(NOISES[1] / NOISES[0]))
-    spreads = np.sqrt(logs.var(axis=0) + spacing**2 / 12.0)
-    return RayNoise(np.exp(logs.mean(axis=0)), spreads)
+    return np.exp(logs.mean(axis=0)), np.sqrt(logs.var(axis=0) + spacing**2 / 12.0)
 
 
 def _told_by_tracks(sample: CameraSample) -> Array:
@@ -160,24 +152,18 @@ def starting_detectors(
     (not `are_placed`), each camera alone shows its noise. Where nothing does (one camera, cameras that move), it is as
     the detectors have it.
     """
-    resting = len(cameras) > 1 and all(camera.pose.is_static for camera in cameras)
-    noise = noise_from_rays(samples, are_placed) if resting else None
+    noise, spreads = np.array([camera.detector.sigma for camera in cameras]), np.full(len(cameras), NOISE_SPREAD)
+    if len(cameras) > 1 and all(camera.pose.is_static for camera in cameras):
+        noise, spreads = noise_from_rays(samples, are_placed)
     used, priors = [], {}
     for k, camera in enumerate(cameras):
         if camera.name in estimated:
-            sigma, spread = np.asarray(camera.detector.sigma), NOISE_SPREAD
-            if noise is not None:
-                sigma, spread = np.full(2, noise.sigma_px[k]), float(noise.relative_error[k])
-            priors[camera.name] = NoisePrior(sigma, spread)
+            prior = NoisePrior(np.array(np.broadcast_to(noise[k], 2)), float(spreads[k]))
+            priors[camera.name] = prior
             clutter = max(samples[k].isolated_per_frame, LEAST_CLUTTER)
-            camera = replace(camera, detector=Detector(sigma, USUAL_P_DETECT, clutter))
+            camera = replace(camera, detector=Detector(prior.noise, USUAL_P_DETECT, clutter))
         used.append(camera)
     return tuple(used), priors
-
-
-def with_noise(camera: Camera, sigma_px: float) -> Camera:
-    """Return a camera with another noise of its detector, px."""
-    return replace(camera, detector=replace(camera.detector, sigma=np.full(2, sigma_px)))
 
 
 def _evidence(samples: list[CameraSample], a: int, b: int, most: int) -> _PairEvidence | None:
@@ -243,7 +229,7 @@ def _read(
     by_chance = distances(pair.elsewhere(first.camera), first, second, (None, known[1]))[0][1:]
     neighbours = _neighbours(first.camera, second.camera, known[0], known[1][0], np.isfinite(missed))
     with np.errstate(invalid="ignore", divide="ignore"):
-        by_a = distances(pair, first, Reading(with_noise(second.camera, 1e-6)), known)[0][0]
+        by_a = distances(pair, first, Reading(second.camera.with_noise(1e-6)), known)[0][0]
         shares = (missed / by_a) ** 2
     usable = np.isfinite(missed) & np.isfinite(shares)
     if not usable.any():

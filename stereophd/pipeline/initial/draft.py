@@ -5,7 +5,7 @@ with (`stereophd.pipeline.checks`). Then the filter runs over stretches of the l
 acceleration, its tracks give depths, speeds and births, and its residuals the detectors that are unknown.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,10 +15,10 @@ import numpy as np
 from stereophd.config.loading import LoadedConfig, make_config
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
-from stereophd.io.cameras.models import CameraConfig, DetectorConfig
+from stereophd.io.cameras.models import DetectorConfig
 from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
-from stereophd.pipeline.checks.geometry.causes import best_explanation
+from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
@@ -30,16 +30,13 @@ from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detec
 from stereophd.pipeline.detectors.statistics import NoisePrior
 from stereophd.pipeline.initial.acceleration import LEAST_GAIN, estimate_acceleration, log_likelihoods
 from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter, shared_depths
-from stereophd.pipeline.initial.template import Choice, Draft, rounded, scalar
+from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
 from stereophd.pipeline.tracking.run import with_detectors
 from stereophd.wording import counted, number
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
-# Standard deviations of the priors of a calibration: of angles, in degrees at least, where cameras do not agree, and
-# over the angle of the noise, and of centres over their distance.
-LEAST_ANGLE_DEG, WRONG_ANGLE_DEG, ANGLE_NOISES, LEAST_CENTER = 1.0, 10.0, 5.0, 0.01
 # Frames of all cameras from which a filter shows anything.
 LEAST_FRAMES = 4
 # Margins of what is written about what was seen.
@@ -70,12 +67,13 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     bodies = _with_bodies(draft, cameras, unknown, log_path) if only_boxes and is_placed else None
     if bodies is not None:
         return bodies
-    cameras, priors = starting_detectors(cameras, unknown, samples, is_placed)
-    samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
-    sharp = [sample.with_measured_noise if sample.camera.name in unknown else sample for sample in samples]
-    cause = _mistake(draft, sharp) if is_placed else "the poses are unknown"
+    cause: str | None = "the poses are unknown"
+    if is_placed:
+        started, priors = starting_detectors(cameras, unknown, samples)
+        placed = [sample.with_camera(camera) for sample, camera in zip(samples, started, strict=True)]
+        cause = _mistake([sample.with_measured_noise if sample.camera.name in unknown else sample for sample in placed])
     if cause is None:
-        tracked, why = _with_tracks(_with_cameras(draft, cameras, unknown), samples, priors, log_path)
+        tracked, why = _with_tracks(_with_cameras(draft, started, unknown), placed, priors, log_path)
         if why is None:
             return tracked
         cause = "the cameras do not agree"
@@ -114,16 +112,13 @@ def _with_tracks(
     return found, None if gain > 0.0 else why
 
 
-def _mistake(draft: Draft, samples: list[CameraSample]) -> str | None:
+def _mistake(samples: list[CameraSample]) -> str | None:
     """Return the mistake in cameras or clocks that makes far more rays meet with this noise; None if there is none."""
     if any(sample.box_height_px is not None or not sample.camera.pose.is_static for sample in samples):
         return None
-    geometry = measure(samples, expected_depths(_bare(draft).config, samples), thorough=False)
-    suspicious = any(geometry.is_suspicious(k) for k in range(len(geometry.pairs)))
-    found = best_explanation(geometry, thorough=False) if suspicious else None
-    if found is None:
-        return None
-    return f"{' and '.join(samples[c].camera.name for c in found.trial.scope)}: {found.trial.text}"
+    geometry = measure(samples, expected_depths(None, samples), thorough=False)
+    findings = check_geometry(geometry, thorough=False)
+    return next((found.message for found in findings if found.name == "geometry.cause"), None)
 
 
 def _with_bodies(
@@ -164,33 +159,6 @@ def _with_bodies(
     return draft.with_choices({key: choice for key, choice in final.items() if key not in UNUSED_BY_BODIES})
 
 
-def calibration_section(draft: Draft) -> Iterator[str]:
-    """Yield a section ``calibration``, with priors of the size that the noise and the depths suggest."""
-    names = list(draft.cameras)
-    cameras = [camera.build(name) for name, camera in draft.cameras.items()]
-    if len(names) < 2 or not all(camera.pose.is_static for camera in cameras):
-        return
-    depths = draft.choices["filter.birth.depth_range"].value
-    middle, least = float(np.sqrt(depths[0] * depths[1])), LEAST_ANGLE_DEG
-    if draft.must_be_calibrated:  # and no depth is known
-        middle, least = 0.0, WRONG_ANGLE_DEG
-    yield "calibration:"
-    yield f"  reference: {scalar(names[0])}"
-    yield "  priors:"
-    for name, camera in zip(names[1:], cameras[1:], strict=True):
-        angle = max(least, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
-        apart = float(np.linalg.norm(camera.pose.center - cameras[0].pose.center))
-        std = max(np.deg2rad(angle) * (middle or apart), LEAST_CENTER * apart)
-        yield f"    {scalar(name)}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
-    apart = float(np.linalg.norm(cameras[1].pose.center - cameras[0].pose.center))
-    yield "  # Moving objects do not show the scale. A distance that you have measured, such as that of two cameras,"
-    yield f"  # fixes it ({draft.unit}); without it the scale is that of the centres above, as far as they are known."
-    yield (
-        f"  # scale: {{kind: baseline, cameras: {scalar(names[:2])}, distance: {rounded(apart, 4)}, "
-        f"std: {rounded(0.005 * apart)}}}"
-    )
-
-
 def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str], estimate: bool = False) -> Draft:
     """Return the draft with unknown detectors as these cameras have them; whether `track` is to `estimate` them."""
     described = dict(draft.cameras)
@@ -209,18 +177,10 @@ def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection
     return replace(draft, cameras=described)
 
 
-def _plain(cameras: Mapping[str, CameraConfig]) -> dict[str, Any]:
-    return {name: camera.model_dump(mode="json", exclude_none=True) for name, camera in cameras.items()}
-
-
-def _bare(draft: Draft) -> LoadedConfig:
-    """Return the cameras alone as a loaded configuration."""
-    return make_config({"units": {"length": draft.unit}, "cameras": _plain(draft.cameras)})
-
-
 def loaded_draft(draft: Draft, name: str) -> LoadedConfig:
     """Return the draft as a loaded configuration."""
-    return make_config({**draft.values(), "cameras": _plain(draft.cameras)}, name)
+    cameras = {key: camera.model_dump(mode="json", exclude_none=True) for key, camera in draft.cameras.items()}
+    return make_config({**draft.values(), "cameras": cameras}, name)
 
 
 def _with_frame_rates(draft: Draft, samples: list[CameraSample]) -> Draft:
@@ -259,7 +219,7 @@ def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, Noise
     """Return settings from rays and displacements, wide enough to track with; None where cameras share nothing."""
     scene = None
     if not draft.must_be_calibrated:
-        scene = measure_scene(measure(samples, expected_depths(_bare(draft).config, samples)), MEETING_SCORE)
+        scene = measure_scene(measure(samples, expected_depths(None, samples)), MEETING_SCORE)
     if scene is not None and scene.depths is not None and scene.depths[0] > 0.0:
         near, middle, far = scene.depths.tolist()
         why = "from the depths at which rays of different cameras meet"

@@ -57,8 +57,8 @@ from stereophd.wording import percent
 HISTORY_TIMES = 25
 # What to try if no start succeeds.
 IF_NONE_AGREES = (
-    "`check` compares clocks and noise with the log; a pose that may be far off needs wider priors, or none "
-    "(`pose: unknown`); cameras that share hardly any object need more objects that two of them see"
+    "`check` compares clocks and noise with the log; a pose that is far off needs wider priors, or `pose: unknown`; "
+    "where cameras share hardly any object, record more that two of them see"
 )
 # Largest number of refits under a better model.
 MOST_ROUNDS = 12

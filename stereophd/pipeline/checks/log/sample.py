@@ -81,10 +81,8 @@ class CameraSample:
 
         Wrong poses and clocks do not show in it, nor do errors that last, such as those of boxes.
         """
-        if (sigma := self.measured_noise_px) is None:
-            return self
-        detector = replace(self.camera.detector, sigma=np.full(2, sigma))
-        return self.with_camera(replace(self.camera, detector=detector))
+        sigma = self.measured_noise_px
+        return self if sigma is None else self.with_camera(self.camera.with_noise(sigma))
 
     @property
     def measured_noise_px(self) -> float | None:
