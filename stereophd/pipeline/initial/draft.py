@@ -37,8 +37,8 @@ from stereophd.wording import counted, number
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
-# Frames of all cameras from which a filter shows anything.
-LEAST_FRAMES = 4
+# Frames of all cameras from which a filter shows anything, and the log-odds at which stated cameras are believed.
+LEAST_FRAMES, BELIEVED = 4, float(np.log(1000.0))
 # Margins of what is written about what was seen.
 NEARER, FARTHER, SPREAD, FASTER = 0.7, 1.5, 1.3, 2.5
 # Standard deviations of one component of the velocity that nearly all speeds are within.
@@ -95,7 +95,7 @@ def _with_tracks(
 ) -> tuple[Draft, str | None]:
     """Return the draft with what rays and the filter show, and why the cameras are wrong, if they are.
 
-    They are if the log is more probable, with the same settings, where each camera has objects of its own.
+    They are if the log is more probable, 1,000 to 1, with the same settings where each camera has objects of its own.
     """
     rough, name = _rough(draft, samples, priors), str(log_path)
     if rough is None:
@@ -109,7 +109,7 @@ def _with_tracks(
         own = [[replace(event, camera=0) for event in part if event.camera == index] for part in events]
         gain -= float(log_likelihoods(loaded_draft(replace(found, cameras={camera: described}), name), own).sum())
     why = f"the log is more probable (by {-gain:,.0f} of the logarithm) if each sees objects of its own"
-    return found, None if gain > 0.0 else why
+    return found, None if gain > -BELIEVED else why
 
 
 def _mistake(samples: list[CameraSample]) -> str | None:
