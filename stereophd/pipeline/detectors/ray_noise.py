@@ -158,8 +158,7 @@ def starting_detectors(
     used, priors = [], {}
     for k, camera in enumerate(cameras):
         if camera.name in estimated:
-            prior = NoisePrior(np.array(np.broadcast_to(noise[k], 2)), float(spreads[k]))
-            priors[camera.name] = prior
+            prior = priors[camera.name] = NoisePrior(np.array(np.broadcast_to(noise[k], 2)), float(spreads[k]))
             clutter = max(samples[k].isolated_per_frame, LEAST_CLUTTER)
             camera = replace(camera, detector=Detector(prior.noise, USUAL_P_DETECT, clutter))
         used.append(camera)
