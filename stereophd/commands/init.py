@@ -16,7 +16,6 @@ from stereophd.io.outputs.disk import write_error
 from stereophd.io.outputs.json_text import REPORT_VERSION
 from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
-from stereophd.pipeline.checks.geometry.findings import DO_NOT_MEET
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.initial.draft import draft_from_log, loaded_draft
 from stereophd.pipeline.initial.template import MARK, Draft, Kind, config_text, template
@@ -51,13 +50,10 @@ def init(
         from stereophd.pipeline.calibration.found_cameras import refuse_search
 
         refuse_search(loaded_draft(draft, str(cameras_file)))
-    findings: list[dict[str, Any]] = []
     if log_path is not None and draft.cameras:
         loaded, alone = loaded_draft(draft, str(target)), draft.is_unplaced
         checked = check_log_alone(loaded, log_path) if alone else check_log(loaded, log_path, thorough=False)
-        findings = report_findings((*draft.findings, *checked))
-        if any(found.cause == DO_NOT_MEET for found in checked):
-            draft = replace(draft, rays_meet=False)
+        draft = replace(draft, findings=(*draft.findings, *checked))
     sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
     source = f"from {' and '.join(sources)}" if sources else "without a log"
     _write(target, config_text(draft, stereophd.__version__, source, CAMERAS_FILE), force)
@@ -72,7 +68,7 @@ def init(
         "report_version": REPORT_VERSION,
         "config": str(target),
         "length_unit": draft.unit,
-        "must_be_calibrated": draft.is_unplaced or not draft.rays_meet,
+        "must_be_calibrated": draft.must_be_calibrated,
         "cameras": list(draft.cameras),
         "values": [
             {"key": key, "value": one.value, "source": one.reason, "measured": one.measured}
@@ -82,7 +78,7 @@ def init(
             name: {**camera.detector.model_dump(mode="json"), "source": "; ".join(draft.camera_notes.get(name, ()))}
             for name, camera in draft.cameras.items()
         },
-        "checks": findings,
+        "checks": report_findings(draft.findings),
     }
 
 

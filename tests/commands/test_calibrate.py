@@ -322,6 +322,7 @@ def test_clutter_alone_says_nothing(scene: Path, tmp_path: Path) -> None:
         "calibration",
     }
     assert "none of 2 starts" in report["reason"]
+    assert "a pose that is far off needs wider priors, or `pose: unknown`" in report["reason"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json"}
 
 

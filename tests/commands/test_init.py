@@ -21,8 +21,7 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config, make_config
 from stereophd.errors import InputError
-from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.geometry.findings import DO_NOT_MEET
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
 from stereophd.pipeline.initial import acceleration
 from stereophd.pipeline.initial.acceleration import _of_windows
 
@@ -104,14 +103,20 @@ def test_cameras_of_which_nothing_is_known_are_calibrated_first(
         assert run(words) == 0
 
 
-@pytest.mark.parametrize("said_by", ["depths", "checks"])
+@pytest.mark.parametrize("said_by", ["likelihood", "views", "checks"])
 def test_cameras_whose_rays_do_not_meet_are_calibrated_first(
     said_by: str, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """No usual mistake explains it: the next command is `calibrate`, and it takes the configuration as it is."""
+    """No usual mistake explains it: the next command is `calibrate`, and it takes the configuration as it is.
+
+    The noise is that of each camera alone, whatever their rays would say of it.
+    """
     values = yaml.safe_load((scene / "cameras.yaml").read_text())
-    if said_by == "depths":
-        list(values["cameras"].values())[1]["pose"]["rotation_vector_deg"] = [5.0, 30.0, 3.0]
+    for camera in values["cameras"].values():
+        del camera["detector"]
+    if said_by != "checks":
+        turn = [5.0, 30.0, 3.0] if said_by == "likelihood" else [0.0, 170.0, 0.0]
+        list(values["cameras"].values())[1]["pose"]["rotation_vector_deg"] = turn
     else:
         found = Finding("geometry.rays", "warning", "the rays meet no more often than chance", cause=DO_NOT_MEET)
         monkeypatch.setattr("stereophd.commands.init.check_log", lambda *_, **__: (found,))
@@ -121,8 +126,12 @@ def test_cameras_whose_rays_do_not_meet_are_calibrated_first(
     name, command, config, *_ = shlex.split(capsys.readouterr().out.splitlines()[-1])
     assert (name, command) == ("stereophd", "calibrate")
     assert run(["config", "check", config, "--for", "calibrate"]) == 0
-    # nobody has measured a distance
-    assert "scale" not in yaml.safe_load(Path(config).read_text())["calibration"]
+    # nobody has measured a distance, and no pose is known
+    section = yaml.safe_load(Path(config).read_text())["calibration"]
+    assert "scale" not in section
+    assert [prior["rotation_std_deg"] for prior in section["priors"].values()] == [10.0]
+    for camera in load_config(config).cameras.values():
+        assert camera.detector.sigma_px == pytest.approx([1.0, 1.0], rel=0.3)
 
 
 def test_a_detector_that_is_given_stays(scene: Path, tmp_path: Path) -> None:

@@ -9,7 +9,6 @@ from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.detectors.displacements import likelihoods_of_displacements, usual_turn
 from stereophd.pipeline.detectors.mixture import NOISES
-from stereophd.pipeline.detectors.ray_noise import with_noise
 from tests.scenes import build_camera
 
 RATE, DEPTH = 20.0, 10.0
@@ -46,7 +45,7 @@ def test_displacements_of_a_crowd_tell_its_noise_where_it_moves_by_less(noise: f
 def test_displacements_of_a_crowd_tell_its_speed(speed: float) -> None:
     """Also where objects move farther than their neighbours are, so that nearest neighbours are others."""
     sample = crowd(1.0, 300, 7, speed, 4)
-    turn = usual_turn([sample.with_camera(with_noise(sample.camera, 1.0))], {})
+    turn = usual_turn([sample.with_camera(sample.camera.with_noise(1.0))], {})
     assert abs(np.log(turn * DEPTH / speed)) < np.log(1.4)
 
 

@@ -9,7 +9,7 @@ in their middle, and in the logarithm of their height and width.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -104,8 +104,7 @@ def box_middles(boxes: Array) -> Array:
 def with_noise_of_middles(camera: Camera, height_px: float) -> Camera:
     """Return a camera with the noise of the middles of boxes of a height, for what takes boxes for points."""
     u, top, bottom, _ = camera.detector.box_noise
-    sigma = np.hypot(FLOOR_PX, height_px * np.array([u, np.hypot(top, bottom) / 2.0]))
-    return replace(camera, detector=replace(camera.detector, sigma=sigma))
+    return camera.with_noise(np.hypot(FLOOR_PX, height_px * np.array([u, np.hypot(top, bottom) / 2.0])))
 
 
 def box_variances(heights: Array, scales: Array, parts: Array) -> Array:

@@ -156,6 +156,10 @@ class Camera:
             return self
         return replace(self, pose=self.pose.at(time_s))
 
+    def with_noise(self, sigma_px: Array | float) -> Camera:
+        """Return the camera with another noise of its detector, (2,) or one along both axes, px."""
+        return replace(self, detector=replace(self.detector, sigma=np.broadcast_to(sigma_px, 2)))
+
     def row_delays(self, rows: Array) -> Array | None:
         """Return when rows (n,) of the distorted image are read, s after the frame's time; None without readout."""
         return None if self.readout_s == 0.0 else self.readout_s / self.height * rows

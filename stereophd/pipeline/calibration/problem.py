@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -118,7 +118,7 @@ class Outcome:
         """Return the cameras of the result, with the noise that the residuals show where what is stated is wrong."""
         cameras = self.parameters.build(self.values)
         return tuple(
-            replace(camera, detector=replace(camera.detector, sigma=factor * camera.detector.sigma))
+            camera.with_noise(factor * camera.detector.sigma)
             for camera, factor in zip(cameras, np.broadcast_to(self.noise, len(cameras)).tolist(), strict=True)
         )
 

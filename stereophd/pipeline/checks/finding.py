@@ -5,6 +5,9 @@ from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 Status = Literal["ok", "warning", "not checked"]
+# Cause of findings after which only a calibration makes tracks possible, and their remedy.
+DO_NOT_MEET = "rays_do_not_meet"
+CHECK_CAMERAS = "check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses"
 
 
 @dataclass(frozen=True)

@@ -49,19 +49,13 @@ def check_tracking(
         return
     own = np.array([[track["n_detections"][camera.name] for track in tracks] for camera in cameras], dtype=float)
     explained = float(own.sum()) / objects
+    value, expected = round(explained, 3), float(np.mean([camera.detector.p_detect for camera in cameras]))
+    text = f"tracks explain {percent(min(explained, 1.0))} of the detections that are not expected to be clutter"
     if explained < LEAST_EXPLAINED:
-        yield Finding(
-            "tracking.explained", "warning",
-            f"tracks explain {percent(explained)} of the detections that are not expected to be clutter",
-            round(explained, 3), float(np.mean([camera.detector.p_detect for camera in cameras])), None,
-            "run `check` on the same configuration and log: cameras, clocks, clutter or births do not fit",
-            "unexplained",
-        )  # fmt: skip
+        remedy = "run `check` on the same configuration and log: cameras, clocks, clutter or births do not fit"
+        yield Finding("tracking.explained", "warning", text, value, expected, None, remedy, "unexplained")
     else:
-        yield Finding(
-            "tracking.explained", "ok", f"tracks explain {percent(min(explained, 1.0))} of the expected detections",
-            round(explained, 3),
-        )  # fmt: skip
+        yield Finding("tracking.explained", "ok", text, value)
     if len(cameras) < 2:
         return
     largest = own.max(axis=0) / np.maximum(own.sum(axis=0), 1.0)
@@ -69,10 +63,8 @@ def check_tracking(
     alone = float(estimates[largest >= ONE_CAMERA].sum() / max(estimates.sum(), 1.0))
     text = f"{percent(alone)} of the estimates belong to tracks that one camera alone supports"
     if alone > MOST_ALONE:
-        yield Finding(
-            "tracking.cameras", "warning", text, round(alone, 3), None, None,
-            "check poses, intrinsics and clocks: cameras that see the same object do not agree", "one_camera_tracks",
-        )  # fmt: skip
+        remedy = "check poses, intrinsics and clocks: cameras that see the same object do not agree"
+        yield Finding("tracking.cameras", "warning", text, round(alone, 3), None, None, remedy, "one_camera_tracks")
     else:
         yield Finding("tracking.cameras", "ok", text, round(alone, 3))
 

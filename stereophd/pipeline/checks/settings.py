@@ -153,11 +153,10 @@ def _slope(times: Array, pixels: Array) -> Array:
     return np.asarray(centred @ (pixels - pixels.mean(axis=0)) / (centred @ centred))
 
 
-def expected_depths(config: Config, samples: list[CameraSample]) -> tuple[float, float]:
-    """Return the depths between which the filter's births lie, length; a wide range where it has none."""
-    settings = config.filter
-    if settings is not None and not isinstance(settings, SingleSettings):
-        birth = settings.birth
+def expected_depths(config: Config | None, samples: list[CameraSample]) -> tuple[float, float]:
+    """Return the depths between which the filter's births lie, length; a wide range where there are none."""
+    if config is not None and config.filter is not None and not isinstance(config.filter, SingleSettings):
+        birth = config.filter.birth
         if birth.depth_range is not None:
             return birth.depth_range
         if birth.disparity is not None:

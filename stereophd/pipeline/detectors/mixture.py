@@ -66,7 +66,6 @@ class Mixture:
     """What distances tell."""
 
     likelihoods: Array  # (noises,): Logarithm, of the standard deviation of partners; the largest is 0
-    partners: float  # Their number
     gain: float  # Log-likelihood of the best of them over that without partners
     clear: float  # Share of partners among the distances as small as theirs
 
@@ -107,10 +106,9 @@ def unmix(kind: DistanceKind, together: Array, foreign: Sequence[Array], known: 
     likelihoods = np.logaddexp.reduce(np.logaddexp(marginal, np.log(STRANGERS) + best[:, -1:]), axis=0)[:-1]
     number, found = float(partners[which, noise]), own[noise]
     clear = number * found / (number * found + (total - number) * foreign[which][:kept])
-    return Mixture(
-        np.logaddexp(likelihoods - likelihoods.max(), -MOST_EVIDENCE), number,
-        float(best[which, noise] - best[:, -1].max()), float((found * clear).sum() / found.sum()),
-    )  # fmt: skip
+    told = np.logaddexp(likelihoods - likelihoods.max(), -MOST_EVIDENCE)
+    gain = float(best[which, noise] - best[:, -1].max())
+    return Mixture(told, gain, float((found * clear).sum() / found.sum()))
 
 
 def _fit(

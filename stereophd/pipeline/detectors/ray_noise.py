@@ -12,11 +12,11 @@ Where cameras take their frames at different times, objects move between them, a
 is unknown, and is integrated out. What it may be is shown by the same pair without the frame that is nearest: there it
 counts for several times as much, and the noise does not.
 
-The likelihoods of all pairs, and those of displacements, are joined in the noise of the cameras and one speed. The
-prior of a detector's noise is log-normal, 68 % between 0.4 and 8 px, and the cameras of one log resemble each other.
-The answer is the mean of draws from the posterior of all cameras together, and its error their spread: a pair tells
-only the sum of two variances. A camera with little data takes its value from the others, and without any data the
-answer is the prior's median.
+The likelihoods of all pairs, those of displacements, and the noise about one-camera tracks, which that of the rays of
+right cameras resembles, are joined in the noise of the cameras and one speed. The prior of a detector's noise is
+log-normal, 68 % between 0.4 and 8 px, and the cameras of one log resemble each other. The answer is the mean of draws
+from the posterior of all cameras together, and its error their spread: a pair tells only the sum of two variances. A
+camera with little data takes its value from the others, and without any data the answer is the prior's median.
 """
 
 from collections.abc import Collection, Sequence
@@ -57,17 +57,10 @@ SHIFTS, FEW_SHIFTS, CROWD, OWNERS = 8, 2, 50, 4
 RAYS, SHARES = DistanceKind(1, 0.3, 0.01, 0.5, 0.0), (0.0, 0.5, 1.0)
 # Draws from the posterior.
 DRAWS, LEAST_DRAWS = 3000, 50
+# Spread of the logarithm of the noise of rays over that about one-camera tracks: errors that last, and links of chance.
+LASTING_SPREAD = 0.7
 # Evidence of partners in nearer frames over that along tracks, from which tracks are wrong.
 CLEARER = 1.5
-
-
-@dataclass(frozen=True)
-class RayNoise:
-    """Noise of the detectors of a log."""
-
-    sigma_px: Array  # (cameras,): posterior mean of its logarithm
-    relative_error: Array  # (cameras,): standard deviation of that logarithm
-    partners: float  # detections that met one of another camera beyond chance
 
 
 @dataclass(frozen=True)
@@ -77,7 +70,6 @@ class _PairEvidence:
     shares: Array  # (2,): of that variance, by the squared noise of either camera
     motion: Array  # (powers,): in proportion to the variance that motion between frames adds to it; 0 within frames
     likelihoods: Array  # (noises,): logarithm, of this standard deviation, px; the largest is 0
-    partners: float
     gain: float  # Log-likelihood of the best of them over that without partners
 
     def of_both(self) -> Array:
@@ -89,24 +81,33 @@ class _PairEvidence:
         return np.asarray(np.interp(0.5 * np.log(variance), np.log(NOISES), self.likelihoods))
 
 
-def noise_from_rays(samples: Sequence[CameraSample]) -> RayNoise:
-    """Return the noise of two or more cameras, from how their rays miss each other's, and the prior.
+def noise_from_rays(samples: Sequence[CameraSample], are_placed: bool = True) -> tuple[Array, Array]:
+    """Return the noise (cameras,) of two or more cameras, px, and the standard deviations of its logarithm.
 
-    The detectors that are stated are not used.
+    They follow from how their rays miss each other's, each camera alone, and the prior; the detectors that are stated
+    are not used. Rays of cameras that are not placed right (`are_placed`) tell nothing.
     """
-    unit = [replace(sample, camera=with_noise(sample.camera, 1.0)) for sample in samples]
-    pairs = pairs_of(len(unit))
+    unit = [sample.with_camera(sample.camera.with_noise(1.0)) for sample in samples]
+    pairs = pairs_of(len(unit)) if are_placed else []
     most = min(MOST_DISTANCES, MOST_OF_ALL // max(len(pairs), 1))
     evidence = {(a, b): pair for a, b in pairs if (pair := _evidence(unit, a, b, most)) is not None}
     # pairs share detections: an object that n cameras see has 2 n - 3 independent distances, and n (n - 1) / 2 pairs
     independent = min(1.0, (2 * len(samples) - 3) / max(len(pairs), 1))
     # the fewer the objects, the less shows how far apart different ones are
     crowds = [sample.detections_per_frame / (sample.detections_per_frame + CROWD) for sample in samples]
-    links = [share * likelihoods_of_displacements(sample) for share, sample in zip(crowds, samples, strict=True)]
+    links = [
+        share * likelihoods_of_displacements(sample) + _told_by_tracks(sample)[:, None]
+        for share, sample in zip(crowds, samples, strict=True)
+    ]
     logs = _draws({cameras: independent * pair.of_both() for cameras, pair in evidence.items()}, links)
     spacing = float(np.log(NOISES[1] / NOISES[0]))
-    spreads = np.sqrt(logs.var(axis=0) + spacing**2 / 12.0)
-    return RayNoise(np.exp(logs.mean(axis=0)), spreads, sum(pair.partners for pair in evidence.values()))
+    return np.exp(logs.mean(axis=0)), np.sqrt(logs.var(axis=0) + spacing**2 / 12.0)
+
+
+def _told_by_tracks(sample: CameraSample) -> Array:
+    """Return the log-likelihood (noises,) of the noise of a camera, from that about its one-camera tracks."""
+    measured = sample.measured_noise_px
+    return -0.5 * (np.log(NOISES / (measured or 1.0)) / (LASTING_SPREAD if measured else np.inf)) ** 2
 
 
 def _draws(likelihoods: dict[tuple[int, int], Array], links: Sequence[Array]) -> Array:
@@ -143,33 +144,25 @@ def _drawn(rng: np.random.Generator, likelihoods: Array) -> int:
 
 
 def starting_detectors(
-    cameras: Sequence[Camera], estimated: Collection[str], samples: Sequence[CameraSample], is_placed: bool = True
+    cameras: Sequence[Camera], estimated: Collection[str], samples: Sequence[CameraSample], are_placed: bool = True
 ) -> tuple[tuple[Camera, ...], dict[str, NoisePrior]]:
     """Return cameras with detectors to begin a first tracking run with, and what is known of their noise by then.
 
-    The detectors of the cameras of `estimated` names are those that are replaced. Where the rays cannot be compared
-    (one camera, cameras that move or whose poses are not known, not `is_placed`), the noise is as the detectors have
-    it.
+    The detectors of the cameras of `estimated` names are those that are replaced. Where poses are not known or wrong
+    (not `are_placed`), each camera alone shows its noise. Where nothing is compared (one camera with detections,
+    cameras that move), it is as the detectors have it.
     """
-    resting = is_placed and len(cameras) > 1 and all(camera.pose.is_static for camera in cameras)
-    noise = noise_from_rays(samples) if resting else RayNoise(np.empty(0), np.empty(0), 0.0)
+    noise, spreads = np.array([camera.detector.sigma for camera in cameras]), np.full(len(cameras), NOISE_SPREAD)
+    if sum(len(sample.pixels) > 0 for sample in samples) > 1 and all(camera.pose.is_static for camera in cameras):
+        noise, spreads = noise_from_rays(samples, are_placed)
     used, priors = [], {}
     for k, camera in enumerate(cameras):
-        given = camera.detector
         if camera.name in estimated:
-            sigma, spread = np.asarray(given.sigma), NOISE_SPREAD
-            if noise.partners > 0.0:
-                sigma, spread = np.full(2, noise.sigma_px[k]), float(noise.relative_error[k])
-            priors[camera.name] = NoisePrior(sigma, spread)
+            prior = priors[camera.name] = NoisePrior(np.array(np.broadcast_to(noise[k], 2)), float(spreads[k]))
             clutter = max(samples[k].isolated_per_frame, LEAST_CLUTTER)
-            camera = replace(camera, detector=Detector(sigma, USUAL_P_DETECT, clutter))
+            camera = replace(camera, detector=Detector(prior.noise, USUAL_P_DETECT, clutter))
         used.append(camera)
     return tuple(used), priors
-
-
-def with_noise(camera: Camera, sigma_px: float) -> Camera:
-    """Return a camera with another noise of its detector, px."""
-    return replace(camera, detector=replace(camera.detector, sigma=np.full(2, sigma_px)))
 
 
 def _evidence(samples: list[CameraSample], a: int, b: int, most: int) -> _PairEvidence | None:
@@ -235,7 +228,7 @@ def _read(
     by_chance = distances(pair.elsewhere(first.camera), first, second, (None, known[1]))[0][1:]
     neighbours = _neighbours(first.camera, second.camera, known[0], known[1][0], np.isfinite(missed))
     with np.errstate(invalid="ignore", divide="ignore"):
-        by_a = distances(pair, first, Reading(with_noise(second.camera, 1e-6)), known)[0][0]
+        by_a = distances(pair, first, Reading(second.camera.with_noise(1e-6)), known)[0][0]
         shares = (missed / by_a) ** 2
     usable = np.isfinite(missed) & np.isfinite(shares)
     if not usable.any():
@@ -256,7 +249,7 @@ def _read(
     foreign = [share * near + (1.0 - share) * chance for share in SHARES]
     found = unmix(RAYS, classes(missed), foreign, float(apart.sum()), len(pair.detections))
     shares = np.array([share_a, (1.0 - share_a) * kept])
-    return _PairEvidence(shares, motion, found.likelihoods, found.partners, found.gain)
+    return _PairEvidence(shares, motion, found.likelihoods, found.gain)
 
 
 def _neighbours(first: Camera, second: Camera, rays_a: Array, rays_b: Array, met: Booleans) -> Array:

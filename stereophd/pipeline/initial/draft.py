@@ -5,7 +5,7 @@ with (`stereophd.pipeline.checks`). Then the filter runs over stretches of the l
 acceleration, its tracks give depths, speeds and births, and its residuals the detectors that are unknown.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,9 +15,10 @@ import numpy as np
 from stereophd.config.loading import LoadedConfig, make_config
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
-from stereophd.io.cameras.models import CameraConfig, DetectorConfig
+from stereophd.io.cameras.models import DetectorConfig
 from stereophd.pipeline.build import build_labelled_filter
-from stereophd.pipeline.checks.geometry.causes import best_explanation
+from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
+from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
@@ -29,18 +30,15 @@ from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detec
 from stereophd.pipeline.detectors.statistics import NoisePrior
 from stereophd.pipeline.initial.acceleration import LEAST_GAIN, estimate_acceleration, log_likelihoods
 from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter, shared_depths
-from stereophd.pipeline.initial.template import Choice, Draft, rounded, scalar
+from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
 from stereophd.pipeline.tracking.run import with_detectors
 from stereophd.wording import counted, number
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
-# Standard deviations of the priors of a calibration that is not asked for: of angles, in degrees at least and over the
-# angle of the noise, and of centres over their distance.
-LEAST_ANGLE_DEG, ANGLE_NOISES, LEAST_CENTER = 1.0, 5.0, 0.01
-# Frames of all cameras from which a filter shows anything.
-LEAST_FRAMES = 4
+# Frames of all cameras from which a filter shows anything, and the log-odds at which stated cameras are believed.
+LEAST_FRAMES, BELIEVED = 4, float(np.log(1000.0))
 # Margins of what is written about what was seen.
 NEARER, FARTHER, SPREAD, FASTER = 0.7, 1.5, 1.3, 2.5
 # Standard deviations of one component of the velocity that nearly all speeds are within.
@@ -51,7 +49,6 @@ UNCERTAIN, CUTOFF = 0.1, 0.1
 CAUSES_OF_DETECTORS = ("clutter", "sigma")
 # Figures of a filter that concern points only.
 UNUSED_BY_BODIES = {"region.depth", "report.max_position_std", "evaluation.cutoff"}
-HARDLY_MEET = "not from the log, whose rays hardly meet: the depths that two cameras have in view"
 
 
 def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
@@ -69,42 +66,59 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     only_boxes, is_placed = all(sample.box_height_px is not None for sample in samples), not draft.is_unplaced
     bodies = _with_bodies(draft, cameras, unknown, log_path) if only_boxes and is_placed else None
     if bodies is not None:
-        return replace(bodies, calibration=tuple(_calibration(bodies)))
-    cameras, priors = starting_detectors(cameras, unknown, samples, is_placed)
+        return bodies
+    cause: str | None = "the poses are unknown"
+    if is_placed:
+        started, priors = starting_detectors(cameras, unknown, samples)
+        placed = [sample.with_camera(camera) for sample, camera in zip(samples, started, strict=True)]
+        cause = _mistake([sample.with_measured_noise if sample.camera.name in unknown else sample for sample in placed])
+    if cause is None:
+        tracked, why = _with_tracks(_with_cameras(draft, started, unknown), placed, priors, log_path)
+        if why is None:
+            return tracked
+        cause = "the cameras do not agree"
+        doubt = Finding("geometry.rays", "warning", f"{cause}: {why}", remedy=CHECK_CAMERAS, cause=DO_NOT_MEET)
+        draft = replace(draft, findings=(doubt,))
+    # rays and tracks of wrong cameras say nothing of the noise either
+    cameras, priors = starting_detectors(cameras, unknown, samples, are_placed=False)
     samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
-    sharp = [sample.with_measured_noise if sample.camera.name in unknown else sample for sample in samples]
-    measured = {new.camera.name for new, old in zip(sharp, samples, strict=True) if new is not old}
-    cause = _mistake(draft, sharp) if is_placed else "the poses are unknown"
-    if cause is not None:
-        # rays that miss each other for this reason say nothing of the noise
-        samples = sharp
-        cameras = tuple(sample.camera for sample in samples)
-        why = f"detector: the noise about one-camera tracks, because rays show none: {cause}"
-        notes = {name: (*draft.camera_notes.get(name, ()), why) for name in measured}
-        draft = replace(draft, camera_notes=draft.camera_notes | notes)
-    if not is_placed:  # everything else follows from rays; tracks estimate the detectors once there are any
-        return _with_cameras(draft, cameras, measured, estimate=True)
-    draft = _with_cameras(draft, cameras, unknown)
-    rough = _rough(draft, samples, priors)
-    if rough is not None:
-        usual, draft = draft, draft.with_choices(rough)
-        # tracks of wrong cameras tell nothing either
-        draft = draft if cause else _with_filter(draft, usual, priors, log_path)
-    calibration = tuple(_calibration(draft))
-    rays_meet = not calibration or draft.choices["filter.birth.depth_range"].reason != HARDLY_MEET
-    return replace(draft, calibration=calibration, rays_meet=rays_meet)
+    why = f"detector: the noise about one-camera tracks and in displacements, because rays show none: {cause}"
+    notes = {name: (*draft.camera_notes.get(name, ()), why) for name in unknown}
+    draft = replace(draft, camera_notes=draft.camera_notes | notes)
+    # everything else follows from rays; tracks estimate the detectors once there are any
+    draft = _with_cameras(draft, cameras, unknown, estimate=not is_placed)
+    return draft if not is_placed else draft.with_choices(_rough(draft, samples, priors) or {})
 
 
-def _mistake(draft: Draft, samples: list[CameraSample]) -> str | None:
+def _with_tracks(
+    draft: Draft, samples: list[CameraSample], priors: Mapping[str, NoisePrior], log_path: Path | str
+) -> tuple[Draft, str | None]:
+    """Return the draft with what rays and the filter show, and why the cameras are wrong, if they are.
+
+    They are if the log is more probable, 1,000 to 1, with the same settings where each camera has objects of its own.
+    """
+    rough, name = _rough(draft, samples, priors), str(log_path)
+    if rough is None:
+        return draft, "no two cameras have a view in common" if len(samples) > 1 else None
+    parts = stretches(open_stream(loaded_draft(draft, name).config, [sample.camera for sample in samples], log_path))
+    found = _with_filter(draft.with_choices(rough), draft, priors, parts, name)
+    loaded = loaded_draft(found, name)
+    events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
+    gain = float(log_likelihoods(loaded, events).sum())
+    for index, camera in enumerate(loaded.build_cameras()):
+        own = [[replace(event, camera=0) for event in part if event.camera == index] for part in events]
+        gain -= float(log_likelihoods(loaded, own, (camera,)).sum())
+    why = f"the log is more probable (by {-gain:,.0f} of the logarithm) if each sees objects of its own"
+    return found, None if gain > -BELIEVED else why
+
+
+def _mistake(samples: list[CameraSample]) -> str | None:
     """Return the mistake in cameras or clocks that makes far more rays meet with this noise; None if there is none."""
     if any(sample.box_height_px is not None or not sample.camera.pose.is_static for sample in samples):
         return None
-    geometry = measure(samples, expected_depths(_bare(draft).config, samples), thorough=False)
-    suspicious = any(geometry.is_suspicious(k) for k in range(len(geometry.pairs)))
-    found = best_explanation(geometry, thorough=False) if suspicious else None
-    if found is None:
-        return None
-    return f"{' and '.join(samples[c].camera.name for c in found.trial.scope)}: {found.trial.text}"
+    geometry = measure(samples, expected_depths(None, samples), thorough=False)
+    findings = check_geometry(geometry, thorough=False)
+    return next((found.message for found in findings if found.name == "geometry.cause"), None)
 
 
 def _with_bodies(
@@ -145,61 +159,26 @@ def _with_bodies(
     return draft.with_choices({key: choice for key, choice in final.items() if key not in UNUSED_BY_BODIES})
 
 
-def _calibration(draft: Draft) -> Iterator[str]:
-    """Yield a section ``calibration``, with priors of the size that the noise and the depths suggest."""
-    names = list(draft.cameras)
-    cameras = [camera.build(name) for name, camera in draft.cameras.items()]
-    if len(names) < 2 or not all(camera.pose.is_static for camera in cameras):
-        return
-    depths = draft.choices["filter.birth.depth_range"].value
-    middle = float(np.sqrt(depths[0] * depths[1]))
-    yield "calibration:"
-    yield f"  reference: {scalar(names[0])}"
-    yield "  priors:"
-    for name, camera in zip(names[1:], cameras[1:], strict=True):
-        angle = max(LEAST_ANGLE_DEG, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
-        apart = float(np.linalg.norm(camera.pose.center - cameras[0].pose.center))
-        std = max(np.deg2rad(angle) * middle, LEAST_CENTER * apart)
-        yield f"    {scalar(name)}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
-    apart = float(np.linalg.norm(cameras[1].pose.center - cameras[0].pose.center))
-    yield "  # Moving objects do not show the scale. A distance that you have measured, such as that of two cameras,"
-    yield f"  # fixes it ({draft.unit}); without it the scale is that of the centres above, as far as they are known."
-    yield (
-        f"  # scale: {{kind: baseline, cameras: {scalar(names[:2])}, distance: {rounded(apart, 4)}, "
-        f"std: {rounded(0.005 * apart)}}}"
-    )
-
-
 def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str], estimate: bool = False) -> Draft:
     """Return the draft with unknown detectors as these cameras have them; whether `track` is to `estimate` them."""
     described = dict(draft.cameras)
     for name, camera in with_detectors(draft.cameras, [c for c in cameras if c.name in unknown]).items():
-        values = camera.detector.model_dump()
-        sigma_u, sigma_v = values["sigma_px"]
-        values |= {
-            "sigma_px": (rounded(sigma_u, 3), rounded(sigma_v, 3)),
-            "p_detect": rounded(min(max(values["p_detect"], 0.05), 0.995), 3),
-            "clutter_per_frame": rounded(max(values["clutter_per_frame"], 1e-3), 3),
-            "estimate": estimate,
-        }
-        if values["box_noise"] is not None:
-            values["box_noise"] = tuple(rounded(part) for part in values["box_noise"])
-        described[name] = camera.model_copy(update={"detector": DetectorConfig(**values)})
+        known = camera.detector
+        detector = DetectorConfig(
+            sigma_px=(rounded(known.sigma_px[0], 3), rounded(known.sigma_px[1], 3)),
+            p_detect=rounded(min(max(known.p_detect, 0.05), 0.995), 3),
+            clutter_per_frame=rounded(max(known.clutter_per_frame, 1e-3), 3),
+            box_noise=None if known.box_noise is None else tuple(map(rounded, known.box_noise)),
+            estimate=estimate,
+        )
+        described[name] = camera.model_copy(update={"detector": detector})
     return replace(draft, cameras=described)
-
-
-def _plain(cameras: Mapping[str, CameraConfig]) -> dict[str, Any]:
-    return {name: camera.model_dump(mode="json", exclude_none=True) for name, camera in cameras.items()}
-
-
-def _bare(draft: Draft) -> LoadedConfig:
-    """Return the cameras alone as a loaded configuration."""
-    return make_config({"units": {"length": draft.unit}, "cameras": _plain(draft.cameras)})
 
 
 def loaded_draft(draft: Draft, name: str) -> LoadedConfig:
     """Return the draft as a loaded configuration."""
-    return make_config({**draft.values(), "cameras": _plain(draft.cameras)}, name)
+    cameras = {key: camera.model_dump(mode="json", exclude_none=True) for key, camera in draft.cameras.items()}
+    return make_config({**draft.values(), "cameras": cameras}, name)
 
 
 def _with_frame_rates(draft: Draft, samples: list[CameraSample]) -> Draft:
@@ -236,9 +215,10 @@ def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> tuple[Dr
 
 def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, NoisePrior]) -> dict[str, Choice] | None:
     """Return settings from rays and displacements, wide enough to track with; None where cameras share nothing."""
-    geometry = measure(samples, expected_depths(_bare(draft).config, samples))
-    scene = measure_scene(geometry, MEETING_SCORE)
-    if scene.depths is not None and scene.depths[0] > 0.0:
+    scene = None
+    if not draft.must_be_calibrated:
+        scene = measure_scene(measure(samples, expected_depths(None, samples)), MEETING_SCORE)
+    if scene is not None and scene.depths is not None and scene.depths[0] > 0.0:
         near, middle, far = scene.depths.tolist()
         why = "from the depths at which rays of different cameras meet"
     else:
@@ -246,14 +226,14 @@ def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, Noise
         if shared is None:
             return None
         near, middle, far = shared.tolist()
-        why = HARDLY_MEET
+        why = "not from the log, whose rays hardly meet: the depths that two cameras have in view"
     choices = {
         "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
         "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),
     }
     spread = middle * usual_turn(samples, priors)
     fastest, tracks = SPREADS * spread, "from displacements between frames at these depths"
-    if scene.speed is not None:
+    if scene is not None and scene.speed is not None:
         (spread, fastest), tracks = scene.speed.tolist(), "from one-camera tracks at these depths"
     choices["filter.birth.velocity_std"] = Choice(rounded(max(2.0 * spread, 1e-3 * middle)), tracks)
     choices["motion.max_speed"] = Choice(rounded(max(5.0 * fastest, 0.02 * middle)), tracks)
@@ -261,24 +241,24 @@ def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, Noise
     return choices
 
 
-def _with_filter(draft: Draft, usual: Draft, priors: Mapping[str, NoisePrior], log_path: Path | str) -> Draft:
-    """Return the draft with what the filter finds in the log."""
-    loaded = loaded_draft(draft, str(log_path))
-    parts = stretches(open_stream(loaded.config, loaded.build_cameras(), log_path))
+def _with_filter(
+    draft: Draft, usual: Draft, priors: Mapping[str, NoisePrior], parts: Sequence[EventStream], name: str
+) -> Draft:
+    """Return the draft with what the filter finds in stretches of the log of this name."""
     events = [list(part) for part in parts]
     if sum(map(len, events)) < LEAST_FRAMES:
         return draft
-    draft = _with_acceleration(draft, events, str(log_path))
+    draft = _with_acceleration(draft, events, name)
     if priors:
-        draft = _with_detectors(draft, loaded_draft(draft, str(log_path)), priors, parts)
-        cameras = loaded_draft(draft, str(log_path)).build_cameras()
+        draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
+        cameras = loaded_draft(draft, name).build_cameras()
         events = [list(part.with_cameras(cameras)) for part in parts]
-        draft = _with_acceleration(draft, events, str(log_path))
-    figures = measure_with_filter(loaded_draft(draft, str(log_path)), events)
+        draft = _with_acceleration(draft, events, name)
+    figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
         return draft
     draft = draft.with_choices(_final(figures, usual, draft.unit))
-    return _with_damping(draft, figures.speed_std, events, str(log_path))
+    return _with_damping(draft, figures.speed_std, events, name)
 
 
 def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str) -> Draft:

@@ -7,19 +7,23 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
+import numpy as np
 import yaml
 
 from stereophd.core.motion.settings import motion_models
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.cameras.writing import CONVENTIONS, cameras_text
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
 from stereophd.site import page
 from stereophd.validated import METRES
 
 # The first line, by which `init` knows a file of its own.
 MARK = "# Written by stereophd init"
 WIDTH = 110
+# Standard deviations of the priors of a calibration: of angles, in degrees at least, where cameras do not agree, and
+# over the angle of the noise, and of centres over their distance.
+LEAST_ANGLE_DEG, WRONG_ANGLE_DEG, ANGLE_NOISES, LEAST_CENTER = 1.0, 10.0, 5.0, 0.01
 # Sections in the order of the file.
 SECTIONS = ("object", "motion", "region", "filter", "report", "evaluation")
 
@@ -58,10 +62,35 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
             lines += [f"{section}:", *_entries(draft, values[section], section, 1)]
             smoothing = section == "report" and "smooth" not in values["report"]
             lines += [*(SMOOTHING if smoothing else ()), ""]
-    if "calibration" not in values and draft.calibration:
+    if "calibration" not in values and (calibration := list(_calibration(draft))):
         lines += ["# For `stereophd calibrate`: poses that are known roughly, within these standard deviations."]
-        lines += [f"# {line}" if draft.rays_meet else line for line in draft.calibration]
+        lines += [line if draft.must_be_calibrated else f"# {line}" for line in calibration]
     return "\n".join(lines).rstrip() + "\n"
+
+
+def _calibration(draft: Draft) -> Iterator[str]:
+    """Yield a section ``calibration``, with priors of the size that the noise and the depths suggest."""
+    cameras = [camera.build(name) for name, camera in draft.cameras.items()]
+    if len(cameras) < 2 or not all(camera.pose.is_static for camera in cameras):
+        return
+    reference, *others = cameras
+    distances = [float(np.linalg.norm(camera.pose.center - reference.pose.center)) for camera in others]
+    depth, least = float(np.sqrt(np.prod(draft.choices["filter.birth.depth_range"].value))), LEAST_ANGLE_DEG
+    yield "calibration:"
+    yield f"  reference: {scalar(reference.name)}"
+    yield "  priors:"
+    for camera, apart in zip(others, distances, strict=True):
+        if draft.must_be_calibrated:  # then no depth is known
+            depth, least = apart, WRONG_ANGLE_DEG
+        angle = max(least, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
+        std = max(np.deg2rad(angle) * depth, LEAST_CENTER * apart)
+        yield f"    {scalar(camera.name)}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
+    yield "  # Moving objects do not show the scale. A distance that you have measured, such as that of two cameras,"
+    yield f"  # fixes it ({draft.unit}); without it the scale is that of the centres above, as far as they are known."
+    yield (
+        f"  # scale: {{kind: baseline, cameras: {scalar([reference.name, others[0].name])}, "
+        f"distance: {rounded(distances[0], 4)}, std: {rounded(0.005 * distances[0])}}}"
+    )
 
 
 def _entries(draft: Draft, values: dict[str, Any], path: str, level: int) -> Iterator[str]:
@@ -131,14 +160,17 @@ class Draft:
     camera_notes: dict[str, tuple[str, ...]] = field(default_factory=dict)  # Comments on each camera
     head: tuple[str, ...] = ()  # Comments at the top of the file
     findings: tuple[Finding, ...] = ()  # What is doubtful of the estimates
-    calibration: tuple[str, ...] = ()  # Lines at the end of the file: a section ``calibration``, to uncomment
-    rays_meet: bool = True  # If not, that section is in use
     given: frozenset[str] = frozenset()  # Keys and sections that the user states: nothing changes them
 
     @property
     def is_unplaced(self) -> bool:
         """Whether a pose or a clock is unknown."""
         return any(camera.must_be_found for camera in self.cameras.values())
+
+    @property
+    def must_be_calibrated(self) -> bool:
+        """Whether a pose or a clock is unknown, or poses are so wrong that no tracks follow from them."""
+        return self.is_unplaced or any(found.cause == DO_NOT_MEET for found in self.findings)
 
     def with_choices(self, changes: Mapping[str, Choice]) -> Draft:
         """Return the draft with other values, save those that are given."""

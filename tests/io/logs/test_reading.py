@@ -280,6 +280,7 @@ def test_rows_in_blocks_of_cameras_are_merged(
     monkeypatch.setattr(logs, "ROW_GROUP_ROWS", piece)
     monkeypatch.setattr("stereophd.io.logs.order.PIECE_ROWS", piece)
     monkeypatch.setattr(logging.getLogger("stereophd"), "propagate", True)
+    caplog.set_level(logging.INFO, "stereophd")
     cameras = [make_camera("left"), make_camera("right", offset)]
     blocks = sorted(GOOD, key=lambda r: str(r["camera"]), reverse=True)
     in_order = LogReader(write_rows(GOOD, name="ordered.parquet"), cameras)

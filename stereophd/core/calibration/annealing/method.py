@@ -52,6 +52,11 @@ from stereophd.core.numerics.covariance_factors import covariance_factor
 from stereophd.core.numerics.random_streams import NOISE_SEED
 from stereophd.wording import percent
 
+# What to try if no start succeeds.
+IF_NONE_AGREES = (
+    "`check` compares clocks and noise with the log; a pose that is far off needs wider priors, or `pose: unknown`; "
+    "where cameras share hardly any object, record more that two of them see"
+)
 # Largest number of refits under a better model.
 MOST_ROUNDS = 12
 # Factor on a noise that hides itself.
@@ -210,9 +215,9 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
 
 
 def why_none_succeeded(starts: list[Start]) -> str:
-    """Return the most frequent reason why starts failed."""
+    """Return the most frequent reason why starts failed, and what to try."""
     often, _ = Counter(start.outcome for start in starts).most_common(1)[0]
-    return f"none of {len(starts)} starts agrees with the data; most often: {often}"
+    return f"none of {len(starts)} starts agrees with the data; most often: {often}; {IF_NONE_AGREES}"
 
 
 def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Task, Fit, tuple[Remark, ...]]:

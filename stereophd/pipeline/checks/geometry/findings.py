@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator
 
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding, Status
 from stereophd.pipeline.checks.geometry.causes import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
 from stereophd.pipeline.checks.geometry.rays import (
     LEAST_EXPECTED,
@@ -19,7 +19,6 @@ CHANCE_SCORE, LEAST_SHARE = 2.5, 0.4
 # Standard deviations that the promise must be away from chance for a test, and by which it must be missed: the quantile
 # of 0.5 % of Student's distribution with as many degrees of freedom as the times that measure chance leave.
 POWER, LARGEST_DEFICIT = 6.0, 3.5
-DO_NOT_MEET = "rays_do_not_meet"
 
 
 def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
@@ -41,26 +40,18 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
             f"{names}: {percent(found.share)} of the detections have a partner on the epipolar line, chance gives "
             f"{percent(found.chance)}"
         )
-        value, expected = round(found.excess, 3), round(geometry.expected[k], 3)
+        status: Status = "ok"
+        remedy = cause = None
         if explanation is not None and {pair.a, pair.b} & set(explanation.trial.scope):
-            yield Finding("geometry.rays", "not checked", f"{text}; see geometry.cause", value, expected)
-        elif found.score >= LEAST_SCORE:
-            yield Finding("geometry.rays", "ok", text, value, expected)
-        elif _deficit(geometry, k) is None:
+            status, text = "not checked", f"{text}; see geometry.cause"
+        elif found.score < LEAST_SCORE and _deficit(geometry, k) is None:
             why = "by these settings right cameras, too, would show hardly more than chance: not judged"
-            yield Finding("geometry.rays", "not checked", f"{text}; {why}", value, expected)
+            status, text = "not checked", f"{text}; {why}"
         elif found.score < CHANCE_SCORE and {pair.a, pair.b} & alone:
-            yield Finding(
-                "geometry.rays",
-                "warning",
-                f"{text}: the rays meet no more often than chance",
-                value,
-                expected,
-                remedy="check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses",
-                cause=DO_NOT_MEET,
-            )
-        else:
-            yield Finding("geometry.rays", "ok", text, value, expected)
+            status, text = "warning", f"{text}: the rays meet no more often than chance"
+            remedy, cause = CHECK_CAMERAS, DO_NOT_MEET
+        value, expected = round(found.excess, 3), round(geometry.expected[k], 3)
+        yield Finding("geometry.rays", status, text, value, expected, None, remedy, cause)
 
 
 def _deficit(geometry: Geometry, k: int) -> float | None:

@@ -81,10 +81,15 @@ class CameraSample:
 
         Wrong poses and clocks do not show in it, nor do errors that last, such as those of boxes.
         """
+        sigma = self.measured_noise_px
+        return self if sigma is None else self.with_camera(self.camera.with_noise(sigma))
+
+    @property
+    def measured_noise_px(self) -> float | None:
+        """The noise about one-camera tracks, px; None where none shows."""
         if self.box_height_px is not None or self.noise_px is None or self.linking[1] > MOST_BY_CHANCE:
-            return self
-        given, sigma = self.camera.detector, max(self.noise_px[0], LEAST_MEASURED_PX)
-        return self.with_camera(replace(self.camera, detector=replace(given, sigma=np.full(2, sigma))))
+            return None
+        return max(self.noise_px[0], LEAST_MEASURED_PX)
 
     @property
     def detections_per_frame(self) -> float:
