@@ -389,6 +389,15 @@ def test_a_small_promise_is_not_called_a_small_overlap(monkeypatch: pytest.Monke
     assert "overlap" not in found.message
 
 
+def test_chance_that_varies_is_not_called_a_small_promise() -> None:
+    # three seconds of right cameras: chance varies by 13 %, so that wrong ones could not be told
+    short = replace(_many(2), given=(Meeting(0.86, 0.22, 0.82, 5.0, 3.0, np.ones(100, dtype=bool)),))
+    (found,) = check_geometry(short, thorough=False)
+    assert found.status == "not checked"
+    assert "chance varies by 13 %" in found.message
+    assert "hardly more than chance" not in found.message
+
+
 def test_a_log_of_many_cameras_says_what_is_left_out() -> None:
     geometry = replace(_many(27), pairs=(), given=(), expected=())
     assert [one.name for one in check_geometry(geometry, False)] == ["geometry.left_out"]
