@@ -267,14 +267,17 @@ def test_an_image_that_false_detections_leave_empty_is_too_large() -> None:
 
 
 def test_tracks_of_one_camera_are_reported() -> None:
-    def run(right: int) -> list[str | None]:
+    def run(right: int, frames: int = 100) -> list[str | None]:
         tracks = [{"n_detections": {"left": 100, "right": right}, "n_estimates": 120}]
         counts = {"detections": 400, "frames": 200}
-        summary = {"tracks": tracks, "left_out": {"burst_detections": 0}, "cameras": {}}
+        seen = {name: {"frames": count, "outside_region": 0} for name, count in (("left", 100), ("right", frames))}
+        summary = {"tracks": tracks, "left_out": {"burst_detections": 0}, "cameras": seen}
         return [found.cause for found in check_tracking(summary, counts, CAMERAS) if found.cause]
 
     assert run(95) == []
     assert run(0) == ["one_camera_tracks"]
+    # a camera without frames contradicts nothing
+    assert run(0, frames=0) == []
 
 
 def test_what_a_run_leaves_out_is_a_warning() -> None:
