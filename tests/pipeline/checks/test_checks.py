@@ -10,10 +10,10 @@ import pytest
 
 from stereophd.config.loading import load_config, make_config
 from stereophd.core.geometry.camera import Camera, Clock, Detector
-from stereophd.core.geometry.pose import Pose
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import LogWriter
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL
 from stereophd.pipeline.checks.geometry.causes import LEAST_CLOCK_FRAMES, RATES, Trial, _clock_trials
 from stereophd.pipeline.checks.geometry.findings import check_geometry, left_out
@@ -149,6 +149,20 @@ def test_a_mistake_is_named(samples: list[CameraSample], cause: str) -> None:
     named = [found for found in _geometry(_with(samples, *wrong)) if found.status == "warning"]
     assert [found.cause for found in named] == cause.split()[:1]
     assert named[0].remedy
+
+
+def test_a_guessed_pose_is_not_called_another_mistake(samples: list[CameraSample]) -> None:
+    """Turned by some degrees and moved, cameras explain more with other intrinsics too, which are right.
+
+    Two of the three guesses are found, and none is called anything else.
+    """
+    left, right = CAMERAS
+    named = []
+    for turn_deg in ((3.0, 1.0, -1.5), (-1.0, 2.0, 3.0), (4.0, 2.0, 1.0)):
+        rotation = rotation_from_vector(np.deg2rad(turn_deg)) @ right.pose.rotation
+        guess = _turned(right, rotation, right.pose.center + [0.1, -0.2, 0.1])
+        named += [found.cause for found in _geometry(_with(samples, left, guess), True) if found.status == "warning"]
+    assert named == [DO_NOT_MEET] * 2
 
 
 def test_a_clock_offset_is_measured() -> None:
