@@ -258,8 +258,12 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
         key, unit = ("sigma_px", " px") if points else ("box_noise", "")
         noise = " x ".join(f"{value:.3g}" for value in estimate[key]) + unit
         if not estimate["confirmed"]:
-            ratio = estimate["residual_ratio"]
-            seen = "no track gave residuals" if ratio is None else f"the residuals of tracks are {ratio:.2g} times it"
+            ratio, count = estimate["residual_ratio"], estimate["residuals"]
+            seen = (
+                "no track gave residuals"
+                if ratio is None
+                else f"{count:.0f} residuals of tracks are {ratio:.2g} times it"
+            )
             text = (
                 f"{name}: tracks do not confirm the estimated noise ({seen}): it stays at {noise}, what the rays and "
                 "the usual noise of detectors say"

@@ -14,8 +14,8 @@ from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import LogWriter
 from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
-from stereophd.pipeline.checks.geometry.alternatives import OPENGL
-from stereophd.pipeline.checks.geometry.causes import LEAST_CLOCK_FRAMES, RATES, Trial, _clock_trials
+from stereophd.pipeline.checks.geometry.alternatives import OPENGL, alternatives
+from stereophd.pipeline.checks.geometry.causes import LEAST_CLOCK_FRAMES, RATES, Trial, _clock_trials, _trial
 from stereophd.pipeline.checks.geometry.findings import check_geometry, left_out
 from stereophd.pipeline.checks.geometry.rays import (
     MOST_PAIRS,
@@ -37,7 +37,7 @@ from stereophd.pipeline.checks.run_figures import (
     check_noise,
     check_tracking,
 )
-from stereophd.pipeline.checks.settings import check_settings, measure_scene
+from stereophd.pipeline.checks.settings import _motion, check_settings, measure_scene
 from tests.scenes import build_camera
 
 DEPTHS = (3.0, 15.0)
@@ -163,6 +163,29 @@ def test_a_guessed_pose_is_not_called_another_mistake(samples: list[CameraSample
         guess = _turned(right, rotation, right.pose.center + [0.1, -0.2, 0.1])
         named += [found.cause for found in _geometry(_with(samples, left, guess), True) if found.status == "warning"]
     assert named == [DO_NOT_MEET] * 2
+
+
+def test_a_mistake_of_all_cameras_is_tried_where_it_can_concern_a_camera() -> None:
+    """A camera that is not turned shows nothing of radians: those of the others are undone together."""
+    turned = [_turned(camera, rotation_from_vector([0.01, 0.02, 0.0])) for camera in CAMERAS]
+    empty = np.zeros(9, dtype=int)
+    samples = [
+        CameraSample(camera, np.arange(8.0), np.arange(8), empty, np.empty((0, 2)))
+        for camera in (*turned, _turned(CAMERAS[0], np.eye(3)))
+    ]
+    radians = next(one for one in alternatives() if one.cause == "rotation_radians")
+    trial = _trial(Geometry(samples, (), (), ()), radians, (0, 1, 2))
+    assert trial is not None
+    assert trial.scope == (0, 1)
+
+
+@pytest.mark.parametrize(("squares", "is_known"), [([-1.0, -0.5, -0.2, 0.1], False), ([0.3, 0.5, 0.2, 0.4], True)])
+def test_an_acceleration_that_noise_hides_is_not_zero(
+    squares: list[float], is_known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracks = (np.empty(0), np.empty(0), np.array(squares))
+    monkeypatch.setattr("stereophd.pipeline.checks.settings._track_motion", lambda *_: tracks)
+    assert (_motion([], 5.0)[1] is not None) == is_known
 
 
 def test_a_clock_offset_is_measured() -> None:

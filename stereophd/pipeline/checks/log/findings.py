@@ -245,4 +245,6 @@ def _periods(samples: list[CameraSample]) -> Iterator[Finding]:
                 "clock_rate" if "rate" in odd else "clock_offset",
             )  # fmt: skip
             return
-    yield Finding("log.periods", "ok", "the periods of the cameras overlap")
+    lengths = sorted(sample.times[-1] - sample.times[0] for sample in samples)
+    text = f"the periods of the cameras overlap, and last {lengths[0]:.4g} to {lengths[-1]:.4g} s"
+    yield Finding("log.periods", "ok", text)
