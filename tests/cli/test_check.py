@@ -83,7 +83,11 @@ def test_a_log_that_is_missing(call: Callable[..., Outcome], config: Path, tmp_p
 
 
 @pytest.mark.parametrize(
-    ("kind", "remedy"), [("time_backwards", "sort the rows by time_s"), ("outside_image", "correct the rows")]
+    ("kind", "remedy"),
+    [
+        ("time_backwards", "sort the rows by time_s"),
+        ("outside_image", "check image_size_px and the order of u and v"),
+    ],
 )
 def test_check_counts_what_track_refuses(
     kind: str, remedy: str, call: Callable[..., Outcome], config: Path, tmp_path: Path
@@ -104,7 +108,7 @@ def test_check_counts_what_track_refuses(
     assert "the rows are in order" not in outcome.err
     refused = call("track", config, log, "--out", tmp_path / "out")
     assert refused.code == 2
-    assert ("sort the rows" in refused.sentence) == (kind == "time_backwards")
+    assert f"({remedy}, or input.on_bad_row: drop" in refused.sentence
 
 
 def test_rows_that_a_run_refuses_are_a_warning(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:

@@ -29,7 +29,11 @@ KINDS = (
 )
 
 # What makes a kind of bad rows good ones.
-REMEDIES = {"unknown_camera": "add the camera to the cameras", "time_backwards": "sort the rows by time_s"}
+REMEDIES = {
+    "unknown_camera": "add the camera to the cameras",
+    "outside_image": "check image_size_px and the order of u and v",
+    "time_backwards": "sort the rows by time_s",
+}
 
 
 def bad_rows(counts: Mapping[str, int]) -> tuple[int, str]:

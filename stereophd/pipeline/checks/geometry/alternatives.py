@@ -94,12 +94,6 @@ def _turned(camera: Camera, true_pose: TruePose) -> Camera:
     return posed(camera, *true_pose(camera.pose.rotation, camera.pose.center))
 
 
-def _turned_by(camera: Camera, degrees: float, axis: int) -> Camera:
-    return posed(
-        camera, rotation_from_vector(np.deg2rad(degrees) * np.eye(3)[axis]) @ camera.pose.rotation, camera.pose.center
-    )
-
-
 def _with_unit(camera: Camera, factor: float) -> Camera:
     return posed(camera, camera.pose.rotation, factor * camera.pose.center)
 
@@ -152,10 +146,11 @@ def alternatives() -> Iterator[Alternative]:
         lambda camera: camera, lambda camera, pixels: pixels[:, ::-1],
     )  # fmt: skip
     for degrees, axis in product(TURNS_DEG, range(3)):
+        turn = rotation_from_vector(np.deg2rad(degrees) * np.eye(3)[axis])
         yield Alternative(
             DO_NOT_MEET, f"a turn by {abs(degrees):g} degrees explains what no usual mistake explains better: poses "
-            "seem to be off, or clocks and lenses", CHECK_CAMERAS, partial(_turned_by, degrees=degrees, axis=axis),
-            alone=True,
+            "seem to be off, or clocks and lenses", CHECK_CAMERAS,
+            partial(_turned, true_pose=lambda r, c, turn=turn: (turn @ r, c)), alone=True,  # type: ignore[misc]
         )  # fmt: skip
     for factor in RESOLUTION_FACTORS:
         yield Alternative(
