@@ -118,10 +118,11 @@ def test_nothing_to_compare_gives_the_prior() -> None:
     found = noise_from_rays(empty)
     np.testing.assert_allclose(found[0], USUAL_NOISE_PX, rtol=0.05)
     assert found[1] == pytest.approx(NOISE_SPREAD, rel=0.1)
-    # and detectors that are known stay as they are given
+    # and the detectors stay as they are given
     used, priors = starting_detectors(cameras, ["cam1"], empty)
     assert used[0] is cameras[0]
-    assert used[1].detector.sigma.tolist() == priors["cam1"].noise.tolist() == [found[0][1]] * 2
+    assert used[1].detector.sigma.tolist() == [1.0, 1.0]
+    assert priors["cam1"].spread == NOISE_SPREAD
 
 
 def test_noise_of_a_crowd_between_frames_that_no_track_links() -> None:

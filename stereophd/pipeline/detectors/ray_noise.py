@@ -149,17 +149,16 @@ def starting_detectors(
     """Return cameras with detectors to begin a first tracking run with, and what is known of their noise by then.
 
     The detectors of the cameras of `estimated` names are those that are replaced. Where poses are not known or wrong
-    (not `are_placed`), each camera alone shows its noise. Where nothing does (one camera, cameras that move), it is as
-    the detectors have it.
+    (not `are_placed`), each camera alone shows its noise. Where nothing is compared (one camera with detections,
+    cameras that move), it is as the detectors have it.
     """
     noise, spreads = np.array([camera.detector.sigma for camera in cameras]), np.full(len(cameras), NOISE_SPREAD)
-    if len(cameras) > 1 and all(camera.pose.is_static for camera in cameras):
+    if sum(len(sample.pixels) > 0 for sample in samples) > 1 and all(camera.pose.is_static for camera in cameras):
         noise, spreads = noise_from_rays(samples, are_placed)
     used, priors = [], {}
     for k, camera in enumerate(cameras):
         if camera.name in estimated:
-            prior = NoisePrior(np.array(np.broadcast_to(noise[k], 2)), float(spreads[k]))
-            priors[camera.name] = prior
+            prior = priors[camera.name] = NoisePrior(np.array(np.broadcast_to(noise[k], 2)), float(spreads[k]))
             clutter = max(samples[k].isolated_per_frame, LEAST_CLUTTER)
             camera = replace(camera, detector=Detector(prior.noise, USUAL_P_DETECT, clutter))
         used.append(camera)

@@ -19,6 +19,7 @@ import numpy as np
 from stereophd.config.loading import LoadedConfig, variant
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
@@ -101,9 +102,11 @@ def estimate_acceleration(loaded: LoadedConfig, parts: Sequence[Sequence[Event]]
     return AccelerationEstimate(value, usual, tried, sum(map(len, parts)))
 
 
-def log_likelihoods(loaded: LoadedConfig, parts: Sequence[Sequence[Event]]) -> Array:
-    """Return the log-likelihood of every event of stretches of a log under a configuration with their cameras."""
-    estimator = build_labelled_filter(loaded.config, loaded.build_cameras(), loaded.path, 1)
+def log_likelihoods(
+    loaded: LoadedConfig, parts: Sequence[Sequence[Event]], cameras: tuple[Camera, ...] | None = None
+) -> Array:
+    """Return the log-likelihood of every event of stretches of a log, with the cameras of a configuration or these."""
+    estimator = build_labelled_filter(loaded.config, cameras or loaded.build_cameras(), loaded.path, 1)
     records = (record for part in parts for record in run_estimator(estimator, part))
     return np.array([record.info.log_likelihood for record in records])
 

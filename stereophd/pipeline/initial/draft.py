@@ -107,9 +107,9 @@ def _with_tracks(
     loaded = loaded_draft(found, name)
     events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
     gain = float(log_likelihoods(loaded, events).sum())
-    for index, (camera, described) in enumerate(found.cameras.items()):
+    for index, camera in enumerate(loaded.build_cameras()):
         own = [[replace(event, camera=0) for event in part if event.camera == index] for part in events]
-        gain -= float(log_likelihoods(loaded_draft(replace(found, cameras={camera: described}), name), own).sum())
+        gain -= float(log_likelihoods(loaded, own, (camera,)).sum())
     why = f"the log is more probable (by {-gain:,.0f} of the logarithm) if each sees objects of its own"
     return found, why if is_compared and gain <= -BELIEVED else None
 
@@ -165,17 +165,15 @@ def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection
     """Return the draft with unknown detectors as these cameras have them; whether `track` is to `estimate` them."""
     described = dict(draft.cameras)
     for name, camera in with_detectors(draft.cameras, [c for c in cameras if c.name in unknown]).items():
-        values = camera.detector.model_dump()
-        sigma_u, sigma_v = values["sigma_px"]
-        values |= {
-            "sigma_px": (rounded(sigma_u, 3), rounded(sigma_v, 3)),
-            "p_detect": rounded(min(max(values["p_detect"], 0.05), 0.995), 3),
-            "clutter_per_frame": rounded(max(values["clutter_per_frame"], 1e-3), 3),
-            "estimate": estimate,
-        }
-        if values["box_noise"] is not None:
-            values["box_noise"] = tuple(rounded(part) for part in values["box_noise"])
-        described[name] = camera.model_copy(update={"detector": DetectorConfig(**values)})
+        known = camera.detector
+        detector = DetectorConfig(
+            sigma_px=(rounded(known.sigma_px[0], 3), rounded(known.sigma_px[1], 3)),
+            p_detect=rounded(min(max(known.p_detect, 0.05), 0.995), 3),
+            clutter_per_frame=rounded(max(known.clutter_per_frame, 1e-3), 3),
+            box_noise=None if known.box_noise is None else tuple(map(rounded, known.box_noise)),
+            estimate=estimate,
+        )
+        described[name] = camera.model_copy(update={"detector": detector})
     return replace(draft, cameras=described)
 
 
