@@ -74,8 +74,15 @@ def import_recording(
         noted, read, _ = consulted(options)
         truth = None if options.truth is None else native_truth(options.truth, noted)
         given = options if truth is None else replace(options, truth=None)  # then the reader has no use for the file
+        noted, of_cameras, in_cameras = consulted(given)
+        described = None if cameras_path is None else read_camera_file(Path(cameras_path), noted)
+        if described is not None:
+            sizes = {name: given.image_sizes.get(name) or one.image_size_px for name, one in described[0].items()}
+            given = replace(given, image_sizes=replace(given.image_sizes, named={**sizes, **given.image_sizes.named}))
         noted, of_reader, in_source = consulted(given)
-        recording = _read(read_foreign(form, paths, noted), noted, cameras_path)
+        recording = read_foreign(form, paths, noted)
+        if cameras_path is not None and described is not None:
+            _add_cameras(recording, Path(cameras_path), *described)
         if truth is not None:
             recording.truth = truth
         files = [*recording.files, *([options.truth] if options.truth is not None else ())]
@@ -89,9 +96,9 @@ def import_recording(
         if recording.truth is not None:
             _write_truth(recording.truth, out.path(TRUTH_FILE), recording, noted, to_metadata(record))
         beside = "" if cameras_path is None else f" with {cameras_path} (native cameras state size, unit and detector)"
-        refuse_unread(given, read | of_reader, f"a source of format {form}{beside}")
+        refuse_unread(options, read | of_cameras | of_reader, f"a source of format {form}{beside}")
         stated = paths if cameras_path is None else [*paths, Path(cameras_path)]
-        refuse_other_cameras(options, [*recording.cameras, *summaries], in_source, stated)
+        refuse_other_cameras(options, [*recording.cameras, *summaries], [*in_cameras, *in_source], stated)
         cameras = _with_rates(recording.cameras, summaries)
         if cameras:
             assert recording.length_unit is not None
@@ -121,17 +128,16 @@ def import_recording(
     return report
 
 
-def _read(recording: ForeignRecording, options: ImportOptions, cameras_path: Path | str | None) -> ForeignRecording:
+def _add_cameras(
+    recording: ForeignRecording, path: Path, cameras: dict[str, CameraConfig], unit: str, assumed: list[str]
+) -> None:
     """Add the cameras of another file to a recording."""
-    if cameras_path is not None:
-        if recording.cameras:
-            raise InputError(f"{cameras_path}: expected cameras in the source or in a file of their own, found both")
-        cameras, unit, assumed = read_camera_file(Path(cameras_path), options)
-        recording.cameras.update(cameras)
-        recording.length_unit = unit
-        recording.assumed += assumed
-        recording.files.append(Path(cameras_path))
-    return recording
+    if recording.cameras:
+        raise InputError(f"{path}: expected cameras in the source or in a file of their own, found both")
+    recording.cameras.update(cameras)
+    recording.length_unit = unit
+    recording.assumed += assumed
+    recording.files.append(path)
 
 
 def _write_truth(

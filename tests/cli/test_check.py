@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from stereophd.io.logs.rows import LogWriter
@@ -78,6 +80,35 @@ def test_a_log_that_is_missing(call: Callable[..., Outcome], config: Path, tmp_p
     found = call("check", config, tmp_path / "nothing.parquet")
     assert found.code == 2
     assert "nothing.parquet" in found.sentence
+
+
+@pytest.mark.parametrize(
+    ("kind", "remedy"),
+    [
+        ("time_backwards", "sort the rows by time_s"),
+        ("outside_image", "check image_size_px and the order of u and v"),
+    ],
+)
+def test_check_counts_what_track_refuses(
+    kind: str, remedy: str, call: Callable[..., Outcome], config: Path, tmp_path: Path
+) -> None:
+    """Rows in random order, and detections far outside the image; nothing that is said of their order is untrue."""
+    random, log = np.random.default_rng(1), tmp_path / "log.parquet"
+    order = random.permutation(40) if kind == "time_backwards" else np.arange(40)
+    away = 5000.0 if kind == "outside_image" else 0.0
+    times = np.repeat(order / 10.0, 3)
+    columns = {"time_s": times, "camera": ["left"] * 120, "frame": np.repeat(order, 3)}
+    columns |= {"u_px": random.uniform(0, 100, 120) + away, "v_px": random.uniform(0, 100, 120)}
+    pq.write_table(pa.table(columns), log)
+    outcome = call("check", config, log, "--json", "-v")
+    found = json.loads(outcome.out)["checks"][0]
+    assert (found["name"], kind in found["message"]) == ("input.rows", True)
+    assert "the rows are in order" not in outcome.err
+    assert found["remedy"] == f"{remedy}, or drop them (input.on_bad_row: drop)"
+    assert "the rows are in order" not in outcome.err
+    refused = call("track", config, log, "--out", tmp_path / "out")
+    assert refused.code == 2
+    assert f"({remedy}, or input.on_bad_row: drop" in refused.sentence
 
 
 def test_rows_that_a_run_refuses_are_a_warning(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:

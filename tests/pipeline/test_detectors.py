@@ -239,6 +239,8 @@ def test_values_from_sums() -> None:
     contradicted = estimate_detector(sums, present, NoisePrior(np.array([1.0, 1.0]), 0.0))
     assert contradicted.detector.sigma.tolist() == [1.0, 1.0]
     assert not contradicted.confirmed
+    # measured 4 and 6 px, and the noise stays at 1 px
+    assert contradicted.residual_ratio == pytest.approx(np.sqrt(24.0), rel=1e-4)
     nothing = estimate_detector(DetectorSums(), present, NoisePrior(np.array([1.0, 2.0]), 1.0))
     assert nothing.detector.sigma.tolist() == [1.0, 2.0]
     assert (nothing.detector.p_detect, nothing.detector.clutter_per_frame) == (0.9, 1.0)

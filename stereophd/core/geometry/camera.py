@@ -231,10 +231,10 @@ class Camera:
         """
         return self.contains(self.project(x_world))
 
-    def contains(self, pixels: ArrayLike) -> Booleans:
-        """Return which distorted pixels (n, 2) are inside the image, as bool (n,); False for NaN."""
-        uv = np.asarray(pixels, dtype=np.float64)
-        inside = (uv >= -0.5) & (uv <= np.array([self.width, self.height]) - 0.5)
+    def contains(self, pixels: ArrayLike, margin_px: float = 0.0) -> Booleans:
+        """Return which distorted pixels (n, 2) are in the image, or so near it, as bool (n,); False for NaN."""
+        uv = np.asarray(pixels, dtype=np.float64) + 0.5
+        inside = (uv >= -margin_px) & (uv <= np.array([self.width, self.height]) + margin_px)
         return np.asarray(inside.all(axis=1), dtype=np.bool_)
 
     def undistort_pixels(self, pixels: ArrayLike) -> tuple[Array, Array]:

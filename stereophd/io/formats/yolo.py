@@ -18,8 +18,9 @@ import numpy as np
 
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
+from stereophd.io.interchange.cameras import image_size
 from stereophd.io.interchange.documents.text_tables import read_matrix
-from stereophd.io.interchange.pixels import image_size, native_pixels
+from stereophd.io.interchange.pixels import native_pixels
 
 LABELS = "labels"
 COLUMNS = ("class", "x", "y", "width", "height", "score", "identity")
@@ -64,7 +65,7 @@ def _frames(folder: Path) -> dict[int, Path]:
 
 def _pieces(files: dict[str, dict[int, Path]], options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
     for camera, frames in files.items():
-        size = np.array(image_size(camera, options, recording, "boxes are shares of it"), dtype=float)
+        size = np.array(image_size(camera, None, options, "boxes are shares of images"), dtype=float)
         for frame, path in frames.items():
             rows = np.full((1, len(COLUMNS)), np.nan)
             if path.stat().st_size:

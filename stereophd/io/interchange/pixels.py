@@ -3,8 +3,8 @@
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions, Piece
+from stereophd.io.interchange.cameras import image_size
 
 #: What to subtract for the centre of the first pixel to be (0, 0).
 ORIGINS = {"center": 0.0, "corner": 0.5, "one": 1.0}
@@ -22,25 +22,12 @@ def native_pixels(
     shift = ORIGINS[options.pixel_origin or origin]
     if options.rows_from != "bottom":
         return pixels - shift
-    size = image_size(camera, options, recording, "rows count from the bottom")
+    known = recording.cameras.get(camera)
+    stated = None if known is None else known.image_size_px
+    size = image_size(camera, stated, options, "rows count from the bottom")
     result = pixels - shift
     result[:, 1] = size[1] - 1 - result[:, 1]
     return result
-
-
-def image_size(camera: str, options: ImportOptions, recording: ForeignRecording, why: str) -> tuple[int, int]:
-    """Return the size of the images of a camera (its native name), from the options or from its cameras.
-
-    Raises InputError, which says `why` it is asked, when neither states it.
-    """
-    size = options.image_sizes.get(camera)
-    if size is None and camera in recording.cameras:
-        size = recording.cameras[camera].image_size_px
-    if size is None:
-        raise InputError(
-            f"camera {camera}: expected the size of the images, for {why}; found none; state it by `image_sizes`"
-        )
-    return size
 
 
 def point_rows(camera: str, frames: Array, points: Array, scores: Array | None, least: float | None) -> Piece:

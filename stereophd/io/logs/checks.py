@@ -28,6 +28,13 @@ KINDS = (
     "duplicate_row",
 )
 
+# What makes a kind of bad rows good ones.
+REMEDIES = {
+    "unknown_camera": "add the camera to the cameras",
+    "outside_image": "check image_size_px and the order of u and v",
+    "time_backwards": "sort the rows by time_s",
+}
+
 
 def bad_rows(counts: Mapping[str, int]) -> tuple[int, str]:
     """Return the number of bad rows among the counts of a `LogReader`, and how many of each kind in words."""
@@ -197,7 +204,7 @@ def raise_first(faults: list[Fault], rows: Rows, path: Any) -> None:
         if len(bad):
             i = int(bad[np.argmin(rows.row[bad])])
             if first is None or rows.row[i] < first[0]:
-                add = "add the camera to the cameras, or " if fault.kind == "unknown_camera" else ""
-                first = (int(rows.row[i]), f"{fault.say(i)} ({add}input.on_bad_row: drop skips and counts bad rows)")
+                mend = f"{REMEDIES[fault.kind]}, or " if fault.kind in REMEDIES else ""
+                first = (int(rows.row[i]), f"{fault.say(i)} ({mend}input.on_bad_row: drop skips and counts bad rows)")
     if first is not None:
         raise InputError(f"{path}: row {first[0]}: {first[1]}")

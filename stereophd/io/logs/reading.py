@@ -37,7 +37,6 @@ from stereophd.io.logs.order import LogOrder, order_of
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
 from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
 from stereophd.io.tables.writing import ROW_GROUP_ROWS
-from stereophd.wording import LOGGER
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,8 +127,6 @@ class LogReader:
         else:
             # Each camera's clock is monotonic, so each camera's frames are in order by themselves: one
             # pass over the file for each camera keeps the memory bounded, however far the clocks differ.
-            if self.order.by_camera:
-                LOGGER.info("%s: the rows are in order of time by camera only: the cameras are merged", self.path)
             passes = [self._frames(i) for i in range(len(self._cameras))]
             frames = heapq.merge(*passes, key=lambda f: (f.time_s, f.camera, f.frame))
         counts = self.counts

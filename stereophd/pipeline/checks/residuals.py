@@ -19,7 +19,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import rotation_from_vector
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.alternatives import posed
 from stereophd.pipeline.checks.geometry.causes import shift_remedy, shifted
 from stereophd.pipeline.checks.geometry.rays import pairs_of, signed_distances
@@ -32,6 +32,9 @@ PREFERENCE = 1.35
 ALIKE = 0.97
 # Lateness of one clock over that of a pair, from which it is what the pair shows.
 LEAST_CHANGE = 0.5
+# Root mean square of distances, standard deviations, and their correlation, from which a pair of cameras is wrong
+# without a cause that explains it: that of chance is 3.5, as all distances are below `FARTHEST`.
+LARGEST_DISTANCE, LARGEST_CORRELATION = 2.5, 0.6
 ESTIMATE_LENS = "let calibrate estimate it (calibration.priors.NAME.distortion_std: {k1: 0.1})"
 CAUSES = {
     "clock": "clock_offset", "lens": "lens_inaccurate", "lenses": "lens_missing", "pose": "pose_inaccurate",
@@ -57,12 +60,18 @@ def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
     for pair in pairs:
         names = f"{samples[pair.a].camera.name} and {samples[pair.b].camera.name}"
         mean, spread = float(pair.distance.mean()), float(pair.distance.std())
-        yield Finding(
-            "geometry.residuals", "ok",
+        text = (
             f"{names}: the rays of {pair.track_count} pairs of tracks miss each other by {mean:+.2f} +- {spread:.2f} "
-            f"standard deviations, correlation from frame to frame {pair.correlation:.2f}",
-            round(spread, 3), 1.0,
-        )  # fmt: skip
+            f"standard deviations, correlation from frame to frame {pair.correlation:.2f}"
+        )
+        lasts = np.hypot(mean, spread) > LARGEST_DISTANCE and pair.correlation > LARGEST_CORRELATION
+        if lasts and pair.track_count >= POSE_TRACKS and not ignored:
+            yield Finding(
+                "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, no one alone",
+                round(spread, 3), 1.0, None, CHECK_CAMERAS, DO_NOT_MEET,
+            )  # fmt: skip
+        else:
+            yield Finding("geometry.residuals", "ok", text, round(spread, 3), 1.0)
 
 
 def _warning(

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.geometry.camera import Camera
-from stereophd.io.logs.checks import bad_rows
+from stereophd.io.logs.checks import REMEDIES, bad_rows
 from stereophd.pipeline.checks.finding import Finding, warnings_of
 from stereophd.wording import instant, percent
 
@@ -56,7 +56,7 @@ def check_tracking(
         yield Finding("tracking.explained", "warning", text, value, expected, None, remedy, "unexplained")
     else:
         yield Finding("tracking.explained", "ok", text, value)
-    if len(cameras) < 2:
+    if sum(summary["cameras"][camera.name]["frames"] > 0 for camera in cameras) < 2:
         return
     largest = own.max(axis=0) / np.maximum(own.sum(axis=0), 1.0)
     estimates = np.array([track["n_estimates"] for track in tracks], dtype=float)
@@ -179,8 +179,8 @@ def check_rows(counts: Mapping[str, int]) -> Iterator[Finding]:
     bad, each = bad_rows(counts)
     if bad:
         text = f"{bad} of {counts['rows']} rows that were read are bad ({each}): a run refuses the log, or drops them"
-        missing = "add the camera to the cameras" if counts["unknown_camera"] else "correct the rows"
-        remedy = f"{missing}, or drop them (input.on_bad_row: drop)"
+        mend = " and ".join(text for kind, text in REMEDIES.items() if counts[kind]) or "correct the rows"
+        remedy = f"{mend}, or drop them (input.on_bad_row: drop)"
         yield Finding("input.rows", "warning", text, bad, 0, None, remedy, "bad_rows")
 
 
@@ -258,8 +258,12 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
         key, unit = ("sigma_px", " px") if points else ("box_noise", "")
         noise = " x ".join(f"{value:.3g}" for value in estimate[key]) + unit
         if not estimate["confirmed"]:
-            ratio = estimate["residual_ratio"]
-            seen = "no track gave residuals" if ratio is None else f"the residuals of tracks are {ratio:.2g} times it"
+            ratio, count = estimate["residual_ratio"], estimate["residuals"]
+            seen = (
+                "no track gave residuals"
+                if ratio is None
+                else f"{count:.0f} residuals of tracks are {ratio:.2g} times it"
+            )
             text = (
                 f"{name}: tracks do not confirm the estimated noise ({seen}): it stays at {noise}, what the rays and "
                 "the usual noise of detectors say"

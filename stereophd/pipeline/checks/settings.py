@@ -70,7 +70,7 @@ def _motion(samples: list[CameraSample], depth: float) -> tuple[Array | None, fl
     acceleration = None
     if len(accelerations) >= LEAST_TRACKS:
         variance = float(np.median(accelerations))
-        acceleration = float(np.sqrt(max(variance, 0.0)))
+        acceleration = float(np.sqrt(variance)) if variance > 0.0 else None  # noise hides it
     return speed, acceleration
 
 
@@ -279,6 +279,5 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
         return
     yield Finding(
         "settings.acceleration_std", "warning", text, stated_acceleration, round(found, 6), None,
-        f"set motion.acceleration_std near {max(found, 1e-6):.2g}", "acceleration_std",
-        f"motion.acceleration_std={max(found, 1e-6):.2g}",
+        f"set motion.acceleration_std near {found:.2g}", "acceleration_std", f"motion.acceleration_std={found:.2g}",
     )  # fmt: skip

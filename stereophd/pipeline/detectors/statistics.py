@@ -297,6 +297,7 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
         agrees = apart < most
         if not agrees:
             noise, error = np.asarray(prior.noise), np.asarray(prior.noise) * spread
+            ratio = float(np.exp(np.log(measured / prior.noise).mean()))
         slack = CONFIRMED_ERRORS * float(relative.max())
         low, high = np.log(CONFIRMED[0]) - slack, np.log(CONFIRMED[1]) + slack
         confirmed = bool(agrees and low <= np.log(ratio) <= high) and (confirmed or sums.pairs >= FEWEST_TO_CONFIRM)

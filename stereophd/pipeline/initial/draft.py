@@ -96,10 +96,12 @@ def _with_tracks(
     """Return the draft with what rays and the filter show, and why the cameras are wrong, if they are.
 
     They are if the log is more probable, 1,000 to 1, with the same settings where each camera has objects of its own.
+    One camera that alone has frames cannot be wrong about the others.
     """
     rough, name = _rough(draft, samples, priors), str(log_path)
+    is_compared = sum(len(sample.times) > 0 for sample in samples) > 1
     if rough is None:
-        return draft, "no two cameras have a view in common" if len(samples) > 1 else None
+        return draft, "no two cameras have a view in common" if is_compared else None
     parts = stretches(open_stream(loaded_draft(draft, name).config, [sample.camera for sample in samples], log_path))
     found = _with_filter(draft.with_choices(rough), draft, priors, parts, name)
     loaded = loaded_draft(found, name)
@@ -109,7 +111,7 @@ def _with_tracks(
         own = [[replace(event, camera=0) for event in part if event.camera == index] for part in events]
         gain -= float(log_likelihoods(loaded, own, (camera,)).sum())
     why = f"the log is more probable (by {-gain:,.0f} of the logarithm) if each sees objects of its own"
-    return found, None if gain > -BELIEVED else why
+    return found, why if is_compared and gain <= -BELIEVED else None
 
 
 def _mistake(samples: list[CameraSample]) -> str | None:
@@ -226,7 +228,7 @@ def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, Noise
         if shared is None:
             return None
         near, middle, far = shared.tolist()
-        why = "not from the log, whose rays hardly meet: the depths that two cameras have in view"
+        why = "not from the log, in which too few rays meet: the depths that two cameras have in view"
     choices = {
         "filter.birth.depth_range": Choice([rounded(0.5 * near), rounded(2.0 * far)], why),
         "evaluation.cutoff": Choice(rounded(CUTOFF * middle, 1), "a tenth of the middle depth"),

@@ -63,7 +63,10 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
             smoothing = section == "report" and "smooth" not in values["report"]
             lines += [*(SMOOTHING if smoothing else ()), ""]
     if "calibration" not in values and (calibration := list(_calibration(draft))):
-        lines += ["# For `stereophd calibrate`: poses that are known roughly, within these standard deviations."]
+        lines += [
+            "# For `stereophd calibrate`: how well poses are known. These standard deviations are guesses: edit them,",
+            "# and where nobody measured a clock or a lens, add clock_offset_std_s: 0.1 or distortion_std: {k1: 0.1}.",
+        ]
         lines += [line if draft.must_be_calibrated else f"# {line}" for line in calibration]
     return "\n".join(lines).rstrip() + "\n"
 

@@ -12,6 +12,7 @@ import pytest
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError
+from stereophd.io.cameras.writing import cameras_text
 
 from .conftest import SIZES, cameras_of, log_rows, rig
 
@@ -182,3 +183,14 @@ def test_what_is_missing_is_named(tmp_path: Path, imported: Import) -> None:
     (tmp_path / "x.csv").write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="expected points"):
         imported("dltdv", tmp_path / "x.csv", rates=100.0)
+
+
+def test_native_cameras_state_the_size_of_the_images(tmp_path: Path, imported: Import) -> None:
+    """Rows count from the bottom: the points are the same with sizes from the file of cameras as with stated ones."""
+    points = write_points(tmp_path / "xypts.csv", scene()[2])
+    native = tmp_path / "guess.yaml"
+    named = dict(zip(("cam1", "cam2", "cam3"), rig(lens=(0.0,)).values(), strict=False))
+    native.write_text(cameras_text(named, "m"))
+    expected = log_rows(imported("dltdv", points, **STATED)[1] / "detections.parquet")
+    _, out = imported("dltdv", points, cameras=native, rates=100.0)
+    assert log_rows(out / "detections.parquet") == expected

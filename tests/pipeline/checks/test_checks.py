@@ -10,12 +10,12 @@ import pytest
 
 from stereophd.config.loading import load_config, make_config
 from stereophd.core.geometry.camera import Camera, Clock, Detector
-from stereophd.core.geometry.pose import Pose
+from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import LogWriter
-from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.geometry.alternatives import OPENGL
-from stereophd.pipeline.checks.geometry.causes import LEAST_CLOCK_FRAMES, RATES, Trial, _clock_trials
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
+from stereophd.pipeline.checks.geometry.alternatives import OPENGL, alternatives
+from stereophd.pipeline.checks.geometry.causes import LEAST_CLOCK_FRAMES, RATES, Trial, _clock_trials, _trial
 from stereophd.pipeline.checks.geometry.findings import check_geometry, left_out
 from stereophd.pipeline.checks.geometry.rays import (
     MOST_PAIRS,
@@ -37,7 +37,7 @@ from stereophd.pipeline.checks.run_figures import (
     check_noise,
     check_tracking,
 )
-from stereophd.pipeline.checks.settings import check_settings, measure_scene
+from stereophd.pipeline.checks.settings import _motion, check_settings, measure_scene
 from tests.scenes import build_camera
 
 DEPTHS = (3.0, 15.0)
@@ -149,6 +149,43 @@ def test_a_mistake_is_named(samples: list[CameraSample], cause: str) -> None:
     named = [found for found in _geometry(_with(samples, *wrong)) if found.status == "warning"]
     assert [found.cause for found in named] == cause.split()[:1]
     assert named[0].remedy
+
+
+def test_a_guessed_pose_is_not_called_another_mistake(samples: list[CameraSample]) -> None:
+    """Turned by some degrees and moved, cameras explain more with other intrinsics too, which are right.
+
+    Two of the three guesses are found, and none is called anything else.
+    """
+    left, right = CAMERAS
+    named = []
+    for turn_deg in ((3.0, 1.0, -1.5), (-1.0, 2.0, 3.0), (4.0, 2.0, 1.0)):
+        rotation = rotation_from_vector(np.deg2rad(turn_deg)) @ right.pose.rotation
+        guess = _turned(right, rotation, right.pose.center + [0.1, -0.2, 0.1])
+        named += [found.cause for found in _geometry(_with(samples, left, guess), True) if found.status == "warning"]
+    assert named == [DO_NOT_MEET] * 2
+
+
+def test_a_mistake_of_all_cameras_is_tried_where_it_can_concern_a_camera() -> None:
+    """A camera that is not turned shows nothing of radians: those of the others are undone together."""
+    turned = [_turned(camera, rotation_from_vector([0.01, 0.02, 0.0])) for camera in CAMERAS]
+    empty = np.zeros(9, dtype=int)
+    samples = [
+        CameraSample(camera, np.arange(8.0), np.arange(8), empty, np.empty((0, 2)))
+        for camera in (*turned, _turned(CAMERAS[0], np.eye(3)))
+    ]
+    radians = next(one for one in alternatives() if one.cause == "rotation_radians")
+    trial = _trial(Geometry(samples, (), (), ()), radians, (0, 1, 2))
+    assert trial is not None
+    assert trial.scope == (0, 1)
+
+
+@pytest.mark.parametrize(("squares", "is_known"), [([-1.0, -0.5, -0.2, 0.1], False), ([0.3, 0.5, 0.2, 0.4], True)])
+def test_an_acceleration_that_noise_hides_is_not_zero(
+    squares: list[float], is_known: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tracks = (np.empty(0), np.empty(0), np.array(squares))
+    monkeypatch.setattr("stereophd.pipeline.checks.settings._track_motion", lambda *_: tracks)
+    assert (_motion([], 5.0)[1] is not None) == is_known
 
 
 def test_a_clock_offset_is_measured() -> None:
@@ -267,14 +304,17 @@ def test_an_image_that_false_detections_leave_empty_is_too_large() -> None:
 
 
 def test_tracks_of_one_camera_are_reported() -> None:
-    def run(right: int) -> list[str | None]:
+    def run(right: int, frames: int = 100) -> list[str | None]:
         tracks = [{"n_detections": {"left": 100, "right": right}, "n_estimates": 120}]
         counts = {"detections": 400, "frames": 200}
-        summary = {"tracks": tracks, "left_out": {"burst_detections": 0}, "cameras": {}}
+        seen = {name: {"frames": count, "outside_region": 0} for name, count in (("left", 100), ("right", frames))}
+        summary = {"tracks": tracks, "left_out": {"burst_detections": 0}, "cameras": seen}
         return [found.cause for found in check_tracking(summary, counts, CAMERAS) if found.cause]
 
     assert run(95) == []
     assert run(0) == ["one_camera_tracks"]
+    # a camera without frames contradicts nothing
+    assert run(0, frames=0) == []
 
 
 def test_what_a_run_leaves_out_is_a_warning() -> None:
@@ -387,6 +427,15 @@ def test_a_small_promise_is_not_called_a_small_overlap(monkeypatch: pytest.Monke
     assert (found.status, found.remedy) == ("not checked", None)
     assert "hardly more than chance" in found.message
     assert "overlap" not in found.message
+
+
+def test_chance_that_varies_is_not_called_a_small_promise() -> None:
+    # three seconds of right cameras: chance varies by 13 %, so that wrong ones could not be told
+    short = replace(_many(2), given=(Meeting(0.86, 0.22, 0.82, 5.0, 3.0, np.ones(100, dtype=bool)),))
+    (found,) = check_geometry(short, thorough=False)
+    assert found.status == "not checked"
+    assert "chance varies by 13 %" in found.message
+    assert "hardly more than chance" not in found.message
 
 
 def test_a_log_of_many_cameras_says_what_is_left_out() -> None:

@@ -11,10 +11,11 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, distances, signed_distances
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.residuals import (
+    NO_FIT,
     POSE_EXPLAINED,
     CauseFit,
     PairFits,
@@ -120,6 +121,17 @@ def test_a_turned_camera_is_named() -> None:
     assert (found.cause, found.camera) == ("pose_inaccurate", "right")
     # the bias of a box detector looks the same: of boxes no pose is called off
     assert {one.status for one in _findings((CAMERAS[0], turned, CAMERAS[2]), boxes=True)} == {"ok"}
+
+
+def test_distances_that_last_are_no_white_noise_whatever_explains_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Poses, clocks and lenses that are off together: no cause alone explains it, and it is not called right."""
+    monkeypatch.setattr("stereophd.pipeline.checks.residuals.explain", lambda *_: PairFits(*[NO_FIT] * 5))
+    pose = CAMERAS[1].pose
+    turned = replace(CAMERAS[1], pose=Pose(rotation_from_vector([0.006, 0.0, 0.003]) @ pose.rotation, pose.center))
+    # seed 5 leaves seven pairs of tracks, which are too few to say it
+    found = _findings((CAMERAS[0], turned), seed=6)
+    assert [(one.status, one.cause) for one in found] == [("warning", DO_NOT_MEET)]
+    assert [one.status for one in _findings(CAMERAS[:2], seed=6)] == ["ok"]
 
 
 def test_rolling_shutters_are_taken_into_account() -> None:

@@ -194,7 +194,7 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
     agreeing, least = agreeing_with_best(starts), wanted(starts, task.settings.agreeing_starts)
     doubt, remarks = "", tuple[Remark, ...]()
     if agreeing < min(least, task.most_starts):
-        why = f"only {agreeing} of {len(starts)} starts found these cameras: another optimum may be the right one"
+        why = f"only {agreeing} of {len(starts)} starts found these cameras, of {least} wanted: others may be right"
         if not is_sampled and task.parameters.only_moves:
             doubt = f"{why}; narrower priors show it, or more starts (calibration.annealed.starts)"
         else:

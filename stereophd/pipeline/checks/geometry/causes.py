@@ -181,11 +181,13 @@ def _camera_trials(geometry: Geometry) -> Iterator[Trial]:
 
 
 def _trial(geometry: Geometry, alternative: Alternative, scope: tuple[int, ...]) -> Trial | None:
+    """Return a trial of an alternative with the cameras of a scope that it can concern; None if it is none of them."""
     views = geometry.views
-    for c in scope:
-        view = alternative.apply(geometry.samples[c].camera)
-        if view is None:
-            return None
+    changed = {c: view for c in scope if (view := alternative.apply(geometry.samples[c].camera)) is not None}
+    scope = tuple(changed)
+    if not scope:
+        return None
+    for c, view in changed.items():
         views[c] = view
     return Trial(scope, alternative.cause, alternative.text, alternative.remedy, views)
 

@@ -44,9 +44,8 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
         remedy = cause = None
         if explanation is not None and {pair.a, pair.b} & set(explanation.trial.scope):
             status, text = "not checked", f"{text}; see geometry.cause"
-        elif found.score < LEAST_SCORE and _deficit(geometry, k) is None:
-            why = "by these settings right cameras, too, would show hardly more than chance: not judged"
-            status, text = "not checked", f"{text}; {why}"
+        elif found.score < LEAST_SCORE and isinstance(why := _deficit(geometry, k), str):
+            status, text = "not checked", f"{text}; {why}: not judged"
         elif found.score < CHANCE_SCORE and {pair.a, pair.b} & alone:
             status, text = "warning", f"{text}: the rays meet no more often than chance"
             remedy, cause = CHECK_CAMERAS, DO_NOT_MEET
@@ -54,17 +53,19 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
         yield Finding("geometry.rays", status, text, value, expected, None, remedy, cause)
 
 
-def _deficit(geometry: Geometry, k: int) -> float | None:
-    """Return by how many standard deviations pair k meets less often than it must; None where that cannot be told.
+def _deficit(geometry: Geometry, k: int) -> float | str:
+    """Return by how many standard deviations pair k meets less often than it must, or why that cannot be told.
 
     It must meet by `LEAST_SHARE` of what the settings promise: the objects may be elsewhere than the settings expect.
     """
     found, promised = geometry.given[k], LEAST_SHARE * geometry.expected[k] * (1.0 - geometry.given[k].chance)
-    if geometry.expected[k] < LEAST_EXPECTED or found.chance > MOST_CHANCE:
-        return None
+    if geometry.expected[k] < LEAST_EXPECTED:
+        return "by these settings right cameras, too, would show hardly more than chance"
     spread = (found.share - found.chance) / found.score if found.score else 1.0
+    if found.chance > MOST_CHANCE:
+        return "most have one by chance"
     if promised < POWER * spread:
-        return None
+        return f"chance varies by {percent(spread)}, too much to tell wrong cameras"
     return promised / spread - found.score
 
 
@@ -77,7 +78,7 @@ def _alone(geometry: Geometry) -> set[int]:
     alone = set()
     for camera in range(len(geometry.samples)):
         own = [k for k, pair in enumerate(geometry.pairs) if camera in (pair.a, pair.b)]
-        deficits = [deficit for k in own if (deficit := _deficit(geometry, k)) is not None]
+        deficits = [deficit for k in own if not isinstance(deficit := _deficit(geometry, k), str)]
         met = any(geometry.given[k].score >= CHANCE_SCORE for k in own)
         if deficits and not met and sum(deficits) / len(deficits) ** 0.5 > LARGEST_DEFICIT:
             alone.add(camera)
