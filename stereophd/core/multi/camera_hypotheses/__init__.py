@@ -1,1 +1,0 @@
-"""Filters under many hypotheses about the cameras at once."""
