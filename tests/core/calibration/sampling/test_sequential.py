@@ -107,15 +107,15 @@ def test_roughening_has_the_spread_of_gordon_salmond_and_smith() -> None:
 def test_camera_motion_noise_grows_with_the_root_of_time(parameters: ParameterSet) -> None:
     # without detections nothing is learnt, and the particles spread by the random walk alone
     events = [replace(event, points=np.empty((0, 2)), covariances=np.empty((0, 2, 2)), areas=np.empty(0))
-              for event in make_events(parameters.cameras, 10)]  # fmt: skip
+              for event in make_events(parameters.cameras, 6)]  # fmt: skip
     std = np.array([0.5, 0.0, 0.0, 0.0, 0.0, 0.003])
-    settings = SequentialSettings(moves="none", resample_below=0.75, particles=4000, roughening=0.0)
+    settings = SequentialSettings(moves="none", resample_below=0.75, particles=1000, roughening=0.0)
     filters = ConditionalFilters(make_template(parameters.cameras, samples=32))
-    values = parameters.sample(step_generator(SEED, 0), 4000)
+    values = parameters.sample(step_generator(SEED, 0), 1000)
     state, history = sequential.run(parameters, events, filters, settings, SEED, motion_std=std)
     assert not any(info.resampled for info in history)
-    # from 0 to 2 s; the standard error of a standard deviation is 1.1 %
-    np.testing.assert_allclose((state.values - values).std(axis=0), std * np.sqrt(2.0), rtol=0.055, atol=1e-12)
+    # from 0 to 1 s; the standard error of a standard deviation is 2.2 %
+    np.testing.assert_allclose((state.values - values).std(axis=0), std, rtol=0.11, atol=1e-12)
 
 
 def test_a_pose_known_roughly_becomes_better_known(parameters: ParameterSet) -> None:
