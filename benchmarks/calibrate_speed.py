@@ -35,13 +35,13 @@ from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.sampling import sequential
-from stereophd.core.calibration.sampling.likelihood import ConditionalFilters
+from stereophd.core.calibration.sampling.likelihood import hypothesis_spaces
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.disparity.events import Event, make_rig
+from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.trips import motion_noise, moving_trips, view_mask
 from stereophd.core.geometry.layout import ROTATION
 from stereophd.core.motion.constant_velocity import POSITION_ALONE, POSITION_WITH_VELOCITY
-from stereophd.core.multi.base import FilterState
+from stereophd.core.multi.camera_hypotheses.batch import CHUNK, BatchState, FilterBatch
 from stereophd.core.multi.phd.filter import PhdFilter
 from stereophd.core.numerics.linear_algebra import cholesky
 from stereophd.core.numerics.moments import weighted_moments
@@ -103,27 +103,22 @@ def bare_trips(
     return float(covariance[0, 0])
 
 
-def floor(
-    phd: PhdFilter, filters: Sequence[FilterState], event: Event, spaces: Sequence[Array], pool: ThreadPoolExecutor
-) -> int:
+def floor(phd: PhdFilter, state: BatchState, event: Event, spaces: Array, pool: ThreadPoolExecutor) -> int:
     """Make the trips of an event, bare; return how many."""
-    samples = phd.sets.turn(filters[0].n_events)
+    samples = phd.sets.turn(state.n_events)
     limit, acceleration = phd.motion.speed_limit, phd.motion.noise_std
+    mixture = state.mixture
 
-    def run(particle: int) -> None:
-        mixture = filters[particle].mixture
-        bare_trips(
-            mixture.means, mixture.covariances, mixture.cameras, event.time_s - mixture.times, spaces[particle],
-            event.camera, acceleration, samples, limit,
-        )  # fmt: skip
+    def run(first: int) -> None:
+        for h in range(first, min(first + CHUNK, state.size)):
+            part = slice(state.begins[h], state.ends[h])
+            bare_trips(
+                mixture.means[part], mixture.covariances[part], mixture.cameras[part],
+                event.time_s - mixture.times[part], spaces[h], event.camera, acceleration, samples, limit,
+            )  # fmt: skip
 
-    list(pool.map(run, range(len(filters))))
-    return sum(one.mixture.size for one in filters) * samples.shape[1]
-
-
-def spaces_of(parameters: ParameterSet, phd: PhdFilter, values: Array) -> list[Array]:
-    """Return the disparity spaces of the cameras of each particle."""
-    return [make_rig(parameters.build(row), phd.rig.baseline, phd.rig.rectification).packed for row in values]
+    list(pool.map(run, range(0, state.size, CHUNK)))
+    return int(state.counts.sum()) * samples.shape[1]
 
 
 def scene(options: argparse.Namespace, folder: Path) -> tuple[ParameterSet, PhdFilter, list[Event]]:
@@ -139,24 +134,24 @@ def measure(options: argparse.Namespace) -> dict[str, object]:
     """Run filter and floor event by event."""
     with tempfile.TemporaryDirectory() as folder:
         parameters, phd, events = scene(options, Path(folder))
-    filters = ConditionalFilters(phd, options.threads)
+    batch = FilterBatch(phd, options.threads)
     seed = np.random.SeedSequence(options.seed)
     settings = sequential.SequentialSettings(particles=options.particles, roughening=options.roughening)
     with ThreadPoolExecutor(options.threads) as pool:
         small = sequential.SequentialSettings(particles=8)
-        state, _ = sequential.run(parameters, events[:10], filters, small, seed)  # compiles
-        floor(phd, state.filters, events[0], spaces_of(parameters, phd, state.values), pool)
-        state = sequential.init(parameters, filters, settings, seed)
+        state, _ = sequential.run(parameters, events[:10], batch, small, seed)  # compiles
+        floor(phd, state.filters, events[0], hypothesis_spaces(parameters, state.values, phd.rig), pool)
+        state = sequential.init(parameters, batch, settings, seed)
         filter_time, floor_time = Spent(), Spent()
         trips, components = 0, 0
         for event in events:
-            spaces = spaces_of(parameters, phd, state.values)
+            spaces = hypothesis_spaces(parameters, state.values, phd.rig)
             since = now()
             trips += floor(phd, state.filters, event, spaces, pool)
             floor_time.add(since)
-            components += sum(one.mixture.size for one in state.filters)
+            components += int(state.filters.counts.sum())
             since = now()
-            state, _ = sequential.step(parameters, filters, settings, seed, state, event)
+            state, _ = sequential.step(parameters, batch, settings, seed, state, event)
             filter_time.add(since)
     work = options.particles * len(events)
     return {

@@ -6,10 +6,10 @@ three in a row that an event takes. The filters differ in their update.
 
 import os
 from abc import ABC, abstractmethod
-from copy import copy
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -103,6 +103,8 @@ class DisparityFilter(ABC):
 
     #: Whether components of one label may be several objects (`select_objects`).
     labels_may_split: ClassVar[bool] = True
+    #: The compiled event of many camera hypotheses (`multi.camera_hypotheses.batch_kernels`).
+    update_hypotheses: ClassVar[Callable[..., tuple[Integers, GaussianMixture, Array]]]
 
     @abstractmethod
     def update(self, state: FilterState, prediction: Prediction, event: Event) -> tuple[FilterState, Info]:
@@ -129,16 +131,6 @@ class DisparityFilter(ABC):
     def state_size(self) -> int:
         """Size of the states: 6, or 3 for static objects."""
         return self.motion.state_size
-
-    def conditional_on(self, rig: Rig) -> Self:
-        """Return the filter of cameras in other places, whose births are given to `predict`.
-
-        What does not depend on the places is shared: to find it anew takes longer than an event.
-        """
-        _ = self._looks, self._at_start, self._birth_rates, self._detectors, self._remaining_shares, self.reduction
-        other = copy(self)
-        vars(other).update(rig=rig)
-        return other
 
     def init(self) -> FilterState:
         """Return the state before the first event: no objects."""

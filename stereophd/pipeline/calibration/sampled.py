@@ -10,11 +10,14 @@ from stereophd.core.calibration.annealing.method import Calibrated, HistoryRow
 from stereophd.core.calibration.annealing.starts import NOISE_AS_STATED, RIVAL_DISTANCE, disagreement, explained
 from stereophd.core.calibration.sampling import bridging, sequential
 from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeResult, BridgeSampler, BridgeState
-from stereophd.core.calibration.sampling.likelihood import ConditionalFilters, Evidence
-from stereophd.core.calibration.sampling.paths import BlockPath, TemperedPath
+from stereophd.core.calibration.sampling.likelihood import Evidence
+from stereophd.core.calibration.sampling.paths import BlockPath, LogEvidence, TemperedPath
+from stereophd.core.calibration.sampling.recording_evidence import RecordingEvidence
 from stereophd.core.calibration.sampling.sequential import SequentialInfo, SequentialState
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, can_be_enlarged, scale_is_free
+from stereophd.core.multi.base import DisparityFilter
+from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
 from stereophd.core.numerics.random_streams import SEQUENTIAL_PARTICLES, TEMPERED_PARTICLES
 from stereophd.core.numerics.weights import effective_sample_size, weighted_mean_covariance
 from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task, phd_filter, pmb_filter
@@ -51,11 +54,10 @@ def sequential_outcome(run: CalibrationRun) -> Outcome:
     )
 
 
-def _filters(run: CalibrationRun, likelihood: str, samples: int | None = None) -> ConditionalFilters:
-    """Return the filters that weigh hypotheses of the cameras."""
+def _template(run: CalibrationRun, likelihood: str, samples: int | None = None) -> DisparityFilter:
+    """Return the filter that weighs hypotheses of the cameras."""
     cameras = run.problem.parameters.cameras
-    template = pmb_filter(run.loaded, cameras) if likelihood == "pmb" else phd_filter(run.loaded, cameras, samples)
-    return ConditionalFilters(template, run.jobs)
+    return pmb_filter(run.loaded, cameras) if likelihood == "pmb" else phd_filter(run.loaded, cameras, samples)
 
 
 def _plain_outcome(run: CalibrationRun) -> Outcome:
@@ -72,7 +74,7 @@ def _plain_outcome(run: CalibrationRun) -> Outcome:
     state, infos = sequential.run(
         parameters,
         events,
-        _filters(run, settings.likelihood, settings.samples),
+        FilterBatch(_template(run, settings.likelihood, settings.samples), run.jobs),
         settings,
         SEQUENTIAL_PARTICLES.seed(run.seed),
         run.unfinished.read("sequential", tuple[SequentialState, list[SequentialInfo]]),
@@ -139,14 +141,21 @@ def _evidence(
     scale: ScaleMeasurement | None,
     most: int | None = None,
     samples: int | None = None,
-) -> Evidence:
-    """Return the evidence of at most about `most` events; no prior of objects decides on a scale that is free."""
-    problem, parameters = run.problem, run.problem.parameters
-    is_free = scale_is_free(parameters) and can_be_enlarged(parameters.cameras, problem.reference)
+) -> LogEvidence:
+    """Return the evidence of at most about `most` events; where the scale is free, no prior of objects decides on it.
+
+    Hypotheses of the poses of cameras that stand still share the events, and are filtered side by side.
+    """
+    problem, template = run.problem, _template(run, likelihood, samples)
+    parameters = problem.parameters
+    reference = problem.reference if scale_is_free(parameters) else None
+    if parameters.only_poses and not template.rig.moving:
+        return Evidence(parameters, problem.scans(most).events, FilterBatch(template, run.jobs), reference, scale)
+    if not can_be_enlarged(parameters.cameras, problem.reference):
+        reference = None
     frames = problem.frames(most)
     frames = frames[np.lexsort((problem.recording.cameras[frames], problem.recording.times[frames]))]
-    filters, reference = _filters(run, likelihood, samples), problem.reference if is_free else None
-    return Evidence(parameters, problem.recording, frames, filters, reference, scale)
+    return RecordingEvidence(parameters, problem.recording, frames, template, run.jobs, reference, scale)
 
 
 def _sampler_figures(result: BridgeResult, evidence: str) -> dict[str, Any]:

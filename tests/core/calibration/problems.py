@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.recording import Recording
-from stereophd.core.calibration.sampling.likelihood import ConditionalFilters, Evidence
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.pose import CENTER, ROTATION
 from stereophd.core.disparity.events import Event, make_event, make_rig
@@ -73,24 +70,6 @@ def make_events(cameras: tuple[Camera, ...], count: int, seed: int = 3, clutter:
         false = rng.uniform([0.0, 0.0], [799.0, 599.0], (rng.poisson(clutter), 2))
         events.append(make_event(camera, number, time_s, np.concatenate([pixels[seen], false])))
     return events
-
-
-def make_recording(cameras: tuple[Camera, ...], count: int, clutter: float = 3.0) -> Recording:
-    """Raw pixels of the objects of `make_events`."""
-    rows = []
-    for event in make_events(cameras, count, clutter=clutter):
-        assert event.pixels is not None
-        rows.append((event.camera, event.time_s, event.pixels, None))
-    return Recording.of(cameras, rows)
-
-
-def make_evidence(
-    parameters: ParameterSet, kind: str, count: int, threads: int = 1, clutter: float = 3.0, **more: Any
-) -> Evidence:
-    """Evidence of a recording that the cameras of the prior mean made."""
-    filters = ConditionalFilters(make_template(parameters.cameras, kind), threads)
-    recording = make_recording(parameters.cameras, count, clutter)
-    return Evidence(parameters, recording, np.arange(count), filters, **more)
 
 
 def to_bytes(value: object) -> bytes:

@@ -13,10 +13,12 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.sampling.likelihood import Evidence
+from stereophd.core.calibration.sampling.recording_evidence import RecordingEvidence
 from stereophd.core.calibration.settings import SequentialSettings, TemperedSettings
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 
+LogEvidence = Evidence | RecordingEvidence
 # Log-likelihoods (k,) of parameter values (k, m).
 LogLikelihood = Callable[[Array], Array]
 # The last stage may add more events than those so far, by this factor, so that no short one is left.
@@ -46,7 +48,7 @@ class BlockPath:
     it.
     """
 
-    evidence: Evidence  # Evidence of the whole log
+    evidence: LogEvidence  # Evidence of the whole log
     settings: SequentialSettings
 
     modes = None

@@ -24,11 +24,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.sampling.likelihood import ConditionalFilters, filtered
+from stereophd.core.calibration.sampling.likelihood import hypothesis_spaces
 from stereophd.core.calibration.settings import SequentialSettings
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.disparity.events import Event
-from stereophd.core.multi.base import FilterState
+from stereophd.core.multi.camera_hypotheses.batch import BatchState, FilterBatch
 from stereophd.core.numerics.resampling import systematic
 from stereophd.core.numerics.weights import effective_sample_size, normalised, step_generator, weighted_mean_covariance
 
@@ -42,7 +42,7 @@ class SequentialState:
 
     values: Array  # (k, m): Parameter values
     log_weights: Array  # (k,): Normalised
-    filters: tuple[FilterState, ...]  # Conditional on each
+    filters: BatchState  # Conditional intensities
     log_evidence: float  # Log-likelihood of all events so far, the cameras integrated out (product of mean weights)
 
 
@@ -67,17 +67,17 @@ AfterEvent = Callable[[int, SequentialState, Sequence[SequentialInfo]], None]
 
 
 def init(
-    parameters: ParameterSet, filters: ConditionalFilters, settings: SequentialSettings, seed: np.random.SeedSequence
+    parameters: ParameterSet, batch: FilterBatch, settings: SequentialSettings, seed: np.random.SeedSequence
 ) -> SequentialState:
     """Draw the particles from the prior."""
     count = settings.particles
     values = parameters.sample(step_generator(seed, PRIOR_STREAM), count)
-    return SequentialState(values, np.full(count, -np.log(count)), (filters.template.init(),) * count, 0.0)
+    return SequentialState(values, np.full(count, -np.log(count)), batch.init(count), 0.0)
 
 
 def step(
     parameters: ParameterSet,
-    filters: ConditionalFilters,
+    batch: FilterBatch,
     settings: SequentialSettings,
     seed: np.random.SeedSequence,
     state: SequentialState,
@@ -85,32 +85,25 @@ def step(
     motion_std: Array | None = None,
 ) -> tuple[SequentialState, SequentialInfo]:
     """Move the cameras, update every conditional filter and the weights, resample if need be."""
-    before = state.filters[0]  # all have the same events behind them
-    rng = step_generator(seed, FIRST_EVENT_STREAM + before.n_events)
+    rng = step_generator(seed, FIRST_EVENT_STREAM + state.filters.n_events)
     values = state.values
-    if motion_std is not None and before.time_s is not None:
-        walk = motion_std * np.sqrt(max(event.time_s - before.time_s, 0.0))
+    if motion_std is not None and state.filters.time_s is not None:
+        walk = motion_std * np.sqrt(max(event.time_s - state.filters.time_s, 0.0))
         values = values + walk * rng.standard_normal(values.shape)
-    births = filters.births(before.undetected, before.time_s, event)
-
-    def update(particle: int) -> tuple[FilterState, float]:
-        one = filters.of(parameters.build(values[particle]))
-        return filtered(one, state.filters[particle], event, births)
-
-    after, log_likelihoods = zip(*filters.map(update, range(len(values))), strict=True)
-    log_weights, log_likelihood = normalised(state.log_weights + np.array(log_likelihoods))
+    spaces = hypothesis_spaces(parameters, values, batch.template.rig)
+    filters, log_likelihoods = batch.step(state.filters, event, spaces)
+    log_weights, log_likelihood = normalised(state.log_weights + log_likelihoods)
     mean, covariance = weighted_mean_covariance(values, log_weights)
     effective = effective_sample_size(log_weights)
     resampled = effective < settings.resample_below * len(values)
     if resampled:
         chosen = systematic(np.exp(log_weights), rng.random(1))
-        values, after = roughened(values[chosen], settings.roughening, rng), tuple(after[k] for k in chosen)
+        values, filters = roughened(values[chosen], settings.roughening, rng), filters.take(chosen)
         log_weights = np.full(len(values), -np.log(len(values)))
-    components = float(np.mean([one.mixture.size for one in after]))
-    info = SequentialInfo(
-        event.time_s, event.camera, mean, covariance, effective, resampled, log_likelihood, components
+    after = SequentialState(values, log_weights, filters, state.log_evidence + log_likelihood)
+    return after, SequentialInfo(
+        event.time_s, event.camera, mean, covariance, effective, resampled, log_likelihood, float(filters.counts.mean())
     )
-    return SequentialState(values, log_weights, after, state.log_evidence + log_likelihood), info
 
 
 def roughened(values: Array, factor: float, rng: np.random.Generator) -> Array:
@@ -125,7 +118,7 @@ def roughened(values: Array, factor: float, rng: np.random.Generator) -> Array:
 def run(
     parameters: ParameterSet,
     events: Sequence[Event],
-    filters: ConditionalFilters,
+    batch: FilterBatch,
     settings: SequentialSettings,
     seed: np.random.SeedSequence,
     resume: tuple[SequentialState, Sequence[SequentialInfo]] | None = None,
@@ -139,10 +132,10 @@ def run(
     serves progress and checkpoints; an exception that it raises ends the run. `motion_std` (m,) is the standard
     deviation of the random walk of each parameter over one second, in its unit.
     """
-    state = init(parameters, filters, settings, seed) if resume is None else resume[0]
+    state = init(parameters, batch, settings, seed) if resume is None else resume[0]
     history = [] if resume is None else list(resume[1])
-    for number in range(state.filters[0].n_events, len(events)):
-        state, info = step(parameters, filters, settings, seed, state, events[number], motion_std)
+    for number in range(state.filters.n_events, len(events)):
+        state, info = step(parameters, batch, settings, seed, state, events[number], motion_std)
         history.append(info)
         if after_event is not None:
             after_event(number + 1, state, history)

@@ -18,6 +18,7 @@ from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.association.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.births.undetected import prune_weight_for_births
+from stereophd.core.multi.camera_hypotheses.batch_kernels import update_intensities
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.state.estimates import Info
@@ -31,6 +32,8 @@ class PhdFilter(DisparityFilter):
     """The PHD filter; see `DisparityFilter` for its other fields."""
 
     settings: PhdSettings
+
+    update_hypotheses = staticmethod(update_intensities)
 
     @cached_property
     def reduction(self) -> PhdReduction:

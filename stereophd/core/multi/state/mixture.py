@@ -63,6 +63,11 @@ def empty_mixture(size: int) -> GaussianMixture:
     )  # fmt: skip
 
 
+def concatenate(mixtures: list[GaussianMixture]) -> GaussianMixture:
+    """Join mixtures."""
+    return GaussianMixture(*(np.concatenate(values) for values in zip(*mixtures, strict=True)))
+
+
 @compiled
 def allocate_mixture(count: int, size: int) -> GaussianMixture:
     """Room for components: without identity and never reported, else not filled in."""

@@ -9,11 +9,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from stereophd.core.calibration.pairing.association import inflated
 from stereophd.core.calibration.sampling import bridging
 from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeSampler, BridgeState
+from stereophd.core.calibration.sampling.likelihood import Evidence
 from stereophd.core.calibration.sampling.paths import BlockPath, Stage
 from stereophd.core.calibration.settings import SequentialSettings
-from tests.core.calibration.problems import make_evidence, make_parameters, to_bytes
+from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
+from tests.core.calibration.problems import make_events, make_parameters, make_template, to_bytes
 
 SEED = np.random.SeedSequence(5)
 SMALL = SequentialSettings(
@@ -22,8 +25,9 @@ SMALL = SequentialSettings(
 
 
 def make_path(events: int, settings: SequentialSettings) -> BlockPath:
-    evidence = make_evidence(make_parameters(), "pmb", events, threads=2, clutter=2.0, scale_reference=0)
-    return BlockPath(evidence, settings)
+    parameters = make_parameters()
+    batch = FilterBatch(make_template(parameters.cameras, "pmb"), 2)
+    return BlockPath(Evidence(parameters, make_events(parameters.cameras, events, clutter=2.0), batch, 0), settings)
 
 
 @pytest.mark.parametrize(
@@ -44,8 +48,8 @@ def test_densities_are_prior_times_evidence_of_the_first_events_at_the_stage_s_n
     prior = path.parameters.log_prior(values)
 
     def density(stage: Stage) -> np.ndarray:
-        first = replace(path.evidence, frames=path.evidence.frames[: stage.n_events])
-        return prior + first.after(values, [stage.n_events], stage.inflation)[0]
+        events = [inflated(event, stage.inflation) for event in path.evidence.events[: stage.n_events]]
+        return prior + replace(path.evidence, events=events)(values)
 
     begin, end = path.log_densities(values, 0, True)
     np.testing.assert_array_equal(begin, prior)

@@ -10,11 +10,13 @@ import pytest
 
 from stereophd.core.calibration.sampling import bridging
 from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeSampler, BridgeState, temperature_rise
+from stereophd.core.calibration.sampling.likelihood import Evidence
 from stereophd.core.calibration.sampling.paths import LogLikelihood, TemperedPath
 from stereophd.core.calibration.settings import TemperedSettings
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
-from tests.core.calibration.problems import make_evidence, make_parameters, to_bytes
+from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
+from tests.core.calibration.problems import make_events, make_parameters, make_template, to_bytes
 
 SEED = np.random.SeedSequence(21)
 # y = x0 + 2 x1 + noise and y' = x1 + noise', of standard deviations 0.5 and 0.2
@@ -121,7 +123,8 @@ def test_rises_of_temperature_leave_the_wanted_particles_effective() -> None:
 @pytest.mark.parametrize("kind", ["pmb", "phd"])
 def test_a_camera_is_found_and_a_resumed_run_ends_the_same(kind: str) -> None:
     parameters = make_parameters()
-    evidence = make_evidence(parameters, kind, 24, threads=2, clutter=2.0, scale_reference=0)
+    events = make_events(parameters.cameras, 24, clutter=2.0)
+    evidence = Evidence(parameters, events, FilterBatch(make_template(parameters.cameras, kind), 2), 0)
     std = np.array([5.0, 1.0, 3.0, 0.004, 0.02, 0.006])
     truth = np.zeros(6)
     modes = Modes((truth + 0.5 * std)[None], np.diag(std**2)[None], np.ones(1))

@@ -148,6 +148,16 @@ def test_pixels_are_those_of_the_camera(lens: str, mounted: bool) -> None:
         np.testing.assert_allclose(view.pixels, camera.at(time_s).project(points), atol=1e-9)
 
 
+@pytest.mark.parametrize("quantity", [q for q in quantities() if q.has_pack], ids=lambda q: q.name)
+def test_packed_cameras_are_those_of_apply(quantity: Quantity) -> None:
+    camera = make_camera(moving=False)
+    values = np.stack([draw(quantity, camera, seed) for seed in range(3)])
+    packed = np.repeat(camera.packed()[None], 3, axis=0)
+    quantity.pack(packed, camera, values)
+    for row, one in zip(packed, values, strict=True):
+        np.testing.assert_allclose(row, quantity.apply(camera, one).packed(), atol=1e-12)
+
+
 @members
 def test_every_quantity_has_a_prior_and_unique_names(quantity: Quantity) -> None:
     assert quantity.prior in CameraPrior.model_fields

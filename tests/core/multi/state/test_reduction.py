@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity
-from stereophd.core.multi.state.mixture import GaussianMixture
+from stereophd.core.multi.state.mixture import GaussianMixture, concatenate
 from tests.core.multi.phd.textbook import reduce
 from tests.core.multi.scenes import make_mixture, random_mixture
 
@@ -115,7 +115,7 @@ def test_no_merging_at_distance_zero() -> None:
 
 @pytest.mark.parametrize("weights", [[], [1e-9, 0.0]])
 def test_nothing_left(weights: list[float]) -> None:
-    mixture = make_mixture([0.1, 0.1])
+    mixture = concatenate([make_mixture([0.1]).take(np.empty(0, dtype=np.intp)), make_mixture([0.1, 0.1])])
     mixture = mixture.take(np.arange(len(weights))).with_weights(np.array(weights))
     found, _ = reduce_mixture(mixture, 1e-6, 7.0, 10)
     assert found.size == 0

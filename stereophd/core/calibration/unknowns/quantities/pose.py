@@ -17,9 +17,10 @@ from stereophd.core.calibration.unknowns.quantities.base import (
     Quantity,
 )
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import turned
+from stereophd.core.geometry import layout
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
-from stereophd.core.geometry.rotations import left_jacobians
+from stereophd.core.geometry.rotations import left_jacobians, rotations
 from stereophd.core.settings import LARGEST_DEGREES
 
 CENTER = ("center_x", "center_y", "center_z")
@@ -40,6 +41,7 @@ class Center(Quantity):
     description = "standard deviation of the centre, length; one value or x, y, z"
     on_path = False
     of_the_frame = True
+    has_pack = True
 
     def _apply(self, camera: Camera, values: Array) -> Camera:
         """Move the centre by values (3,)."""
@@ -55,6 +57,10 @@ class Center(Quantity):
 
     def _entry(self, camera: Camera) -> Entry:
         return {"pose": {"center": camera.pose.center.tolist()}}
+
+    def pack(self, spaces: Array, camera: Camera, values: Array) -> None:
+        """Move the centres of packed cameras."""
+        spaces[:, layout.CENTER : layout.CENTER + 3] += values
 
 
 class Rotation(Quantity):
@@ -72,6 +78,7 @@ class Rotation(Quantity):
     )
     on_path = False
     of_the_frame = True
+    has_pack = True
 
     def _apply(self, camera: Camera, values: Array) -> Camera:
         """Turn the camera by a rotation vector (3,), rad."""
@@ -88,6 +95,10 @@ class Rotation(Quantity):
 
     def _entry(self, camera: Camera) -> Entry:
         return {"pose": {"rotation_matrix": camera.pose.rotation.tolist(), "rotation_vector_deg": None}}
+
+    def pack(self, spaces: Array, camera: Camera, values: Array) -> None:
+        """Turn packed cameras."""
+        spaces[:, layout.ROTATION : layout.ROTATION + 9] = (rotations(values) @ camera.pose.rotation).reshape(-1, 9)
 
 
 class Velocity(Quantity):

@@ -1,0 +1,1 @@
+"""Filters under many hypotheses about the cameras at once."""
