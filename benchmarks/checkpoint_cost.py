@@ -42,7 +42,7 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.runs import unfinished
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.tracking.run import TrackingRun
-from stereophd.pipeline.tracking.unfinished import RecordFile, UnfinishedTracking
+from stereophd.pipeline.tracking.unfinished import KeptRecords, UnfinishedTracking
 
 SCENE = ("simulate.frame_rate_hz=30", "simulate.objects.velocity_std=0.001", "simulate.objects.box.z=[80,200]")
 MOST_SHARE = 0.01
@@ -137,7 +137,7 @@ class Pair:
         with ExitStack() as stack:
             stack.enter_context(patch.object(TrackingRun, "keep_in", _keep_in))
             stack.enter_context(patch.object(UnfinishedRun, "save", self._timed(UnfinishedRun.save, state=True)))
-            stack.enter_context(patch.object(RecordFile, "add", self._timed(RecordFile.add)))
+            stack.enter_context(patch.object(KeptRecords, "add", self._timed(KeptRecords.add)))
             stack.enter_context(patch.object(TableWriter, "_flush", self._timed(TableWriter._flush)))
             for thread in threads:
                 thread.start()

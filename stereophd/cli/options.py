@@ -7,7 +7,6 @@ from typing import Annotated, Any
 import typer
 import typer.core
 
-from stereophd.cli.completion import complete_set
 from stereophd.site import page
 
 
@@ -151,7 +150,6 @@ Set = Annotated[
         "--set",
         "KEY=VALUE",
         "Change a value of the configuration, such as --set filter.birth.per_s=0.2 (repeatable).",
-        autocompletion=complete_set,
     ),
 ]
 Seed = Annotated[int | None, option("--seed", "N", "Seed of the random numbers, in place of the configuration's.")]

@@ -4,7 +4,6 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from stereophd.pipeline.inspection.cameras import sketch
 from stereophd.report.tables import aligned
 from stereophd.wording import counted, instant
 
@@ -123,9 +122,6 @@ def _cameras(found: Mapping[str, Any]) -> Iterator[str]:
         yield f"the optical axes meet near {_vector(meet, 4)}, to within {within:.3g} {unit}"
         if found["axes_meet_behind"]:
             yield f"that point is behind {', '.join(found['axes_meet_behind'])}: do the cameras look apart?"
-    if found["distances"] is not None:
-        yield ""
-        yield from sketch(found)
 
 
 def _configuration(found: Mapping[str, Any]) -> Iterator[str]:

@@ -99,7 +99,7 @@ def linked_unfinished_run(gift: Path, home: Path) -> None:
 def unfinished_run(gift: Path, home: Path) -> None:
     folder = gift / "partial-0123456789abcdef"
     write(folder / "state.saved", MARK.decode() + "x\n")
-    (folder / "tracks.parquet.growing").symlink_to(home / "thesis.tex")
+    (folder / "tracks.parquet-00000.part").symlink_to(home / "thesis.tex")
     (folder / "deeper").symlink_to(home)
 
 

@@ -1,12 +1,12 @@
 """What an unfinished run has done, in files: numbers, text and arrays, never code.
 
-A file begins with a mark and the identity of its run. Frames follow: the length of a content, its CRC-32, the content.
-A file with one frame is written at once; a file that grows counts as far as another file says, and what follows is the
-work of a run that was killed. Objects are encoded by msgspec (MessagePack), which builds only objects of the types that
-the reader names. Arrays come back equal to the bit, in their order of memory.
+A file begins with a mark and the identity of its run; the CRC-32 of its content follows, and the content. It is written
+whole or not at all. What is too much to be written each time grows by further files (`KeptParts`): they count as far as
+another file says, and those after them are the work of a run that was killed. Objects are encoded by msgspec
+(MessagePack), which builds only objects of the types that the reader names. Arrays come back equal to the bit, in their
+order of memory.
 """
 
-import contextlib
 import os
 import zlib
 from collections.abc import Callable, Iterator, Mapping
@@ -18,15 +18,17 @@ import numpy as np
 
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import atomic_write
-from stereophd.io.outputs.disk import sync
 
-MARK = b"stereophd unfinished run 4\n"
+MARK = b"stereophd unfinished run 5\n"
+
+# Ending of the files of `KeptParts`, and bytes of contents of which one is made.
+PART, PART_BYTES = ".part", 8_000_000
 
 # Kinds of NumPy types that hold plain data: truth values, integers, floats.
 _PLAIN_KINDS = "biuf"
 
-# Bytes of the length and of the checksum before a frame.
-_LENGTH, _CHECKSUM = 8, 4
+# Bytes of the checksum before a content.
+_CHECKSUM = 4
 
 
 def _encode_array(value: Any) -> Any:
@@ -67,25 +69,18 @@ def decoder(kind: Any, given: Mapping[type, Any] | None = None) -> Callable[[byt
 
 
 def decode(content: bytes, read: Callable[[bytes], Any], path: Path) -> Any:
-    """Return what a frame of a file holds; `read` comes from `decoder`. InputError if it holds something else."""
+    """Return what is in a content of a file; `read` comes from `decoder`. InputError if it is something else."""
     try:
         return read(content)
     except (ValueError, TypeError, OverflowError, RecursionError) as error:  # msgspec's are ValueError
+        found = " ".join(str(error).split())[:200]
         raise InputError(
-            f"{path}: expected an unfinished run of this version, found something else ({_short(error)})"
+            f"{path}: expected an unfinished run of this version, found something else ({found})"
         ) from error
-
-
-def _short(error: BaseException) -> str:
-    return " ".join(str(error).split())[:200]
 
 
 def _head(identity: str) -> bytes:
     return MARK + identity.encode() + b"\n"
-
-
-def _frame(content: bytes) -> bytes:
-    return len(content).to_bytes(_LENGTH, "little") + zlib.crc32(content).to_bytes(_CHECKSUM, "little") + content
 
 
 def is_saved(path: Path) -> bool:
@@ -101,83 +96,63 @@ def is_saved(path: Path) -> bool:
 
 
 def write_saved(path: Path, identity: str, value: Any) -> None:
-    """Write an object as a file of an unfinished run, whole or not at all."""
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(_head(identity) + _frame(encode(value)))
+    """Write an object as a file of an unfinished run, whole or not at all; its folder is made."""
+    content = encode(value)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with atomic_write(path) as temporary, open(temporary, "wb") as stream:
+        stream.writelines((_head(identity), zlib.crc32(content).to_bytes(_CHECKSUM, "little"), content))
 
 
 def read_saved(path: Path, identity: str, read: Callable[[bytes], Any]) -> Any:
     """Return the object of a file that `write_saved` wrote; `read` comes from `decoder`.
 
-    Raises InputError when the file is missing, damaged, or one of another run.
+    Raises InputError when the file is missing, a link, damaged, or one of another run.
     """
-    frames = list(read_frames(path, identity))
-    if len(frames) != 1:
-        raise InputError(f"{path}: expected the state of an unfinished run, found {len(frames)} parts")
-    return decode(frames[0], read, path)
-
-
-def read_frames(path: Path, identity: str, length: int | None = None) -> Iterator[bytes]:
-    """Yield the contents of the frames of a file, as far as `length` bytes (default: all).
-
-    Raises InputError when the file is missing, a link, damaged, shorter than that, or one of another run.
-    """
-    head = _head(identity)
     if not is_saved(path):
         found = "none" if not os.path.lexists(path) else "something else"
         raise InputError(f"{path}: expected a file of an unfinished run, found {found}")
+    head = _head(identity)
     with open(path, "rb") as stream:
         if stream.read(len(head)) != head:
             raise InputError(f"{path}: expected an unfinished run of this configuration and log, found another's")
-        end = os.fstat(stream.fileno()).st_size if length is None else length
-        place = len(head)
-        while place < end:
-            size = int.from_bytes(stream.read(_LENGTH), "little")
-            checksum = int.from_bytes(stream.read(_CHECKSUM), "little")
-            place += _LENGTH + _CHECKSUM + size
-            content = stream.read(size) if place <= end else b""
-            if place > end or len(content) != size or zlib.crc32(content) != checksum:
-                raise InputError(f"{path}: expected a file of an unfinished run, found it damaged or cut off")
-            yield content
+        checksum, content = stream.read(_CHECKSUM), stream.read()
+    if zlib.crc32(content).to_bytes(_CHECKSUM, "little") != checksum:
+        raise InputError(f"{path}: expected a file of an unfinished run, found it damaged or cut off")
+    return decode(content, read, path)
 
 
-class GrowingFile:
-    """A file of an unfinished run, its `identity`, that grows frame by frame.
+class KeptParts:
+    """Contents of an unfinished run, its `identity`, that grow by whole files, whose names begin as `path`.
 
-    `length` bytes of an earlier process count, and what follows them is dropped; with None the file begins anew.
+    `count` files of an earlier process count, which are iterated over; further ones are replaced.
     """
 
-    def __init__(self, path: Path, identity: str, length: int | None = None) -> None:
+    def __init__(self, path: Path, identity: str, count: int = 0) -> None:
         self.path = path
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if length is None:
-            path.unlink(missing_ok=True)
-            self._stream = open(path, "xb")  # noqa: SIM115 (closed by close)
-            self._stream.write(_head(identity))
-            self._stream.flush()  # known as ours from here on
-        else:
-            if not is_saved(path) or path.stat().st_size < length:
-                raise InputError(f"{path}: expected a file of an unfinished run, found it damaged or cut off")
-            if path.stat().st_nlink > 1:  # somebody's copy stays whole
-                with atomic_write(path) as temporary:
-                    temporary.write_bytes(path.read_bytes())
-            os.truncate(path, length)
-            self._stream = open(path, "ab")  # noqa: SIM115 (closed by close)
-        self.length = self._stream.tell()
+        self._identity, self._count = identity, count
+        self._waiting: list[bytes] = []
+        self._waiting_bytes = 0
+
+    def __iter__(self) -> Iterator[bytes]:
+        """Yield the contents that count; errors as `read_saved`."""
+        read = decoder(list[bytes])
+        for number in range(self._count):
+            yield from read_saved(self._place(number), self._identity, read)
 
     def append(self, content: bytes) -> None:
-        """Add a frame."""
-        frame = _frame(content)
-        self._stream.write(frame)
-        self.length += len(frame)
+        """Add a content, which may wait for further ones."""
+        self._waiting.append(content)
+        self._waiting_bytes += len(content)
+        if self._waiting_bytes >= PART_BYTES:
+            self.flush()
 
     def flush(self) -> int:
-        """Bring all frames to the disk; return the number of bytes that count then."""
-        self._stream.flush()
-        sync(self.path)
-        return self.length
+        """Bring all contents to the disk; return the number of files that count then."""
+        if self._waiting:
+            write_saved(self._place(self._count), self._identity, self._waiting)
+            self._waiting, self._waiting_bytes = [], 0
+            self._count += 1
+        return self._count
 
-    def close(self) -> None:
-        """Close the file; what was not flushed does not count. Calling it again does nothing."""
-        with contextlib.suppress(OSError):
-            self._stream.close()
+    def _place(self, number: int) -> Path:
+        return self.path.with_name(f"{self.path.name}-{number:05d}{PART}")

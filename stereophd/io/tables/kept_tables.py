@@ -1,18 +1,18 @@
 """Tables whose rows another process can write again.
 
-The rows go to a growing file (`stereophd.io.outputs.saved`) as Arrow IPC streams, compressed with LZ4, in the order in
-which they go to the table. A process that continues replays them through a table of its own: the bytes are those of an
-undisturbed run, because the rows are.
+The rows go to parts of an unfinished run (`stereophd.io.outputs.saved`) as Arrow IPC streams, compressed with LZ4, in
+the order in which they go to the table. A process that continues replays them through a table of its own: the bytes are
+those of an undisturbed run, because the rows are.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
 from stereophd.errors import InputError
-from stereophd.io.outputs.saved import GrowingFile
+from stereophd.io.outputs.saved import KeptParts
 from stereophd.io.tables.writing import Complete, TableWriter
 
 _OPTIONS = pa.ipc.IpcWriteOptions(compression="lz4")
@@ -21,8 +21,8 @@ _OPTIONS = pa.ipc.IpcWriteOptions(compression="lz4")
 class KeptTable(TableWriter):
     """A `TableWriter` that keeps its rows in `kept`, too.
 
-    The earlier rows are those that `kept` holds already, as it holds them: they are written first. Raises InputError
-    when the file cannot be made, or the earlier rows are damaged.
+    The rows that `kept` holds already are written first. Raises InputError when the file cannot be made, or these rows
+    are damaged.
     """
 
     def __init__(
@@ -30,8 +30,7 @@ class KeptTable(TableWriter):
         path: Path | str,
         schema: pa.Schema,
         metadata: Mapping[Any, Any] | None,
-        kept: GrowingFile,
-        earlier: Iterable[bytes] = (),
+        kept: KeptParts,
         complete: Complete | None = None,
     ) -> None:
         super().__init__(path, schema, metadata, complete)
@@ -40,8 +39,11 @@ class KeptTable(TableWriter):
         # Rows that wait for the rest of their group and are converted already; all of them are kept.
         self._waiting: pa.Table | None = None
         try:
-            for content in earlier:
+            for content in kept:
                 self._replay(content)
+        except InputError:
+            self.abandon()
+            raise
         except (pa.ArrowException, OSError, ValueError) as error:
             self.abandon()
             raise InputError(f"{kept.path}: expected rows of {self.path.name}, found something else") from error
@@ -53,37 +55,26 @@ class KeptTable(TableWriter):
         if table.schema != self._plain:
             raise ValueError("other columns")
         self.rows += table.num_rows
-        self._buffered += table.num_rows
         self._waiting = table if self._waiting is None else pa.concat_tables([self._waiting, table]).combine_chunks()
+        self._buffered = self._waiting.num_rows
         if self._buffered == self._row_group_rows:
-            group, self._waiting, self._buffered = self._waiting, None, 0
-            self._write(group.replace_schema_metadata(self.schema.metadata))
+            self._flush()
 
     def keep(self) -> int:
-        """Bring all rows so far to the disk; return the number of bytes of the growing file that count then."""
+        """Bring all rows so far to the disk; return the number of parts that count then."""
         if self._buffer:
-            waiting_rows = self._buffered
             self._waiting = self._take()
-            self._buffered = waiting_rows
-        with self._named_errors():
-            return self._kept.flush()
+            self._buffered = self._waiting.num_rows
+        return self._kept.flush()
 
     def _take(self) -> pa.Table:
         waiting, self._waiting = self._waiting, None
         if not self._buffer:
             self._buffered = 0
             return waiting
-        table = super()._take().replace_schema_metadata(None)
+        table = super()._take()
         sink = pa.BufferOutputStream()
         with pa.ipc.new_stream(sink, self._plain, options=_OPTIONS) as stream:
             stream.write_table(table)
         self._kept.append(sink.getvalue().to_pybytes())
-        if waiting is not None:
-            table = pa.concat_tables([waiting.replace_schema_metadata(None), table]).combine_chunks()
-        return table.replace_schema_metadata(self.schema.metadata)
-
-    def abandon(self) -> None:
-        """Close the files without caring for their content (after an error)."""
-        self._waiting = None
-        self._kept.close()
-        super().abandon()
+        return table if waiting is None else pa.concat_tables([waiting, table]).combine_chunks()

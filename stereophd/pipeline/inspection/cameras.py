@@ -2,21 +2,16 @@
 
 import math
 from collections.abc import Mapping
-from itertools import pairwise
-from string import ascii_uppercase
 from typing import Any
 
 import numpy as np
 
-from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.geometry.projection import nearest_points
 from stereophd.io.cameras.models import CameraConfig
 
 # Optical axes whose directions all lie this close together have no point that they look at, condition number.
 PARALLEL = 1e4
-# Columns and rows of the sketch of a layout.
-WIDTH, HEIGHT = 60, 18
 
 
 def summarise_cameras(cameras: Mapping[str, CameraConfig], length_unit: str) -> dict[str, Any]:
@@ -83,51 +78,3 @@ def _trajectory(pose: Pose) -> dict[str, Any] | None:
         "longest_gap_s": float(np.diff(poses[:, 0]).max()),
         "length": float(steps.sum()),
     }
-
-
-def sketch(summary: Mapping[str, Any]) -> list[str]:
-    """Draw the layout of cameras of known pose in text: each a letter, with dots along the direction that it looks in.
-
-    The two world axes along which the cameras (and what they look at) spread most are drawn; ``+`` is where the optical
-    axes meet.
-    """
-    rows = {name: row for name, row in summary["cameras"].items() if row["center"] is not None}
-    centers = np.array([row["center"] for row in rows.values()])
-    axes = np.array([row["looks_along"] for row in rows.values()])
-    target = summary["axes_meet_near"]
-    reach = _reach(centers, target)
-    points = np.concatenate([centers, centers + reach * axes, *([] if target is None else [np.array([target])])])
-    spread = np.ptp(points, axis=0)
-    across, up = sorted(np.argsort(spread)[-2:].tolist())
-    low, extent = points.min(axis=0), np.maximum(spread, 1e-9)
-    # a letter is about twice as high as it is wide: one scale for both directions
-    scale = max(extent[across] / (WIDTH - 1), extent[up] / (HEIGHT - 1) / 2)
-    lines = [[" "] * WIDTH for _ in range(HEIGHT)]
-
-    def put(point: Array, letter: str) -> None:
-        column = round((point[across] - low[across]) / scale)
-        row = HEIGHT - 1 - round((point[up] - low[up]) / scale / 2)
-        if 0 <= column < WIDTH and 0 <= row < HEIGHT and (letter.isalnum() or lines[row][column] == " "):
-            lines[row][column] = letter
-
-    for center, axis in zip(centers, axes, strict=True):
-        for share in np.linspace(0.08, 1.0, 14):
-            put(center + share * reach * axis, ".")
-    if target is not None:
-        put(np.array(target), "+")
-    for index, center in enumerate(centers):
-        put(center, ascii_uppercase[index % 26])
-    names = ", ".join(f"{ascii_uppercase[k % 26]} {name}" for k, name in enumerate(rows))
-    drawn = ["".join(line).rstrip() for line in lines]
-    used = [k for k, line in enumerate(drawn) if line]
-    right, top = "xyz"[across], "xyz"[up]
-    note = f"{right} to the right, {top} up the page, {scale:.3g} {summary['length_unit']} a column: {names}"
-    return [*drawn[used[0] : used[-1] + 1], note]
-
-
-def _reach(centers: Array, target: Any) -> float:
-    """Return how far the direction of a camera is drawn: half-way to what it looks at."""
-    if target is not None:
-        return float(np.median(np.linalg.norm(centers - np.array(target), axis=1))) / 2
-    steps = [float(np.linalg.norm(b - a)) for a, b in pairwise(centers)]
-    return max(steps, default=1.0) or 1.0

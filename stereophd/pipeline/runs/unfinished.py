@@ -1,14 +1,13 @@
 """What an unfinished run has done: a folder inside its output folder, from which a later one continues.
 
 `track`, the pieces of a long log, `calibrate` and `experiment` keep their work here in the same way. A whole file holds
-one object and is there or not. A growing file holds what is too much to be written each time, such as the rows of a
-table; it counts as far as the state says that was written after it. States are written about once a minute.
+one object. Parts hold what is too much to be written each time, such as the rows of a table; they count as far as the
+state says that was written after them. States are written about once a minute.
 
 Everything in the folder is data (`stereophd.io.outputs.saved`). It goes when the results come into their places.
 """
 
 import contextlib
-import json
 import shutil
 import time
 from collections.abc import Iterator, Mapping
@@ -19,17 +18,18 @@ from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import tidy
 from stereophd.io.outputs.commit import files_below, is_folder
 from stereophd.io.outputs.disk import TEMPORARY_PREFIX, UNFINISHED_PREFIX
+from stereophd.io.outputs.json_text import read_report
 from stereophd.io.outputs.locks import output_lock
-from stereophd.io.outputs.saved import GrowingFile, decoder, is_saved, read_frames, read_saved, write_saved
+from stereophd.io.outputs.saved import PART, KeptParts, decoder, is_saved, read_saved, write_saved
 
 # Characters of the identity in the name of a folder.
 _LENGTH = 16
 
-# Endings of whole and of growing files.
-WHOLE, GROWING = ".saved", ".growing"
+# Ending of whole files.
+WHOLE = ".saved"
 
 # Files of an unfinished run, as `stereophd.io.outputs.atomic.OutputFolder` takes them.
-UNFINISHED_FILES = (f"{UNFINISHED_PREFIX}*/*{WHOLE}", f"{UNFINISHED_PREFIX}*/*{GROWING}")
+UNFINISHED_FILES = (f"{UNFINISHED_PREFIX}*/*{WHOLE}", f"{UNFINISHED_PREFIX}*/*{PART}")
 
 # Seconds between two states that are kept; more where keeping one takes more than a hundredth of it.
 KEEP_EVERY_S = 60.0
@@ -84,7 +84,7 @@ class UnfinishedRun:
                 f"({others[0].name}): nothing to resume; use `force=True` to remove it"
             )
         for folder in folders:
-            # Growing files alone are of a run that was killed before its first state; empty folders are not ours.
+            # Parts alone are of a run that was killed before its first state; empty folders are not ours.
             if any(folder.iterdir()) and not (folder == self.folder and resume and folder in holding):
                 shutil.rmtree(folder, ignore_errors=True)
 
@@ -115,17 +115,16 @@ class UnfinishedRun:
         (`stereophd.io.outputs.provenance.provenance`). Raises InputError if the folder holds the results of another
         configuration or of other inputs, which only `force` lets a run replace.
         """
-        path = self.out / REPORT_FILE
         tidy(self.out)
         try:
-            report = json.loads(path.read_text(encoding="utf-8"))
-        except FileNotFoundError:
-            return None
-        except (OSError, ValueError) as error:
+            report = read_report(self.out / REPORT_FILE)
+        except InputError as error:
             if force:
                 return None
-            raise InputError(f"{path}: cannot be read ({error}); use `force=True` to start anew") from error
-        if isinstance(report, dict) and report.get("provenance") == record:
+            raise InputError(f"{error}; use `force=True` to start anew") from error
+        if report is None:
+            return None
+        if report["provenance"] == record:
             if is_folder(self.folder):
                 with output_lock(self.out):
                     self.prepare(resume=True, force=force)
@@ -140,7 +139,6 @@ class UnfinishedRun:
 
     def write(self, name: str, value: Any) -> None:
         """Write a whole file."""
-        self.folder.mkdir(parents=True, exist_ok=True)
         write_saved(self._whole(name), self.identity, value)
 
     def read(self, name: str, kind: Any, given: Mapping[type, Any] | None = None) -> Any:
@@ -170,17 +168,9 @@ class UnfinishedRun:
         self._next_s = now + max(KEEP_EVERY_S, (now - start) / MOST_SHARE)
         return bool(waiting)
 
-    def grow(self, name: str, length: int | None = None) -> GrowingFile:
-        """Return a growing file, continued from as many bytes as count, or begun anew."""
-        return GrowingFile(self.growing(name), self.identity, length)
-
-    def frames(self, name: str, length: int) -> Iterator[bytes]:
-        """Yield the frames of a growing file, as far as they count; errors as `read`."""
-        return read_frames(self.growing(name), self.identity, length)
-
-    def growing(self, name: str) -> Path:
-        """Return the path of a growing file."""
-        return self.folder / f"{name}{GROWING}"
+    def parts(self, name: str, count: int = 0) -> KeptParts:
+        """Return what grows under a name, continued from as many parts as count."""
+        return KeptParts(self.folder / name, self.identity, count)
 
     def _whole(self, name: str) -> Path:
         return self.folder / f"{name}{WHOLE}"
@@ -188,9 +178,5 @@ class UnfinishedRun:
 
 def _is_ours(folder: Path, relative: Path) -> bool:
     """Whether a file in such a folder is part of an unfinished run."""
-    if len(relative.parts) != 1:
-        return False
-    path = folder / relative
-    if relative.suffix == GROWING and not path.is_symlink() and not path.stat().st_size:
-        return True  # killed as it was made
-    return relative.name.startswith(TEMPORARY_PREFIX) or is_saved(path)
+    is_temporary = relative.name.startswith(TEMPORARY_PREFIX)
+    return len(relative.parts) == 1 and (is_temporary or is_saved(folder / relative))

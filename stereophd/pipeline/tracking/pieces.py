@@ -31,7 +31,7 @@ from stereophd.pipeline.tracking.run import build_tracking
 from stereophd.pipeline.tracking.run_figures import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.tracking.smoothed import trajectories_of
-from stereophd.pipeline.tracking.unfinished import RecordFile, RecordPart, read_records
+from stereophd.pipeline.tracking.unfinished import KeptRecords, read_records
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 from stereophd.wording import instant
 
@@ -138,8 +138,7 @@ class PieceWork:
 class PieceDone:
     """A finished piece: its records, and the number of detections left out."""
 
-    length: int  # Bytes of the records
-    parts: list[RecordPart]
+    count: int  # Parts of the records
     not_invertible: int
 
 
@@ -179,13 +178,12 @@ def track_piece(work: PieceWork, piece: LogPiece, tick: Progress | None = None) 
     tracking = replace(tracking, report=config.report.model_copy(update={"min_track_length": 0.0}))
     # what is left out in the overlaps is counted by the pieces whose they are
     stream = EventStream(work.cameras, reader, tick, piece.begin_s, piece.end_s, (piece.from_s, piece.to_s))
-    count, kept = 0, RecordFile(work.unfinished.grow(_name(piece)))
+    count, kept = 0, KeptRecords(work.unfinished.parts(_name(piece)))
     run = RunState(_numbered(tracking.estimator.init(), piece.events_before))
     for record in tracking.records(stream, run=run):
         kept.add(record)
         count += 1
-    work.unfinished.write(_name(piece), PieceDone(kept.flush(), kept.parts, stream.not_invertible))
-    kept.close()
+    work.unfinished.write(_name(piece), PieceDone(kept.flush(), stream.not_invertible))
     return count
 
 
@@ -256,7 +254,7 @@ class JoinedPieces:
 
     def _records(self, piece: LogPiece, from_s: float, until_s: float) -> Iterator[Record]:
         done = self._read_done(piece)
-        return read_records(self.work.unfinished, _name(piece), done.length, done.parts, from_s, until_s)
+        return read_records(self.work.unfinished.parts(_name(piece), done.count), from_s, until_s)
 
     def _names(self, earlier: LogPiece, later: LogPiece, names: Mapping[int, int]) -> dict[int, int]:
         """Return track of the later piece -> track of the run, for those that continue one."""

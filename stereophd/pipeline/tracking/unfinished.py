@@ -7,7 +7,7 @@ the outputs are those of an undisturbed run.
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Generic
@@ -15,7 +15,7 @@ from typing import Any, Generic
 import pyarrow as pa
 
 from stereophd.core.disparity.events import Event
-from stereophd.io.outputs.saved import GrowingFile, decode, decoder, encode
+from stereophd.io.outputs.saved import KeptParts, decode, decoder, encode
 from stereophd.io.tables.kept_tables import KeptTable
 from stereophd.io.tables.writing import Complete
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
@@ -25,7 +25,7 @@ from stereophd.pipeline.tracking.single import SingleTrackerState
 
 STATE, RECORDS = "state", "records"
 
-# Records of a part: few enough that a reader of a span of time decodes little beside it.
+# Records that are kept together: few enough that a reader of a span of time decodes little beside it.
 RECORDS_AT_ONCE = 256
 
 
@@ -36,8 +36,7 @@ class TrackingState(Generic[State]):
     run: RunState[State]
     figures: RunFigures | None = None  # Of the tables; None where records are kept
     lasting: LastingTracks | None = None  # Where short tracks are left out
-    # Growing file -> bytes of it that count.
-    lengths: dict[str, int] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)  # Table or records -> its parts that count
 
 
 def state_type(state: Any) -> Any:
@@ -54,21 +53,11 @@ def bare(record: Record) -> dict[str, Any]:
     return {**record.__dict__, "info": info, "event": None}
 
 
-@dataclass(frozen=True)
-class RecordPart:
-    """A part of the records in a growing file."""
+class KeptRecords:
+    """Records in parts of an unfinished run, in order of time."""
 
-    first_s: float  # Times of its first and its last record, s
-    last_s: float
-
-
-class RecordFile:
-    """Records in a growing file, in order of time."""
-
-    def __init__(self, file: GrowingFile) -> None:
-        self._file = file
-        #: What has been written.
-        self.parts: list[RecordPart] = []
+    def __init__(self, parts: KeptParts) -> None:
+        self._parts = parts
         self._waiting: list[dict[str, Any]] = []
 
     def add(self, record: Record) -> None:
@@ -79,37 +68,24 @@ class RecordFile:
 
     def _write(self) -> None:
         if self._waiting:
-            self._file.append(encode(self._waiting))
-            self.parts.append(RecordPart(self._waiting[0]["time_s"], self._waiting[-1]["time_s"]))
+            first_s, last_s = self._waiting[0]["time_s"], self._waiting[-1]["time_s"]
+            self._parts.append(encode((first_s, last_s, encode(self._waiting))))
             self._waiting = []
 
     def flush(self) -> int:
-        """Bring all records to the disk; return the number of bytes of the file that count then."""
+        """Bring all records to the disk; return the number of parts that count then."""
         self._write()
-        return self._file.flush()
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
+        return self._parts.flush()
 
 
-def read_records(
-    unfinished: UnfinishedRun,
-    name: str,
-    length: int,
-    parts: Sequence[RecordPart] | None = None,
-    from_s: float = -math.inf,
-    until_s: float = math.inf,
-) -> Iterator[Record]:
-    """Yield the records of a growing file, as far as `length` counts, from one time to before another, s.
-
-    With `parts`, what was written, parts of other times are passed over.
-    """
-    read = decoder(list[Record])
-    for number, content in enumerate(unfinished.frames(name, length)):
-        if parts is not None and (parts[number].last_s < from_s or parts[number].first_s >= until_s):
+def read_records(parts: KeptParts, from_s: float = -math.inf, until_s: float = math.inf) -> Iterator[Record]:
+    """Yield the records in parts, from one time to before another, s; most others are not decoded."""
+    read, read_span = decoder(tuple[float, float, bytes]), decoder(list[Record])
+    for content in parts:
+        first_s, last_s, records = decode(content, read, parts.path)
+        if last_s < from_s or first_s >= until_s:
             continue
-        for record in decode(content, read, unfinished.growing(name)):
+        for record in decode(records, read_span, parts.path):
             if from_s <= record.time_s < until_s:
                 yield record
 
@@ -126,7 +102,7 @@ class UnfinishedTracking:
         self._unfinished = unfinished
         self._estimator = estimator
         self._tables: dict[str, KeptTable] = {}
-        self._records: RecordFile | None = None
+        self._records: KeptRecords | None = None
         self._lasting: LastingTracks | None = None
         kind: Any = TrackingState
         self._saved: TrackingState[Any] | None = unfinished.read(STATE, kind[state_type(estimator.init())])
@@ -138,11 +114,13 @@ class UnfinishedTracking:
         self, place: Path, schema: pa.Schema, metadata: Mapping[bytes, bytes], complete: Complete | None = None
     ) -> KeptTable:
         """Return a table of this run, with the rows that were kept."""
-        name = place.name
-        length = None if self._saved is None else self._saved.lengths[name]
-        earlier = () if length is None else self._unfinished.frames(name, length)
-        self._tables[name] = KeptTable(place, schema, metadata, self._unfinished.grow(name, length), earlier, complete)
-        return self._tables[name]
+        kept = self._unfinished.parts(place.name, self._count(place.name))
+        self._tables[place.name] = KeptTable(place, schema, metadata, kept, complete)
+        return self._tables[place.name]
+
+    def _count(self, name: str) -> int:
+        """Return the number of parts that count of a table or the records."""
+        return 0 if self._saved is None else self._saved.counts[name]
 
     def records(self, events: Iterable[Event], times: ReportTimes, keep_events: bool) -> Iterator[Record]:
         """Run the estimator on all events of a log, from the last state on, and yield its records.
@@ -163,16 +141,13 @@ class UnfinishedTracking:
                 self._records.add(record)
             yield record
             self._unfinished.keep(STATE, lambda: self._state(run))
-        if self._records is not None:
-            self._records.close()
 
     def _kept_records(self, events: Iterator[Event], keep_events: bool) -> Iterator[Record]:
-        length = None if self._saved is None else self._saved.lengths[RECORDS]
-        if length is not None:
-            for record in read_records(self._unfinished, RECORDS, length):
-                event = next(events) if record.is_event else None
-                yield replace(record, event=event if keep_events else None)
-        self._records = RecordFile(self._unfinished.grow(RECORDS, length))
+        parts = self._unfinished.parts(RECORDS, self._count(RECORDS))
+        for record in read_records(parts):
+            event = next(events) if record.is_event else None
+            yield replace(record, event=event if keep_events else None)
+        self._records = KeptRecords(parts)
 
     def lasting(self, records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
         """Yield records without short tracks, as `LastingTracks` does."""
@@ -185,9 +160,9 @@ class UnfinishedTracking:
     def _state(self, run: RunState[Any]) -> TrackingState[Any]:
         """Return the state of a run to keep, after flushing what it has written to the disk."""
         if self._records is not None:
-            lengths = {RECORDS: self._records.flush()}
+            counts = {RECORDS: self._records.flush()}
         else:
-            lengths = {name: table.keep() for name, table in self._tables.items()}
+            counts = {name: table.keep() for name, table in self._tables.items()}
         last = None if run.last is None else Record(**bare(run.last))
         figures = None if self.keeps_records else self.figures
-        return TrackingState(replace(run, last=last), figures, self._lasting, lengths)
+        return TrackingState(replace(run, last=last), figures, self._lasting, counts)

@@ -14,13 +14,13 @@ import pytest
 from numpy.typing import NDArray
 
 from stereophd.errors import InputError
+from stereophd.io.outputs import saved
 from stereophd.io.outputs.saved import (
     MARK,
-    GrowingFile,
+    KeptParts,
     decoder,
     encode,
     is_saved,
-    read_frames,
     read_saved,
     write_saved,
 )
@@ -161,45 +161,50 @@ def test_a_link_is_no_file_of_a_run(tmp_path: Path) -> None:
         read_saved(tmp_path / "state.saved", "me", decoder(int))
 
 
-def test_a_growing_file_counts_as_far_as_it_is_said_to(tmp_path: Path) -> None:
-    path = tmp_path / "rows.growing"
-    file = GrowingFile(path, "me")
-    file.append(b"one")
-    length = file.flush()
-    file.append(b"two")
-    file.close()
-    assert list(read_frames(path, "me", length)) == [b"one"]
-    assert list(read_frames(path, "me")) == [b"one", b"two"]
-    more = GrowingFile(path, "me", length)
+@pytest.mark.parametrize("part_bytes", [1, 8_000_000])
+def test_parts_count_as_far_as_they_are_said_to(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part_bytes: int
+) -> None:
+    monkeypatch.setattr(saved, "PART_BYTES", part_bytes)
+    parts = KeptParts(tmp_path / "rows", "me")
+    assert not list(parts)
+    parts.append(b"one")
+    count = parts.flush()
+    parts.append(b"two")
+    assert parts.flush() == count + 1
+    assert list(KeptParts(tmp_path / "rows", "me", count)) == [b"one"]
+    assert list(KeptParts(tmp_path / "rows", "me", count + 1)) == [b"one", b"two"]
+    more = KeptParts(tmp_path / "rows", "me", count)
     more.append(b"three")
-    assert list(read_frames(path, "me", more.flush())) == [b"one", b"three"]
-    more.close()
-    with pytest.raises(InputError, match="damaged or cut off"):
-        list(read_frames(path, "me", length + 1))
-    path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(InputError, match="damaged or cut off"):
-        list(read_frames(path, "me", more.length))
+    more.append(b"four")
+    after = more.flush()
+    assert list(KeptParts(tmp_path / "rows", "me", after)) == [b"one", b"three", b"four"]
+    with pytest.raises(InputError, match="found none"):
+        list(KeptParts(tmp_path / "rows", "me", after + 1))
+    with pytest.raises(InputError, match="found another's"):
+        list(KeptParts(tmp_path / "rows", "you", after))
 
 
-def test_a_copy_of_a_growing_file_by_a_hard_link_stays_whole(tmp_path: Path) -> None:
-    path = tmp_path / "rows.growing"
-    file = GrowingFile(path, "me")
-    file.append(b"one")
-    length = file.flush()
-    file.close()
+def test_a_copy_of_a_part_by_a_hard_link_stays_whole(tmp_path: Path) -> None:
+    parts = KeptParts(tmp_path / "rows", "me")
+    parts.append(b"one")
+    parts.flush()
+    (path,) = tmp_path.iterdir()
     os.link(path, tmp_path / "copy")
     before = (tmp_path / "copy").read_bytes()
-    more = GrowingFile(path, "me", length)
+    more = KeptParts(tmp_path / "rows", "me")
     more.append(b"two")
-    more.close()
+    more.flush()
+    assert path.read_bytes() != before
     assert (tmp_path / "copy").read_bytes() == before
 
 
-def test_a_huge_frame_that_is_not_there_is_refused_at_once(tmp_path: Path) -> None:
+def test_a_file_that_ends_early_or_is_not_encoded_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "state.saved"
-    path.write_bytes(MARK + b"me\n" + (2**60).to_bytes(8, "little") + bytes(4))
-    with pytest.raises(InputError, match="damaged or cut off"):
-        read_saved(path, "me", decoder(int))
-    path.write_bytes(MARK + b"me\n" + msgspec.msgpack.encode(1))
-    with pytest.raises(InputError, match="damaged or cut off"):
+    for content in (b"", bytes(3), msgspec.msgpack.encode(1)):
+        path.write_bytes(MARK + b"me\n" + content)
+        with pytest.raises(InputError, match="damaged or cut off"):
+            read_saved(path, "me", decoder(int))
+    path.write_bytes(MARK + b"me\n" + bytes(4))  # the checksum of nothing
+    with pytest.raises(InputError, match="found something else"):
         read_saved(path, "me", decoder(int))

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.errors import InputError
-from stereophd.io.outputs.saved import GrowingFile, read_frames
+from stereophd.io.outputs.saved import PART, KeptParts
 from stereophd.io.tables import writing
 from stereophd.io.tables.kept_tables import KeptTable
 from stereophd.io.tables.schemas import ASSOCIATIONS, DETECTIONS, SCANS, TRACKS
@@ -54,71 +54,66 @@ def test_bytes_are_those_of_one_writer(
     tmp_path_factory: pytest.TempPathFactory, schema: pa.Schema, steps: list[tuple[int, str]]
 ) -> None:
     folder = tmp_path_factory.mktemp("table")
-    kept = folder / "rows.growing"
     whole = TableWriter(folder / "whole.parquet", schema, METADATA)
 
-    def continued(length: int | None) -> KeptTable:
-        earlier = () if length is None else read_frames(kept, "me", length)
-        file = GrowingFile(kept, "me", length)
-        return KeptTable(folder / "part.parquet", schema, METADATA, file, earlier)
+    def continued(count: int) -> KeptTable:
+        return KeptTable(folder / "part.parquet", schema, METADATA, KeptParts(folder / "rows", "me", count))
 
-    table = continued(None)
+    table = continued(0)
     for seed, (count, then) in enumerate(steps):
         whole.append(rows_of(schema, count, seed))
         table.append(rows_of(schema, count, seed))
         if then == "on":
             continue
-        length = table.keep()
+        count_kept = table.keep()
         if then == "keep":
             continue
         if then == "kill later":
             table.append(rows_of(schema, 30, 99))
         table.abandon()
-        table = continued(length)
+        table = continued(count_kept)
     whole.close()
     table.close()
     assert table.rows == whole.rows
     assert table.path.read_bytes() == whole.path.read_bytes()
 
 
-def kept_rows(folder: Path) -> tuple[Path, int]:
-    """Return a file with the rows of a table, and how far it counts."""
-    file = GrowingFile(folder / "rows.growing", "me")
-    with KeptTable(folder / "t.parquet", SCANS, None, file) as table:
+def kept_rows(folder: Path) -> KeptParts:
+    """Return parts with the rows of a table."""
+    with KeptTable(folder / "t.parquet", SCANS, None, KeptParts(folder / "rows", "me")) as table:
         table.append(rows_of(SCANS, 20_000, 1))
-        length = table.keep()
-    return file.path, length
+        return KeptParts(folder / "rows", "me", table.keep())
 
 
 @pytest.mark.parametrize("damage", ["cut off", "changed"])
 def test_damaged_rows_are_refused(tmp_path: Path, damage: str) -> None:
-    path, length = kept_rows(tmp_path)
+    parts = kept_rows(tmp_path)
+    (path,) = tmp_path.glob(f"*{PART}")
     content = bytearray(path.read_bytes())
-    content[length // 2] ^= 1
-    path.write_bytes(path.read_bytes()[: length - 1] if damage == "cut off" else content)
-    file = GrowingFile(tmp_path / "other.growing", "me")
-    with pytest.raises(InputError, match="damaged"):
-        KeptTable(tmp_path / "u.parquet", SCANS, None, file, read_frames(path, "me", length))
+    content[len(content) // 2] ^= 1
+    path.write_bytes(path.read_bytes()[:-1] if damage == "cut off" else content)
+    with pytest.raises(InputError, match="found it damaged"):
+        KeptTable(tmp_path / "u.parquet", SCANS, None, parts)
 
 
 def test_rows_of_another_table_are_refused(tmp_path: Path) -> None:
-    path, length = kept_rows(tmp_path)
-    for earlier in (read_frames(path, "me", length), [b"x"], [b""]):
-        file = GrowingFile(tmp_path / "other.growing", "me")
+    forged = [KeptParts(tmp_path / f"forged {content!r}", "me") for content in (b"x", b"")]
+    for parts, content in zip(forged, (b"x", b""), strict=True):
+        parts.append(content)
+        parts.flush()
+    for parts in (kept_rows(tmp_path), *forged):
         with pytest.raises(InputError, match=r"expected rows of u\.parquet"):
-            KeptTable(tmp_path / "u.parquet", TRACKS, None, file, earlier)
+            KeptTable(tmp_path / "u.parquet", TRACKS, None, parts)
 
 
 def test_nulls_are_kept(tmp_path: Path) -> None:
     rows = {"time_s": [1.0, 2.0], "camera": "left", "frame": 1, "u_px": [None, 1.0], "v_px": [None, 2.0]}
-    file = GrowingFile(tmp_path / "rows.growing", "me")
-    table = KeptTable(tmp_path / "t.parquet", DETECTIONS, None, file)
+    table = KeptTable(tmp_path / "t.parquet", DETECTIONS, None, KeptParts(tmp_path / "rows", "me"))
     table.append(rows)
-    length = table.keep()
+    kept = KeptParts(tmp_path / "rows", "me", table.keep())
     table.abandon()
-    earlier, file = read_frames(file.path, "me", length), GrowingFile(file.path, "me", length)
     with (
-        KeptTable(tmp_path / "t.parquet", DETECTIONS, None, file, earlier),
+        KeptTable(tmp_path / "t.parquet", DETECTIONS, None, kept),
         TableWriter(tmp_path / "whole.parquet", DETECTIONS) as whole,
     ):
         whole.append(rows)
@@ -128,15 +123,13 @@ def test_nulls_are_kept(tmp_path: Path) -> None:
 def test_row_groups_of_the_usual_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Replayed with pages of several kinds."""
     monkeypatch.setattr(writing, "ROW_GROUP_ROWS", USUAL_ROWS)
-    rows = tmp_path / "rows.growing"
     with TableWriter(tmp_path / "whole.parquet", TRACKS, METADATA) as whole:
-        table = KeptTable(tmp_path / "part.parquet", TRACKS, METADATA, GrowingFile(rows, "me"))
+        table = KeptTable(tmp_path / "part.parquet", TRACKS, METADATA, KeptParts(tmp_path / "rows", "me"))
         for seed in range(5):
             whole.append(rows_of(TRACKS, 10_000, seed))
             table.append(rows_of(TRACKS, 10_000, seed))
-        length = table.keep()
+        kept = KeptParts(tmp_path / "rows", "me", table.keep())
         table.abandon()
-    earlier, file = read_frames(rows, "me", length), GrowingFile(rows, "me", length)
-    KeptTable(tmp_path / "part.parquet", TRACKS, METADATA, file, earlier).close()
+    KeptTable(tmp_path / "part.parquet", TRACKS, METADATA, kept).close()
     assert (tmp_path / "whole.parquet").read_bytes() == (tmp_path / "part.parquet").read_bytes()
     assert pq.read_metadata(tmp_path / "part.parquet").num_row_groups == 4

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_cameras, load_config
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
+from stereophd.io.outputs import atomic, saved
 from stereophd.io.outputs.disk import TEMPORARY_PREFIX
 from stereophd.io.outputs.saved import decoder, encode
 from stereophd.io.tables import writing
@@ -54,6 +56,7 @@ def often(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(unfinished, "MOST_SHARE", 1e9)
     monkeypatch.setattr(checkpoint, "RECORDS_AT_ONCE", 2)
     monkeypatch.setattr(writing, "ROW_GROUP_ROWS", 7)
+    monkeypatch.setattr(saved, "PART_BYTES", 5000)
 
 
 def killed_after(monkeypatch: pytest.MonkeyPatch, records: int, run: Callable[[], Any]) -> None:
@@ -183,9 +186,9 @@ def test_claims_to_one_event_are_kept_once() -> None:
     np.testing.assert_array_equal(restored.waiting[0].track_ids, rows)
 
 
-def kept(out: Path) -> dict[str, bytes]:
-    """Return the files of the unfinished run."""
-    return {Path(name).name: text for name, text in files(out).items() if name.startswith("partial-")}
+def kinds(out: Path) -> set[str]:
+    """Return what the files of the unfinished run hold."""
+    return {re.sub(r"-\d{5}\.part$", "", path.name) for path in out.glob("partial-*/*")}
 
 
 @pytest.mark.usefixtures("often")
@@ -194,7 +197,7 @@ def test_an_unfinished_run_keeps_a_state_and_rows_and_no_records(
 ) -> None:
     for records in (5, 30):
         killed_after(monkeypatch, records, lambda: track(*scene, tmp_path / "out", force=True))
-        assert set(kept(tmp_path / "out")) == {"state.saved", "scans.parquet.growing", "tracks.parquet.growing"}
+        assert kinds(tmp_path / "out") == {"state.saved", "scans.parquet", "tracks.parquet"}
 
 
 @pytest.mark.usefixtures("often")
@@ -223,14 +226,15 @@ def test_killed_before_the_first_state_begins_anew(
 ) -> None:
     """Rows without a state count for nothing, also without `resume`."""
     monkeypatch.setattr(writing, "ROW_GROUP_ROWS", 7)
+    monkeypatch.setattr(saved, "PART_BYTES", 1)
     out = tmp_path / "out"
     with monkeypatch.context() as patch:
         # a process that is killed removes nothing
         patch.setattr("stereophd.pipeline.runs.unfinished.shutil.rmtree", lambda *_, **__: None)
         killed_after(monkeypatch, 20, lambda: track(*scene, out))
-    assert set(kept(out)) == {"scans.parquet.growing", "tracks.parquet.growing"}
+    assert kinds(out) == {"scans.parquet", "tracks.parquet"}
     (partial,) = out.glob("partial-*")
-    (partial / "other.growing").touch()  # killed as it was made
+    (partial / f"{TEMPORARY_PREFIX}tracks.parquet-00009.part.tmp").touch()  # killed as it was made
     track(*scene, out)
     track(*scene, tmp_path / "whole")
     assert files(out) == files(tmp_path / "whole")
@@ -240,12 +244,13 @@ def test_an_error_before_the_first_state_leaves_nothing(
     scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(writing, "ROW_GROUP_ROWS", 7)
+    monkeypatch.setattr(saved, "PART_BYTES", 1)
     killed_after(monkeypatch, 20, lambda: track(*scene, tmp_path / "out"))
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.usefixtures("often")
-@pytest.mark.parametrize("name", ["tracks.parquet.growing", "state.saved"])
+@pytest.mark.parametrize("name", ["tracks.parquet-00000.part", "state.saved"])
 @pytest.mark.parametrize("damage", ["cut off", "link", "another's"])
 def test_what_is_damaged_or_not_ours_is_refused(
     scene: tuple[LoadedConfig, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str, damage: str
@@ -277,8 +282,8 @@ def test_a_full_disk_is_an_error_that_names_the_folder(
     out = tmp_path / "out"
     killed_after(monkeypatch, 20, lambda: track(*scene, out))
     with monkeypatch.context() as patch:
-        patch.setattr("stereophd.io.outputs.saved.sync", full)
-        with pytest.raises(InputError, match=r"cannot write .*tracks\.parquet: No space left"):
+        patch.setattr(atomic, "sync", full)
+        with pytest.raises(InputError, match=r"cannot write .*tracks\.parquet-\d+\.part: No space left"):
             track(*scene, out, resume=True)
     track(*scene, out, resume=True)
     assert {path.name for path in out.iterdir()} == {"report.json", "scans.parquet", "tracks.parquet"}
