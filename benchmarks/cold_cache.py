@@ -29,7 +29,7 @@ RUNS = {
 
 def run(words: list[str], cache: Path) -> None:
     """Run stereophd in a process of its own."""
-    command = [sys.executable, "-m", "stereophd.cli.app", *words]
+    command = [sys.executable, "-m", "stereophd", *words]
     subprocess.run(command, check=True, env={**os.environ, "NUMBA_CACHE_DIR": str(cache)}, stdout=subprocess.DEVNULL)
 
 

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 DEFAULT_CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "multi_object.yaml"
-COMMAND = [sys.executable, "-m", "stereophd.cli.app"]
+COMMAND = [sys.executable, "-m", "stereophd"]
 TARGET_PEAK_MB = 400.0
 TARGET_RATIO = (9.0, 11.0)
 # In a shorter log the mixture is still growing: the ratio of the times is printed, but not judged.

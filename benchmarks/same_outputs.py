@@ -111,7 +111,7 @@ def record(out: Path) -> int:
         if folder.exists():
             continue
         done = subprocess.run(
-            [sys.executable, "-m", "stereophd.cli.app", *words, "--out", str(folder), "-q"],
+            [sys.executable, "-m", "stereophd", *words, "--out", str(folder), "-q"],
             cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
         )  # fmt: skip
         if done.returncode != 0:

@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 DEFAULT_CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "multi_object.yaml"
-COMMAND = [sys.executable, "-m", "stereophd.cli.app"]
+COMMAND = [sys.executable, "-m", "stereophd"]
 TARGET_HELP_S = 0.3
 TARGET_OUTSIDE_S = 1.5
 # Packages that take less than this are not listed.

@@ -37,7 +37,7 @@ def module_names(package: str) -> Mapping[str, str]:
     the same name, or one has that of a module of the package.
     """
     names = {info.name: f"{package}.{info.name}" for info in pkgutil.iter_modules(import_module(package).__path__)}
-    for entry in _entries(package):
+    for entry in _entries().get(package, ()):
         if entry.name in names:
             raise InputError(
                 f"{_described(entry)}: expected a name that is free, found {entry.name}, which is {names[entry.name]}"
@@ -54,14 +54,16 @@ def import_member(package: str, word: str) -> ModuleType:
     try:
         return import_module(name)
     except Exception as error:
-        entry = next(entry for entry in _entries(package) if entry.name == word)
+        entry = next(entry for entry in _entries()[package] if entry.name == word)
         raise InputError(
             f"{_described(entry)}: expected a module that can be imported, found {type(error).__name__}: {error}"
         ) from error
 
 
-def _entries(package: str) -> tuple[EntryPoint, ...]:
-    return tuple(entry_points(group=GROUPS[package])) if package in GROUPS else ()
+@cache
+def _entries() -> dict[str, tuple[EntryPoint, ...]]:
+    found = entry_points()  # reads the metadata of all that is installed
+    return {package: tuple(found.select(group=group)) for package, group in GROUPS.items()}
 
 
 def _described(entry: EntryPoint) -> str:

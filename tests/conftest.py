@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import logging
 import os
 import signal
@@ -17,8 +18,12 @@ import numpy as np
 import psutil
 import pytest
 
+from stereophd.__main__ import OBJECTS_BEFORE_SEARCH
 from stereophd.cli import terminal
 from stereophd.core.numerics.compilation.kernel_cache import note_compilation
+
+# What is imported and collected is no garbage: a tenth of the time of all tests went into searching it again and again.
+gc.set_threshold(OBJECTS_BEFORE_SEARCH)
 
 # No test is timed: the first call of a kernel compiles it, and machines are busy. A slow test prints no progress.
 terminal.PACE_S = 1e6
@@ -53,7 +58,7 @@ def pytest_configure(config: pytest.Config) -> None:
     """
     several = config.getoption("numprocesses", None) and not config.getoption("collectonly")
     if several and not hasattr(config, "workerinput"):
-        compiling = subprocess.Popen([sys.executable, "-m", "stereophd.cli.app", "compile", "-q"])
+        compiling = subprocess.Popen([sys.executable, "-m", "stereophd", "compile", "-q"])
         config.stash[COMPILING] = compiling
         threading.Thread(target=compiling.wait, daemon=True).start()  # that it ended shows to the workers
 
@@ -73,6 +78,11 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
         others = [item for item in items if not item.nodeid.startswith(LIGHT)]
         middle = len(others) // 2
         items[:] = [*light[::2], *others[:middle], *light[1::2], *others[middle:]]
+
+
+def pytest_collection_finish() -> None:
+    """Leave what lives as long as the tests out of every search for garbage."""
+    gc.freeze()
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

@@ -274,7 +274,3 @@ def _log_warning(
     import logging
 
     logging.getLogger("stereophd").debug("%s:%d: %s: %s", filename, lineno, category.__name__, message)
-
-
-if __name__ == "__main__":
-    main()

@@ -68,7 +68,7 @@ def call(capfd: pytest.CaptureFixture[str]) -> Callable[..., Outcome]:
 
 def start(*words: Any, **options: Any) -> subprocess.Popen[str]:
     """Start the command line in a process of its own."""
-    command = [sys.executable, "-m", "stereophd.cli.app", *map(str, words)]
+    command = [sys.executable, "-m", "stereophd", *map(str, words)]
     return subprocess.Popen(
         command,
         stdout=subprocess.PIPE,

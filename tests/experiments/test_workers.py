@@ -125,7 +125,7 @@ def test_ctrl_c_leaves_a_folder_that_can_be_resumed(
     load: Load, path: Path, tmp_path: Path, expected: dict[str, bytes], jobs: int
 ) -> None:
     out = tmp_path / "out"
-    words = [sys.executable, "-m", "stereophd.cli.app", "experiment", path, "--out", out, "--jobs", jobs]
+    words = [sys.executable, "-m", "stereophd", "experiment", path, "--out", out, "--jobs", jobs]
     many = [*words, "--set", "experiment.runs=200"]
     # in a group of its own, as the foreground job of a shell: all its processes get the signal
     process = subprocess.Popen(

@@ -100,6 +100,8 @@ def cast_column(
 
     Raises InputError where a value does not fit; `start` is the index of the column's first row in the file.
     """
+    if column.type == kind:  # to cast a column loads all compute functions of Arrow
+        return column
     try:
         return column.cast(kind)
     except pa.ArrowInvalid:

@@ -22,7 +22,7 @@ import shutil
 import tempfile
 import time
 from collections.abc import Callable
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -177,11 +177,15 @@ class _Implementation(CompileResultCacheImpl):  # type: ignore[misc]
 class KernelCache(FunctionCache):  # type: ignore[misc]
     """Cache of one kernel's compiled forms, in the place of numba's own."""
 
-    _impl_class = _Implementation
+    _cache_path = None  # `folder_in` has it
 
     def __init__(self, function: Callable[..., object], for_python: bool) -> None:
-        super().__init__(function)
-        self._for_python = for_python
+        # not numba's: it looks for the folder at once, and of most kernels a run needs none
+        self._py_func, self._for_python = function, for_python
+
+    @cached_property
+    def _impl(self) -> _Implementation:
+        return _Implementation(self._py_func)
 
     def _index_key(self, sig: Any, codegen: Any) -> Any:
         return (*super()._index_key(sig, codegen), self._for_python)

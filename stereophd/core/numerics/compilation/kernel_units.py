@@ -37,17 +37,17 @@ _IMPORT = re.compile(r"^\s*from (stereophd(?:\.\w+)*) import ([^\n#]+)", re.MULT
 
 
 @cache
-def _imported_files(file: Path) -> frozenset[Path]:
-    """Return the files of the package that a file imports directly."""
-    found = set()
-    for module, names in _IMPORT.findall(file.read_text(encoding="utf-8")):
+def _read_source(file: Path) -> tuple[bytes, frozenset[Path]]:
+    """Return the hash of a file's contents, and the files of the package that it imports directly."""
+    content, found = file.read_bytes(), set()
+    for module, names in _IMPORT.findall(content.decode()):
         path = PACKAGE_PARENT.joinpath(*module.split("."))
         if path.with_suffix(".py").is_file():
             found.add(path.with_suffix(".py"))
         for name in re.findall(r"\w+", names):
             if (path / f"{name}.py").is_file():
                 found.add(path / f"{name}.py")
-    return frozenset(found)
+    return hashlib.sha256(content).digest(), frozenset(found)
 
 
 @cache
@@ -55,13 +55,10 @@ def source_digest(file: Path) -> str:
     """Return the hash of the contents of a source file and of all files of the package that it imports, in turn."""
     files, waiting = {file}, [file]
     while waiting:
-        new = _imported_files(waiting.pop()) - files
+        new = _read_source(waiting.pop())[1] - files
         files |= new
         waiting += new
-    digest = hashlib.sha256()
-    for path in sorted(files):
-        digest.update(hashlib.sha256(path.read_bytes()).digest())
-    return digest.hexdigest()
+    return hashlib.sha256(b"".join(_read_source(path)[0] for path in sorted(files))).hexdigest()
 
 
 # Instructions (after optimisation) from which on a kernel is a unit of its own. LLVM inlines functions of some 50.

@@ -33,7 +33,7 @@ def package(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def _digest(file: Path) -> str:
-    kernel_units._imported_files.cache_clear()
+    kernel_units._read_source.cache_clear()
     kernel_units.source_digest.cache_clear()
     return kernel_units.source_digest(file)
 
