@@ -72,8 +72,8 @@ LARGEST_MOVE = 1.0
 FAR_FROM_PRIOR, SAID_FACTOR, MOTION_FACTOR = 3.0, 1.5, 4.0
 # An answer whose stated deviations are widened by more than this is not determined.
 LARGEST_WIDENING = 3.0
-# Where cameras leave tracks uncertain by more than this part s of their distance, deviations hold to first order only: a
-# disparity that is two of its deviations off is a distance 1 / (1 - 2 s) times as large, not 1 + 2 s times.
+# Where cameras leave tracks uncertain by more than this part s of their distance, deviations hold to first order only:
+# a disparity that is two of its deviations off is a distance 1 / (1 - 2 s) times as large, not 1 + 2 s times.
 LARGEST_SPREAD = 0.15
 
 
