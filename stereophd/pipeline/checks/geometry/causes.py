@@ -10,6 +10,7 @@ from statistics import NormalDist
 import numpy as np
 
 from stereophd.core.arrays import Array
+from stereophd.pipeline.checks.finding import DO_NOT_MEET
 from stereophd.pipeline.checks.geometry.alternatives import Alternative, alternatives
 from stereophd.pipeline.checks.geometry.rays import (
     LEAST_SCORE,
@@ -73,7 +74,9 @@ def best_explanation(
         (t, one) for t, one in looks if one is not None and one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN
     ]
     best_first = sorted(promising, key=lambda look: -look[1].met.excess)[:FINALISTS]
-    finalists = [trial for trial, _ in promising if any(trial is other for other, _ in best_first)]
+    # a turn, which fits roughly, may not show in few detections: none is left out where a cause would be named
+    chosen, scope = {id(trial) for trial, _ in best_first}, best_first[0][0].scope[:FINALISTS] if best_first else ()
+    finalists = [t for t in trials if id(t) in chosen or (t.cause == DO_NOT_MEET and t.scope[0] in scope)]
     tried = sum(steps if trial.cause == "clock_offset" else 1 for trial in trials)
     least = NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried, 1))
     found = [
