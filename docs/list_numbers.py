@@ -19,7 +19,6 @@ NUMBER = re.compile(rf"(?<![\w.^-])(\d[\d,.]*\d|\d) ({UNIT})(?![\w/^])")
 
 # Numbers with a decimal point on two pages that are not one quantity.
 REVIEWED = {
-    "1.4 px": "the noise of an example in the method; one that `init` estimates from corners of a board",
     "1.4 times": "a ratio of shares that a check asks for; errors whose NEES is twice as large",
 }
 
