@@ -104,7 +104,7 @@ class CalibrateOptions(Replacing):
     """Options of `calibrate`, for one log and for several."""
 
     jobs: int = option(
-        "Processes (threads, of particles); the results do not depend on it. -1: all cores.",
+        "Processes (threads, of particles and covariances); the results do not depend on it. -1: all cores.",
         default=-1,
         metavar="N",
         use="without a cluster",

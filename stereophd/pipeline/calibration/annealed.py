@@ -100,7 +100,8 @@ def choices_of(section: CalibrationConfig) -> Choices:
 def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
     """Run starts until enough agree; where too few do, those that have failed are judged at larger noise.
 
-    That is where all were run, or where none of as many as are to agree then has succeeded.
+    That is where all were run, or where none of as many as are to agree then has succeeded; if the time is over before
+    any has, the one that explains most.
     """
     count, agreeing = task.most_starts, task.settings.agreeing_starts
     values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.seed), count)
@@ -114,21 +115,27 @@ def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
         """Places of the starts that are to be judged at larger noise now."""
         none_succeeded = not any(start.succeeded and start.noise == 1.0 for start in starts)
         is_time = len(starts) == count or (len(starts) == 2 * agreeing and none_succeeded)
+        is_time &= run.section.posterior != "smc"  # particles are weighed at the stated noise
         return [place for place, start in enumerate(starts) if is_time and start.looser]
 
     while not is_done() and (len(starts) < count or failed()):
         again, new = failed(), range(len(starts), count)
+        jobs = min(run.jobs, len(again or new))
         if again:
-            found = _each(at_larger_noise, ((task, starts[place]) for place in again), run.jobs)
+            found = _each(at_larger_noise, ((task, starts[place]) for place in again), jobs)
         else:
-            found = _each(run_start, ((task, place, values[place], seeds[place]) for place in new), run.jobs)
+            found = _each(run_start, ((task, place, values[place], seeds[place]) for place in new), jobs)
         for place, start in zip(again or new, found, strict=False):
             starts[place : place + 1] = [start]
             if not run.limit.is_over:  # one that the time has cut short is done again
-                run.unfinished.keep("starts", starts)
+                run.unfinished.keep("starts", list(starts))
             run.report_progress(len(starts), count)
             if is_done() or (not again and failed()):
                 break
+    loose = [start for start in starts if start.looser]
+    if run.limit.is_over and loose and best_of(starts) is None:
+        likeliest = max(loose, key=lambda start: start.explained)
+        starts[likeliest.number] = at_larger_noise(task, likeliest)
     return starts
 
 

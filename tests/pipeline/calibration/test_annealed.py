@@ -1,7 +1,7 @@
 """Which starts are run, and which of them are judged at larger noise."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
@@ -10,7 +10,6 @@ import pytest
 
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.annealing.task import SUCCEEDED, Fit, Start, Task
-from stereophd.core.calibration.time_limit import ENDLESS
 from stereophd.pipeline.calibration import annealed
 from stereophd.pipeline.calibration.problem import CalibrationRun
 
@@ -27,24 +26,50 @@ def start(number: int, place: float | None, noise: float = 1.0) -> Start:
     return replace(made, looser=(made,)) if place is None else made
 
 
+@dataclass
+class Limit:
+    """A time that is over once a number of starts has begun."""
+
+    begun: list[int]
+    last: int
+
+    @property
+    def is_over(self) -> bool:
+        return len(self.begun) >= self.last
+
+
 @pytest.fixture
 def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[list[Start], list[int]]]:
     """A function of where starts end, and from which kept ones to go on; also which were judged at larger noise."""
 
-    def run(places: list[float | None], loose: float | None, kept: list[Start] | None = None) -> Any:
-        judged: list[int] = []
+    def run(
+        places: list[float | None],
+        loose: float | None,
+        kept: list[Start] | None = None,
+        keep: Callable[[str, list[Start]], None] = lambda *_: None,
+        last: int = COUNT + 1,
+        posterior: str = "laplace",
+    ) -> Any:
+        judged, begun = list[int](), list[int]()
 
         def judge(task: Task, failed: Start) -> Start:
             judged.append(failed.number)
             return replace(start(failed.number, loose, 2.0), looser=())
 
+        def begin(task: Task, number: int, *_: Any) -> Start:
+            begun.append(number)
+            return start(number, places[number])
+
         monkeypatch.setattr(annealed, "start_values", lambda *_: np.zeros((COUNT, 3)))
-        monkeypatch.setattr(annealed, "run_start", lambda task, number, *_: start(number, places[number]))
+        monkeypatch.setattr(annealed, "run_start", begin)
         monkeypatch.setattr(annealed, "at_larger_noise", judge)
         settings, motion = SimpleNamespace(agreeing_starts=AGREEING), SimpleNamespace(motion=None)
         task = SimpleNamespace(most_starts=COUNT, settings=settings, parameters=None, filter=motion)
-        unfinished = SimpleNamespace(read=lambda *_: kept, keep=lambda *_: None)
-        of_run = SimpleNamespace(seed=1, jobs=1, limit=ENDLESS, unfinished=unfinished, report_progress=lambda *_: None)
+        unfinished = SimpleNamespace(read=lambda *_: kept, keep=keep)
+        of_run = SimpleNamespace(
+            seed=1, jobs=1, limit=Limit(begun, last), unfinished=unfinished, report_progress=lambda *_: None,
+            section=SimpleNamespace(posterior=posterior),
+        )  # fmt: skip
         return annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task)), judged
 
     return run
@@ -76,3 +101,24 @@ def test_a_run_that_is_continued_judges_the_same_starts(run_all: Any) -> None:
     starts, judged = run_all([None] * COUNT, 7.0, first)
     assert judged == [1, 2, 3]
     assert len(starts) == 4
+
+
+def test_what_the_time_has_cut_short_is_not_kept(run_all: Any) -> None:
+    """What is kept may be written later, after an interrupt, and must not change until then."""
+    kept: dict[str, list[Start]] = {}
+    starts, _ = run_all([5.0, 9.0, 13.0, *[None] * 5], 7.0, keep=kept.__setitem__, last=3)
+    assert [one.number for one in starts] == [0, 1, 2]
+    assert [one.number for one in kept["starts"]] == [0, 1]
+
+
+def test_where_the_time_is_over_before_a_start_has_succeeded_one_is_judged_at_larger_noise(run_all: Any) -> None:
+    kept: dict[str, list[Start]] = {}
+    starts, judged = run_all([None] * COUNT, 7.0, keep=kept.__setitem__, last=2)
+    assert judged == [0]
+    assert [one.noise for one in starts] == [2.0, 1.0]
+    assert all(one.looser for one in kept["starts"])
+
+
+def test_particles_need_no_starts_at_larger_noise(run_all: Any) -> None:
+    starts, judged = run_all([None] * COUNT, 7.0, posterior="smc")
+    assert (len(starts), judged) == (COUNT, [])

@@ -17,7 +17,7 @@ whose inverse at the optimum is the covariance of the camera parameters, the tra
 Valleys are curved: where cameras move, points do not follow on straight lines. A step after which the cost has grown is
 therefore judged once the knots have settled, and no step is longer than the valley allowed last. Damped steps
 (Levenberg, Marquardt) crept along such valleys: of 200 every other one was rejected, and starts of one optimum ended
-apart.
+apart. Damping helps where matrices are nearly singular.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class Eliminated:
         """Eliminate the knots by the factor of their matrix."""
         coupling, vector = equations.coupling, equations.state_vector[:, None]
         moves: Booleans = np.asarray(coupling.any(axis=0))  # held values do not couple
-        used = np.hstack([coupling if moves.all() else coupling[:, moves], vector])
+        used = np.ascontiguousarray(np.hstack([coupling if moves.all() else coupling[:, moves], vector]))
         normal_equations.substitute_forward(factor.T, used)
         whitened = used
         if not moves.all():
@@ -100,7 +100,7 @@ class Eliminated:
 
     def followed(self, values: Array) -> Array:
         """Step (6 k,) that takes knots from their minimum to that after a step (m,) of the values, to first order."""
-        return self._solved(-self.whitened[:, :-1] @ values)
+        return self._solved(-(self.whitened[:, :-1] @ values))
 
     def following(self) -> Array:
         """Derivatives (6 k, m) of the knots, at their minimum, by the values: -A^-1 C."""
@@ -188,11 +188,12 @@ def adjust(
             moved = states + share * state_step.reshape(states.shape)
             tried = _followed(linearisation, current, values + share * value_step, moved, tolerance)
             iteration += 1
-            if (is_lower := bool(tried[2].cost <= current.cost)) or share < LEAST_SHARE * whole:
+            if (is_lower := bool(tried[2].cost <= current.cost)) or share <= LEAST_SHARE * whole:
                 break
             share *= 0.5
         if not is_lower:
-            break
+            damping = max(DAMPING_FACTOR * damping, FIRST_DAMPING)
+            continue
         longest = (LONGER if share == whole else 1.0) * share * length
         (values, states, current), damping = tried, damping / DAMPING_FACTOR
     covariance = posterior_covariance(current, problem.parameters.prior_std)

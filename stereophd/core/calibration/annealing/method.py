@@ -1,9 +1,9 @@
 """Method annealed, from the starts to the result: what is stated is the answer of a model that was doubted first.
 
-`calibrated` is the whole of it. The best start is brought to the known scale. The answer is then stated (unknowns
-selected, trajectories integrated out), and doubted: the noise of the detections is estimated until it stays, and what
-the calibration holds is tested (`adjustment.suspicions`). Where other unknowns predict better then, or a contradicted
-statement may be given up, the answer is stated anew under the better model. What remains in doubt is a remark.
+`calibrated` is the whole of it. The best start is brought to the known scale. The answer is then stated (trajectories
+integrated out), and doubted: the noise of the detections is estimated until it stays, and what the calibration holds is
+tested (`adjustment.suspicions`). Where a contradicted statement may be given up, the answer is stated anew under the
+better model. What remains in doubt is a remark.
 """
 
 from collections import Counter
@@ -44,7 +44,7 @@ from stereophd.core.calibration.annealing.starts import (
     wanted,
 )
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
-from stereophd.core.calibration.unknowns.held import FOCAL_STD, IMAGE, EnlargedSet, enlarge
+from stereophd.core.calibration.unknowns.held import FOCAL_STD, IMAGE, WHOLE_IMAGE, EnlargedSet, enlarge
 from stereophd.core.calibration.unknowns.observability import posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import scale_is_free
@@ -347,7 +347,7 @@ def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[
 def may_be_freed(suspicion: Suspicion, choices: Choices, parameters: ParameterSet) -> bool:
     """Whether a contradicted statement may be given up."""
     is_asked = choices.model == FREE or (choices.model != AS_STATED and suspicion.group.is_unmeasured)
-    return is_asked and suspicion.group.quantity != "image" and is_shown(suspicion, parameters)
+    return is_asked and suspicion.group.quantity != WHOLE_IMAGE and is_shown(suspicion, parameters)
 
 
 def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
@@ -426,7 +426,9 @@ def statement_remarks(believed: Believed, is_doubted: bool) -> tuple[Remark, ...
     if contradicted is not None:
         can_tell = is_shown(contradicted, believed.task.parameters)
         remedy = "measure it: two cameras do not show it"
-        if can_tell:
+        if contradicted.group.quantity == WHOLE_IMAGE:
+            remedy = "measure it, or give it a prior"
+        elif can_tell:
             remedy = "state it, give it a prior, or let it be estimated (calibration.model: free)"
         text = f"the data contradict what is stated: {fitting(contradicted, is_doubted or not can_tell)} fits; {remedy}"
         remarks.append(Remark("model", text, is_reservation=True))

@@ -23,8 +23,9 @@ from stereophd.core.geometry.lens import Lens
 K1_STD, FOCAL_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.3, 0.03, 0.015, 1.0, 1e-3
 # Odds, before the data, that a statement is wrong: of what nobody may have measured, of any other value, and of what
 # nobody has measured.
-UNMEASURED_ODDS, STATED_ODDS, CERTAIN_ODDS = 0.1, 1e-3, 1e30
-# What is measured of an image together; the middle is stated to half a pixel (its edges are those of pixels, or not).
+UNMEASURED_ODDS, STATED_ODDS, CERTAIN_ODDS = 0.1, 1e-3, 1e300
+# What is measured of an image together, and what all of it is called; the middle is stated to half a pixel.
+WHOLE_IMAGE = "image"
 IMAGE, MIDDLE_PX = ("distortion", "focal", "principal_point"), 0.5
 
 
@@ -62,7 +63,7 @@ class EnlargedSet:
         unknowns = self.parameters.parameters
         places = [i for i in held if unknowns[i].camera in makers and unknowns[i].quantity.name in IMAGE]
         names = tuple(self.parameters.names[i] for i in places)
-        return replace(self, groups=(HeldGroup("image", names, np.array(places), CERTAIN_ODDS),) if places else ())
+        return replace(self, groups=(HeldGroup(WHOLE_IMAGE, names, np.array(places), CERTAIN_ODDS),) if places else ())
 
 
 def is_of_maker(camera: Camera) -> bool:

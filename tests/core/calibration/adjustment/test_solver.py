@@ -248,6 +248,13 @@ def test_knots_are_eliminated_as_by_a_dense_solver() -> None:
     np.testing.assert_allclose(eliminated.right, -coupling.T @ alone, rtol=1e-9)
 
 
+def test_an_adjustment_goes_on_where_no_share_of_a_step_lowers_the_cost() -> None:
+    """Knots that are nearly singular make steps that are too long at every share; damped ones are not."""
+    motion, floor = ConstantVelocity([0.02] * 3), Loss(normal_equations.FLOOR, 1e-3)
+    _, found = solve(make_problem(27, objects=3, frames=30), motion, floor)
+    assert found.cost < 1600.0  # 1,739 where it gives up at the first such step
+
+
 def test_where_all_values_are_held_only_trajectories_are_adjusted() -> None:
     problem, fit = solve(make_problem(0))
     values, states = problem.parameters.prior_mean, fit.states
