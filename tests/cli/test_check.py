@@ -108,6 +108,20 @@ def test_check_counts_what_track_refuses(
     assert f"({remedy}, or input.on_bad_row: drop" in refused.sentence
 
 
+def test_detections_outside_the_image_are_counted_among_those_looked_at(
+    call: Callable[..., Outcome], config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows are read in groups, beyond the frames that are looked at."""
+    monkeypatch.setattr("stereophd.pipeline.checks.run.MOST_FRAMES", 10)
+    log = tmp_path / "log.parquet"
+    with LogWriter(log) as writer:
+        for frame in range(40):
+            writer.write(float(frame), "left", frame, np.array([[5000.0, 10.0], [10.0, 10.0]]))
+    found = json.loads(call("check", config, log, "--json").out)["checks"][0]
+    assert found["message"].startswith(f"{found['value']} of the {2 * found['value']} rows looked at are bad")
+    assert 0 < found["value"] < 40
+
+
 def test_rows_that_a_run_refuses_are_a_warning(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:
     random = np.random.default_rng(1)
     log = tmp_path / "log.parquet"
