@@ -53,7 +53,9 @@ def init(
     if log_path is not None and draft.cameras:
         loaded, alone = loaded_draft(draft, str(target)), draft.is_unplaced
         checked = check_log_alone(loaded, log_path) if alone else check_log(loaded, log_path, thorough=False)
-        draft = replace(draft, findings=(*draft.findings, *checked))
+        # a mistake by which the values are chosen is named once
+        named = {found.name for found in draft.findings} & {"geometry.cause"}
+        draft = replace(draft, findings=(*draft.findings, *(one for one in checked if one.name not in named)))
     sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
     source = f"from {' and '.join(sources)}" if sources else "without a log"
     _write(target, config_text(draft, stereophd.__version__, source, CAMERAS_FILE), force)

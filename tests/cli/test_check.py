@@ -92,7 +92,7 @@ def test_a_log_that_is_missing(call: Callable[..., Outcome], config: Path, tmp_p
 def test_check_counts_what_track_refuses(
     kind: str, remedy: str, call: Callable[..., Outcome], config: Path, tmp_path: Path
 ) -> None:
-    """Rows in random order, and detections far outside the image; nothing that is said of their order is untrue."""
+    """Rows in random order, and detections far outside the image."""
     random, log = np.random.default_rng(1), tmp_path / "log.parquet"
     order = random.permutation(40) if kind == "time_backwards" else np.arange(40)
     away = 5000.0 if kind == "outside_image" else 0.0
@@ -100,15 +100,26 @@ def test_check_counts_what_track_refuses(
     columns = {"time_s": times, "camera": ["left"] * 120, "frame": np.repeat(order, 3)}
     columns |= {"u_px": random.uniform(0, 100, 120) + away, "v_px": random.uniform(0, 100, 120)}
     pq.write_table(pa.table(columns), log)
-    outcome = call("check", config, log, "--json", "-v")
-    found = json.loads(outcome.out)["checks"][0]
+    found = json.loads(call("check", config, log, "--json").out)["checks"][0]
     assert (found["name"], kind in found["message"]) == ("input.rows", True)
-    assert "the rows are in order" not in outcome.err
     assert found["remedy"] == f"{remedy}, or drop them (input.on_bad_row: drop)"
-    assert "the rows are in order" not in outcome.err
     refused = call("track", config, log, "--out", tmp_path / "out")
     assert refused.code == 2
     assert f"({remedy}, or input.on_bad_row: drop" in refused.sentence
+
+
+def test_detections_outside_the_image_are_counted_among_those_looked_at(
+    call: Callable[..., Outcome], config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Rows are read in groups, beyond the frames that are looked at."""
+    monkeypatch.setattr("stereophd.pipeline.checks.run.MOST_FRAMES", 10)
+    log = tmp_path / "log.parquet"
+    with LogWriter(log) as writer:
+        for frame in range(40):
+            writer.write(float(frame), "left", frame, np.array([[5000.0, 10.0], [10.0, 10.0]]))
+    found = json.loads(call("check", config, log, "--json").out)["checks"][0]
+    assert found["message"].startswith(f"{found['value']} of the {2 * found['value']} rows looked at are bad")
+    assert 0 < found["value"] < 40
 
 
 def test_rows_that_a_run_refuses_are_a_warning(call: Callable[..., Outcome], config: Path, tmp_path: Path) -> None:
@@ -120,7 +131,7 @@ def test_rows_that_a_run_refuses_are_a_warning(call: Callable[..., Outcome], con
                 writer.write(float(frame), camera, frame, random.uniform(0, 100, (4, 2)))
     found = json.loads(call("check", config, log, "--json").out)["checks"][0]
     assert (found["name"], found["status"], found["value"], found["cause"]) == ("input.rows", "warning", 80, "bad_rows")
-    assert found["message"].startswith("80 of 240 rows that were read are bad (unknown_camera 80)")
+    assert found["message"].startswith("80 of the 240 rows looked at are bad (unknown_camera 80)")
     assert found["remedy"] == "add the camera to the cameras, or drop them (input.on_bad_row: drop)"
     refused = call("track", config, log, "--out", tmp_path / "out")
     assert refused.code == 2

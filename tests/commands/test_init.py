@@ -103,7 +103,7 @@ def test_cameras_of_which_nothing_is_known_are_calibrated_first(
         assert run(words) == 0
 
 
-@pytest.mark.parametrize("said_by", ["likelihood", "views", "checks"])
+@pytest.mark.parametrize("said_by", ["likelihood", "views", "checks", "mistake"])
 def test_cameras_whose_rays_do_not_meet_are_calibrated_first(
     said_by: str, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -114,7 +114,10 @@ def test_cameras_whose_rays_do_not_meet_are_calibrated_first(
     values = yaml.safe_load((scene / "cameras.yaml").read_text())
     for camera in values["cameras"].values():
         del camera["detector"]
-    if said_by != "checks":
+    if said_by == "mistake":
+        turned = Finding("geometry.cause", "warning", "right: a turn by 8 degrees", cause=DO_NOT_MEET)
+        monkeypatch.setattr("stereophd.pipeline.initial.draft._mistake", lambda _: turned)
+    elif said_by != "checks":
         turn = [5.0, 30.0, 3.0] if said_by == "likelihood" else [0.0, 170.0, 0.0]
         list(values["cameras"].values())[1]["pose"]["rotation_vector_deg"] = turn
     else:
@@ -130,6 +133,7 @@ def test_cameras_whose_rays_do_not_meet_are_calibrated_first(
     section = yaml.safe_load(Path(config).read_text())["calibration"]
     assert "scale" not in section
     assert [prior["rotation_std_deg"] for prior in section["priors"].values()] == [10.0]
+    assert said_by == "checks" or "# from the depths at which rays" not in Path(config).read_text()
     for camera in load_config(config).cameras.values():
         assert camera.detector.sigma_px == pytest.approx([1.0, 1.0], rel=0.3)
 
@@ -252,6 +256,12 @@ def test_templates_without_a_log(kind: Any, unit: str, scene: Path, tmp_path: Pa
     assert loaded.config.units.length == unit
     near, far = loaded.config.filter.birth.depth_range  # type: ignore[union-attr,misc]
     assert 0.0 < near < far
+
+
+def test_births_by_disparity_need_no_priors_of_a_calibration(scene: Path, tmp_path: Path) -> None:
+    given = ["filter.birth.disparity={mean_px: 10.0, std_px: 5.0}", "filter.birth.depth_range=null"]
+    written = init(tmp_path, None, scene / "cameras.yaml", given)["config"]
+    assert "calibration:" not in Path(written).read_text()
 
 
 def test_cameras_alone_and_a_log_alone(scene: Path, tmp_path: Path) -> None:

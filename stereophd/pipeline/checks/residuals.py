@@ -67,7 +67,8 @@ def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
         lasts = np.hypot(mean, spread) > LARGEST_DISTANCE and pair.correlation > LARGEST_CORRELATION
         if lasts and pair.track_count >= POSE_TRACKS and not ignored:
             yield Finding(
-                "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, no one alone",
+                "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
+                "alone explains it",
                 round(spread, 3), 1.0, None, CHECK_CAMERAS, DO_NOT_MEET,
             )  # fmt: skip
         else:

@@ -47,9 +47,10 @@ def check_log(
         samples = [one.with_noise_of_middles for one in samples]
     # read all the same, so that it shows why they lie there
     outside = sum(int((~one.camera.contains(one.pixels, config.input.image_margin_px)).sum()) for one in samples)
-    counts = {**reader.counts, "outside_image": outside}
+    looked_at = {"rows": sum(len(one.pixels) for one in samples), "outside_image": outside}
     # a quick check precedes a run, which states what it drops
-    findings = [*(check_rows(counts) if thorough else ()), *_of_files(loaded, samples, whole)]
+    rows = (*check_rows(reader.counts), *check_rows(looked_at)) if thorough else ()
+    findings = [*rows, *_of_files(loaded, samples, whole)]
     contradicted = {found.camera for found in warnings_of(tuple(findings)) if found.name == "detector.sigma"}
     samples = [one.with_measured_noise if one.camera.name in contradicted else one for one in samples]
     if any(found.cause == "pixels_normalised" for found in findings):

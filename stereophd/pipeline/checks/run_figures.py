@@ -174,12 +174,12 @@ def check_noise(
 def check_rows(counts: Mapping[str, int]) -> Iterator[Finding]:
     """Yield a warning if rows of a log are bad, so that a run refuses the log unless it drops them.
 
-    The counts are those of the rows that were read: ``rows`` and the kinds of bad rows.
+    The counts are those of the rows that were looked at: ``rows`` and the kinds of bad rows.
     """
     bad, each = bad_rows(counts)
     if bad:
-        text = f"{bad} of {counts['rows']} rows that were read are bad ({each}): a run refuses the log, or drops them"
-        mend = " and ".join(text for kind, text in REMEDIES.items() if counts[kind]) or "correct the rows"
+        text = f"{bad} of the {counts['rows']} rows looked at are bad ({each}): a run refuses the log, or drops them"
+        mend = " and ".join(text for kind, text in REMEDIES.items() if counts.get(kind)) or "correct the rows"
         remedy = f"{mend}, or drop them (input.on_bad_row: drop)"
         yield Finding("input.rows", "warning", text, bad, 0, None, remedy, "bad_rows")
 

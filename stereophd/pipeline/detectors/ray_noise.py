@@ -143,17 +143,22 @@ def _drawn(rng: np.random.Generator, likelihoods: Array) -> int:
     return int(np.searchsorted(summed, rng.random() * summed[-1]))
 
 
+def are_compared(samples: Sequence[CameraSample]) -> bool:
+    """Whether cameras can be compared: two at least have detections, and none moves."""
+    stand_still = all(sample.camera.pose.is_static for sample in samples)
+    return stand_still and sum(len(sample.pixels) > 0 for sample in samples) > 1
+
+
 def starting_detectors(
     cameras: Sequence[Camera], estimated: Collection[str], samples: Sequence[CameraSample], are_placed: bool = True
 ) -> tuple[tuple[Camera, ...], dict[str, NoisePrior]]:
     """Return cameras with detectors to begin a first tracking run with, and what is known of their noise by then.
 
     The detectors of the cameras of `estimated` names are those that are replaced. Where poses are not known or wrong
-    (not `are_placed`), each camera alone shows its noise. Where nothing is compared (one camera with detections,
-    cameras that move), it is as the detectors have it.
+    (not `are_placed`), each camera alone shows its noise. Where nothing is compared, it is as the detectors have it.
     """
     noise, spreads = np.array([camera.detector.sigma for camera in cameras]), np.full(len(cameras), NOISE_SPREAD)
-    if sum(len(sample.pixels) > 0 for sample in samples) > 1 and all(camera.pose.is_static for camera in cameras):
+    if are_compared(samples):
         noise, spreads = noise_from_rays(samples, are_placed)
     used, priors = [], {}
     for k, camera in enumerate(cameras):

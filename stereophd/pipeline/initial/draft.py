@@ -26,7 +26,7 @@ from stereophd.pipeline.checks.run_figures import LASTING, check_estimated_detec
 from stereophd.pipeline.checks.settings import expected_depths, measure_scene
 from stereophd.pipeline.detectors.displacements import usual_turn
 from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
-from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
+from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, are_compared, starting_detectors
 from stereophd.pipeline.detectors.statistics import NoisePrior
 from stereophd.pipeline.initial.acceleration import LEAST_GAIN, estimate_acceleration, log_likelihoods
 from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter, shared_depths
@@ -67,24 +67,25 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     bodies = _with_bodies(draft, cameras, unknown, log_path) if only_boxes and is_placed else None
     if bodies is not None:
         return bodies
-    cause: str | None = "the poses are unknown"
+    cause = "the poses are unknown"
     if is_placed:
         started, priors = starting_detectors(cameras, unknown, samples)
         placed = [sample.with_camera(camera) for sample, camera in zip(samples, started, strict=True)]
-        cause = _mistake([sample.with_measured_noise if sample.camera.name in unknown else sample for sample in placed])
-    if cause is None:
-        tracked, why = _with_tracks(_with_cameras(draft, started, unknown), placed, priors, log_path)
-        if why is None:
-            return tracked
-        cause = "the cameras do not agree"
-        doubt = Finding("geometry.rays", "warning", f"{cause}: {why}", remedy=CHECK_CAMERAS, cause=DO_NOT_MEET)
-        draft = replace(draft, findings=(doubt,))
+        doubt = _mistake([sample.with_measured_noise if sample.camera.name in unknown else sample for sample in placed])
+        if doubt is None:
+            tracked, why = _with_tracks(_with_cameras(draft, started, unknown), placed, priors, log_path)
+            if why is None:
+                return tracked
+            text = f"the cameras do not agree: {why}"
+            doubt = Finding("geometry.rays", "warning", text, remedy=CHECK_CAMERAS, cause=DO_NOT_MEET)
+        draft, cause = replace(draft, findings=(doubt,)), doubt.message
     # rays and tracks of wrong cameras say nothing of the noise either
     cameras, priors = starting_detectors(cameras, unknown, samples, are_placed=False)
+    if are_compared(samples):
+        why = f"detector: the noise about one-camera tracks and in displacements, because rays show none: {cause}"
+        notes = {name: (*draft.camera_notes.get(name, ()), why) for name in unknown}
+        draft = replace(draft, camera_notes=draft.camera_notes | notes)
     samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
-    why = f"detector: the noise about one-camera tracks and in displacements, because rays show none: {cause}"
-    notes = {name: (*draft.camera_notes.get(name, ()), why) for name in unknown}
-    draft = replace(draft, camera_notes=draft.camera_notes | notes)
     # everything else follows from rays; tracks estimate the detectors once there are any
     draft = _with_cameras(draft, cameras, unknown, estimate=not is_placed)
     return draft if not is_placed else draft.with_choices(_rough(draft, samples, priors) or {})
@@ -96,10 +97,9 @@ def _with_tracks(
     """Return the draft with what rays and the filter show, and why the cameras are wrong, if they are.
 
     They are if the log is more probable, 1,000 to 1, with the same settings where each camera has objects of its own.
-    One camera that alone has frames cannot be wrong about the others.
+    One camera that alone has detections cannot be wrong about the others, and cameras that move are not calibrated.
     """
-    rough, name = _rough(draft, samples, priors), str(log_path)
-    is_compared = sum(len(sample.times) > 0 for sample in samples) > 1
+    rough, name, is_compared = _rough(draft, samples, priors), str(log_path), are_compared(samples)
     if rough is None:
         return draft, "no two cameras have a view in common" if is_compared else None
     parts = stretches(open_stream(loaded_draft(draft, name).config, [sample.camera for sample in samples], log_path))
@@ -114,13 +114,13 @@ def _with_tracks(
     return found, why if is_compared and gain <= -BELIEVED else None
 
 
-def _mistake(samples: list[CameraSample]) -> str | None:
+def _mistake(samples: list[CameraSample]) -> Finding | None:
     """Return the mistake in cameras or clocks that makes far more rays meet with this noise; None if there is none."""
     if any(sample.box_height_px is not None or not sample.camera.pose.is_static for sample in samples):
         return None
     geometry = measure(samples, expected_depths(None, samples), thorough=False)
     findings = check_geometry(geometry, thorough=False)
-    return next((found.message for found in findings if found.name == "geometry.cause"), None)
+    return next((found for found in findings if found.name == "geometry.cause"), None)
 
 
 def _with_bodies(

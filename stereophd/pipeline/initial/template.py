@@ -74,17 +74,19 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
 def _calibration(draft: Draft) -> Iterator[str]:
     """Yield a section ``calibration``, with priors of the size that the noise and the depths suggest."""
     cameras = [camera.build(name) for name, camera in draft.cameras.items()]
+    is_wrong, depths = draft.must_be_calibrated, draft.choices["filter.birth.depth_range"].value
     if len(cameras) < 2 or not all(camera.pose.is_static for camera in cameras):
+        return
+    if not is_wrong and not isinstance(depths, list):  # births by disparity
         return
     reference, *others = cameras
     distances = [float(np.linalg.norm(camera.pose.center - reference.pose.center)) for camera in others]
-    depth, least = float(np.sqrt(np.prod(draft.choices["filter.birth.depth_range"].value))), LEAST_ANGLE_DEG
     yield "calibration:"
     yield f"  reference: {scalar(reference.name)}"
     yield "  priors:"
     for camera, apart in zip(others, distances, strict=True):
-        if draft.must_be_calibrated:  # then no depth is known
-            depth, least = apart, WRONG_ANGLE_DEG
+        # where poses are wrong no depth is known
+        depth, least = (apart, WRONG_ANGLE_DEG) if is_wrong else (float(np.sqrt(np.prod(depths))), LEAST_ANGLE_DEG)
         angle = max(least, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
         std = max(np.deg2rad(angle) * depth, LEAST_CENTER * apart)
         yield f"    {scalar(camera.name)}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
