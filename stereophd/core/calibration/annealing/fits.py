@@ -30,7 +30,6 @@ from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import enlarged, reduced
-from stereophd.core.numerics.threads import in_threads
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
 # are rather false ones (at that distance a normal density is down to this part of its peak).
@@ -176,16 +175,13 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
 
     Marginalising the trajectories at every time would take too long.
     """
-    times = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:].tolist()
-
-    def until(numbered: tuple[int, float]) -> list[HistoryRow]:
-        number, time_s = numbered
-        if not task.limit.begin(f"the history of the answer, {number + 1} of {HISTORY_TIMES}"):
-            return []
-        fit = fit_until(task, answer, time_s)
-        return [] if fit is None else [HistoryRow(time_s, fit.adjustment.values, fit.adjustment.covariance)]
-
-    rows = [row for found in in_threads(until, enumerate(times[:-1]), task.threads) for row in found]
+    times = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:]
+    rows = [
+        HistoryRow(float(time_s), until.adjustment.values, until.adjustment.covariance)
+        for number, time_s in enumerate(times[:-1])
+        if task.limit.begin(f"the history of the answer, {number + 1} of {HISTORY_TIMES}")
+        and (until := fit_until(task, answer, float(time_s))) is not None
+    ]
     return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
 
 
