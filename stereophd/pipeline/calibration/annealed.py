@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
-from itertools import starmap
+from operator import call
 from typing import Any
 
 import numpy as np
@@ -39,7 +39,6 @@ from stereophd.pipeline.workers.places import on_processes
 
 # Draws that represent a Laplace posterior.
 LAPLACE_DRAWS = 1000
-AT_LARGER_NOISE = "the cameras agree with the data at larger noise than what is stated alone"
 
 
 def annealed_outcome(run: CalibrationRun) -> Outcome:
@@ -48,8 +47,6 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     run.limit.begin("one-camera tracks are made")
     task = replace(annealed_task(run.loaded, section, problem), limit=run.limit, threads=run.jobs)
     starts = _all_starts(run, task)
-    if section.posterior == "smc":  # particles are weighed at the stated noise
-        starts = [one if one.noise == 1.0 else replace(one, outcome=AT_LARGER_NOISE) for one in starts]
     best = best_of(starts)
     details: dict[str, Any] = {
         "starts": [_start_report(task, start, best) for start in starts],
@@ -122,9 +119,9 @@ def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
         again, new = failed(), range(len(starts), count)
         jobs = min(run.jobs, len(again or new))
         if again:
-            found = _each(at_larger_noise, ((task, starts[place]) for place in again), jobs)
+            found = _each((partial(at_larger_noise, task, starts[place]) for place in again), jobs)
         else:
-            found = _each(run_start, ((task, place, values[place], seeds[place]) for place in new), jobs)
+            found = _each((partial(run_start, task, place, values[place], seeds[place]) for place in new), jobs)
         for place, start in zip(again or new, found, strict=False):
             starts[place : place + 1] = [start]
             if not run.limit.is_over:  # one that the time has cut short is done again
@@ -139,15 +136,9 @@ def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
     return starts
 
 
-def _each(function: Callable[..., Start], arguments: Iterable[tuple[Any, ...]], jobs: int) -> Iterator[Start]:
-    """Starts that a function returns, in order; what is not needed is not begun beyond as many as there are workers."""
-    if jobs == 1:
-        return starmap(function, arguments)
-    return on_processes(partial(_call, function), arguments, jobs)
-
-
-def _call(function: Callable[..., Start], arguments: tuple[Any, ...]) -> Start:
-    return function(*arguments)
+def _each(calls: Iterable[Callable[[], Start]], jobs: int) -> Iterator[Start]:
+    """Starts that calls return, in order; what is not needed is not begun beyond as many as there are workers."""
+    return map(call, calls) if jobs == 1 else on_processes(call, calls, jobs)
 
 
 def _clock_report(task: Task) -> dict[str, Any]:
