@@ -180,7 +180,8 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
         doubt = f"with the known {by} {against}" if by else against
     history, moves = history_of(task, answer.fit, fit), track_moves(problem_of(task, fit), fit.adjustment)
     remarks += (*statement_remarks(believed, is_doubted=bool(doubt)), *prior_remarks(task, values))
-    remarks += spread_remarks(moves, fit.adjustment.covariance)
+    if not choices.is_sampled:  # particles need no Gaussian
+        remarks += spread_remarks(moves, fit.adjustment.covariance)
     return Calibrated(believed, fit, history, pairs, moves, doubt, remarks, world)
 
 
