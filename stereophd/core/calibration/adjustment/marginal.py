@@ -113,9 +113,8 @@ class MarginalOptimum:
 def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 1.0) -> MarginalOptimum:
     """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
 
-    The problem holds nothing. The search begins at a factor on the noise
-    of the motion. Returns the adjustment given, not converged, at the noise stated, where the normal equations are
-    singular.
+    The problem holds nothing. The search begins at a factor on the noise of the motion. Returns the adjustment given,
+    not converged, at the noise stated, where the normal equations are singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
@@ -315,9 +314,7 @@ class MarginalPosterior:
         covariance = within_prior(at.eliminated.schur, self.prior_std)
         if not self.links:
             return covariance
-        of_knots = at.equations.coupling[:, -1]
-        seen = float(of_knots @ cho_solve_banded((at.factor, True), of_knots, check_finite=False))
-        known = max(float(at.equations.matrix[-1, -1]) - self.prior_std[-1] ** -2 - seen, 0.0)
+        known = max(float(at.eliminated.schur[-1, -1]) - self.prior_std[-1] ** -2, 0.0)
         with_noise = covariance[:, -1]
         return np.asarray(covariance - known / (1.0 + known * with_noise[-1]) * np.outer(with_noise, with_noise))
 
