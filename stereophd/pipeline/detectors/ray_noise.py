@@ -107,7 +107,7 @@ def noise_from_rays(samples: Sequence[CameraSample], are_placed: bool = True) ->
 def _told_by_tracks(sample: CameraSample) -> Array:
     """Return the log-likelihood (noises,) of the noise of a camera, from that about its one-camera tracks."""
     measured = sample.measured_noise_px
-    return -0.5 * (np.log(NOISES / (measured or 1.0)) / (LASTING_SPREAD if measured else np.inf)) ** 2
+    return np.zeros(len(NOISES)) if measured is None else -0.5 * (np.log(NOISES / measured) / LASTING_SPREAD) ** 2
 
 
 def _draws(likelihoods: dict[tuple[int, int], Array], links: Sequence[Array]) -> Array:

@@ -60,12 +60,16 @@ class Bodies:
     source: str
 
     def choices(self, unit: str) -> dict[str, Choice]:
-        """Return the section ``object``, and what follows from the size of the objects."""
+        """Return the section ``object``, and settings from the size of the objects, wide enough to track with."""
 
         def extent(values: tuple[float, float]) -> dict[str, float]:
             return {"mean": rounded(values[0], 3), "std": rounded(values[1])}
 
+        height, why = self.height[0], "from the height of the objects, not from their motion"
         out = {
+            "filter.birth.velocity_std": Choice(rounded(SPEED * height), f"{why}; {unit}/s"),
+            "motion.acceleration_std": Choice(rounded(ACCELERATION * height), f"{why}; {unit}/s^2"),
+            "evaluation.cutoff": Choice(rounded(0.5 * height, 1), "half the height of the objects"),
             "object.shape": Choice("ellipsoid", "the detections are boxes; point takes their middles alone"),
             "object.height": Choice(extent(self.height), f"{self.source}; {unit}"),
         }
@@ -79,15 +83,6 @@ class Bodies:
         else:
             out["object.ground"] = Choice(None, "the middles of the objects lie in no plane: nothing stands")
         return out
-
-    def rough(self, unit: str) -> dict[str, Choice]:
-        """Return settings of motion and births, wide enough to track with."""
-        height, why = self.height[0], "from the height of the objects, not from their motion"
-        return {
-            "filter.birth.velocity_std": Choice(rounded(SPEED * height), f"{why}; {unit}/s"),
-            "motion.acceleration_std": Choice(rounded(ACCELERATION * height), f"{why}; {unit}/s^2"),
-            "evaluation.cutoff": Choice(rounded(0.5 * height, 1), "half the height of the objects"),
-        }
 
 
 def measure_bodies(cameras: Sequence[Camera], parts: Sequence[Sequence[Event]]) -> Bodies | None:

@@ -144,9 +144,9 @@ def _with_bodies(
         bodies = measure_bodies(cameras, events)
         if bodies is None:
             return None
-        draft = draft.with_choices({**bodies.choices(draft.unit), **bodies.rough(draft.unit)})
+        draft = draft.with_choices(bodies.choices(draft.unit))
         bodies = refine_bodies(bodies, loaded_draft(draft, name), cameras, events)
-        draft = draft.with_choices({**bodies.choices(draft.unit), **bodies.rough(draft.unit)})
+        draft = draft.with_choices(bodies.choices(draft.unit))
     if priors:
         draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
         noisy = point_noise(loaded_draft(draft, name).build_cameras(), events)
