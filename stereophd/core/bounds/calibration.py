@@ -62,8 +62,8 @@ def calibration_bound(
             noise = min(noise, depth * float(camera.detector.sigma.min()) / camera.fx)
     _, numbers = np.unique(objects[seen], return_inverse=True)
     count = int(numbers.max()) + 1 if len(numbers) else 0
-    spans = [(float(times[seen][numbers == j].min()), float(times[seen][numbers == j].max())) for j in range(count)]
-    knots = place_knots(spans, knot_spacing(motion, noise), motion, np.bincount(numbers, minlength=count))
+    detected = [times[seen][numbers == j] for j in range(count)]
+    knots = place_knots(detected, knot_spacing(motion, noise), motion)
     observations = Observations(
         numbers, cameras[seen], times[seen], np.zeros((int(seen.sum()), 2)), precisions[seen], log_times[seen],
         heights[seen]

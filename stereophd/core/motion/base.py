@@ -159,6 +159,13 @@ class Motion(ABC):
         first = self.flow(elapsed)
         return self._bridge(elapsed, interval, (cross, velocity), (0.0, first.keep), first.drift[:, 3:])
 
+    def straying(self, elapsed: Array, interval: Array) -> Array:
+        """Variance (n,) of the position about its mean between two states, given both, for unit noise; as `between`."""
+        position, cross, _ = self.noise(elapsed)
+        carried = self._carried((position, cross), self.flow(interval - elapsed))
+        known = np.einsum("ni,nij,nj->n", carried, self.precision(interval), carried)
+        return np.asarray(np.maximum(position - known, 0.0))
+
     def _bridge(
         self, elapsed: Array, interval: Array, noise: tuple[Array, Array], row: tuple[float, Array], drift: Array
     ) -> tuple[Array, Array]:
@@ -170,12 +177,16 @@ class Motion(ABC):
         and of its drift (n, 3).
         """
         rest, whole = self.flow(interval - elapsed), self.flow(interval)
-        carried = np.stack([noise[0] + noise[1] * rest.reach, noise[1] * rest.keep], axis=1)
-        gain = np.einsum("ni,nij->nj", carried, self.precision(interval))
+        gain = np.einsum("ni,nij->nj", self._carried(noise, rest), self.precision(interval))
         weights = np.stack(
             [row[0] - gain[:, 0], row[1] - gain[:, 0] * whole.reach - gain[:, 1] * whole.keep, *gain.T], axis=1
         )
         return weights, drift - np.einsum("ni,nia->na", gain, whole.drift.reshape(-1, 2, 3))
+
+    @staticmethod
+    def _carried(noise: tuple[Array, Array], rest: Flow) -> Array:
+        """Covariances (n, 2) of a row of the state with the state after the rest of the interval."""
+        return np.stack([noise[0] + noise[1] * rest.reach, noise[1] * rest.keep], axis=1)
 
     def knot_spacing(self, deviation: float) -> float:
         """Return how far apart (s) states may be so that the position between strays by a standard deviation (length).

@@ -86,8 +86,8 @@ def problem_of(
 ) -> tuple[Problem, np.ndarray]:
     """The problem, its trajectories begun at the truth."""
     count = int(observations.trajectories.max()) + 1
-    spans = [(float(observations.times.min()), float(observations.times.max()))] * count
-    knots = place_knots(spans, knot_spacing(MOTION, 0.005), MOTION)
+    detected = [observations.times[observations.trajectories == j] for j in range(count)]
+    knots = place_knots(detected, knot_spacing(MOTION, 0.005), MOTION)
     at = interpolation(knots, observations.trajectories, observations.times)
     states = fit_states(knots, *at, points, np.full(len(points), 1e4))
     return Problem(guess, 0, knots, observations, loss), states

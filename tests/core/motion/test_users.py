@@ -214,7 +214,7 @@ def test_fitted_trajectories_follow_the_motion(word: str) -> None:
     """Between its knots and beyond them; without noise one knot carries the whole trajectory."""
     for motion in (example(word), example(word, acceleration_std=0.0)):
         states = path(example(word, acceleration_std=0.0), 4)
-        knots = place_knots([(0.0, 3.0)], knot_spacing(motion, 0.2), motion)
+        knots = place_knots([TIMES[TIMES <= 3.0]], knot_spacing(motion, 0.2), motion)
         assert motion.noisy or len(knots.times) == 1
         inner = TIMES <= 3.0
         at = interpolation(knots, np.zeros(int(inner.sum()), dtype=int), TIMES[inner])
@@ -246,7 +246,7 @@ def test_calibration_with_its_trajectories(word: str) -> None:
         here = seen.cameras == number
         points[here] = camera.project(world[here]) + 1.4 * rng.standard_normal((int(here.sum()), 2))
     observations = replace(seen, points=points)
-    knots = place_knots([(0.0, 39.0)] * 4, knot_spacing(motion, 0.2), motion)
+    knots = place_knots([np.arange(40.0)] * 4, knot_spacing(motion, 0.2), motion)
     at = interpolation(knots, seen.trajectories, seen.times)
     states = fit_states(knots, *at, world, np.full(len(world), 0.04))
     problem = Problem(parameters, 0, knots, observations, SQUARED)

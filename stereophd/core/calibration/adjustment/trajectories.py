@@ -3,8 +3,10 @@
 A knot is a position and a velocity. Between two knots the position is the mean of the motion model given both
 (`Motion.between`; of white acceleration a cubic), an affine function of the two (T. D. Barfoot, C. H. Tong and
 S. Sarkka, "Batch continuous-time trajectory estimation as exactly sparse Gaussian process regression", RSS 2014).
-Knots are set so close (`Motion.knot_spacing`) that the motion strays from it by well less than the noise of a
-detection. Without noise of the motion a trajectory is one knot; of a static object the velocity is held at zero.
+Knots are at times of detections, all that a Markov process needs: those between two knots are so few
+(`Motion.knot_spacing`) that the motion strays from the mean by well less than the noise of a detection. Between
+detections it may stray further (`straying`). Without noise of the motion a trajectory is one knot; of a static object
+the velocity is held at zero.
 
 The knots of successive objects follow one another in one array, so all trajectories are one banded system.
 """
@@ -27,8 +29,8 @@ from stereophd.core.numerics.compilation.compiled import compiled
 DEVIATION = 0.3
 # Accelerations below this part of the largest axis count as this: no axis is exactly straight while others turn.
 LEAST_AXIS = 1e-3
-# Most knots of a trajectory for each of its detections.
-KNOTS_PER_DETECTION = 3
+# Detections sooner after a knot than this part of the spacing need no knot, however long none follows.
+SOON = 0.1
 # Weight of a unit velocity of a static object, against positions in pixels: it stays zero.
 STATIC_WEIGHT = 1e6
 
@@ -66,31 +68,30 @@ class Knots:
         return np.flatnonzero(inner)
 
 
-def place_knots(
-    spans: Sequence[tuple[float, float]], spacing: float, motion: Motion, counts: Integers | None = None
-) -> Knots:
-    """Place knots over spans of time, no further apart than `spacing`; one knot for motion without noise.
+def place_knots(detected: Sequence[Array], spacing: float, motion: Motion) -> Knots:
+    """Place knots at some of the times (n,) of the detections of each trajectory; one for motion without noise.
 
-    Where the numbers of detections `counts` of the trajectories are given, a trajectory has at most
-    `KNOTS_PER_DETECTION` knots for each: the work of an adjustment then grows no faster than the detections. Only
-    cameras that are badly wrong would need more: those that place objects so near that the noise is almost no length.
+    A knot is followed by one at the last detection within `spacing`, or else at the next one, so that none lies between
+    knots further apart.
     """
+    spans = np.array([(times.min(), times.max()) for times in detected], dtype=np.float64).reshape(-1, 2)
     pieces = []
-    for j, (start, end) in enumerate(spans):
-        parts = 0
-        if motion.noisy and (end - start) ** 3 > SMALLEST:  # the variance of positions grows with this
-            most = np.inf if counts is None else KNOTS_PER_DETECTION * float(counts[j])
-            parts = int(max(min(np.ceil((end - start) / max(spacing, SMALLEST)), most), 1.0))
-        pieces.append(np.linspace(start, end, parts + 1) if parts else np.array([start]))
+    for times, (start, end) in zip(detected, spans, strict=True):
+        # the variance of positions grows with the third power
+        is_one = not motion.noisy or (end - start) ** 3 <= SMALLEST
+        pieces.append(np.array([start]) if is_one else _some_of(np.unique(times), max(spacing, SMALLEST)))
     first = np.concatenate([[0], np.cumsum([len(piece) for piece in pieces])]).astype(np.int64)
-    times = np.concatenate([*pieces, np.empty(0)])
-    return Knots(
-        times,
-        first,
-        np.asarray(spans, dtype=np.float64).reshape(-1, 2),
-        least_noise(motion),
-        motion,
-    )
+    return Knots(np.concatenate([*pieces, np.empty(0)]), first, spans, least_noise(motion), motion)
+
+
+def _some_of(times: Array, spacing: float) -> Array:
+    """Return those of increasing times that `place_knots` takes."""
+    chosen, following = [], 0
+    while following < len(times):
+        chosen.append(following)
+        soon, late = np.searchsorted(times, times[following] + np.array([SOON, 1.0]) * spacing, side="right")
+        following = int(late - 1 if late > soon else late)
+    return times[chosen]
 
 
 def least_noise(motion: Motion) -> Array:
@@ -149,6 +150,19 @@ def _interpolated(knots: Knots, trajectories: Integers, times: Array, velocities
     alone(before, 0, elapsed)
     alone(~inside & ~before, 2, elapsed - step)
     return Interpolation(knot, weights, offsets)
+
+
+def straying(knots: Knots, trajectories: Integers, times: Array) -> Array:
+    """Variances (n,) of positions about their interpolation, for unit noise of the motion."""
+    knot = np.empty(len(times), dtype=np.int64)
+    _knots_before(knots.times, knots.first, trajectories, times, knot)
+    last = knots.first[trajectories + 1] - 1
+    since, until = times - knots.times[knot], knots.times[np.minimum(knot + 1, last)] - times
+    is_inside = (since > 0.0) & (until > 0.0)
+    beyond = np.where(is_inside, 0.0, np.maximum(np.maximum(-since, -until), 0.0))
+    out = np.asarray(knots.motion.noise(beyond).position, dtype=np.float64)
+    out[is_inside] = knots.motion.straying(since[is_inside], (since + until)[is_inside])
+    return out
 
 
 def slopes(knots: Knots, trajectories: Integers, times: Array) -> Interpolation:

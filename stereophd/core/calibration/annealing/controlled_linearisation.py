@@ -14,7 +14,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Loss
-from stereophd.core.calibration.adjustment.trajectories import interpolation, positions, slopes
+from stereophd.core.calibration.adjustment.trajectories import interpolation, positions, slopes, straying
 from stereophd.core.metrics.truth.registration import Registration, derivatives, stepped
 
 # Values of the world: rotation (3), translation (3), log scale, shift and rate of the clock.
@@ -64,8 +64,12 @@ class ControlledLinearisation:
         coupling[:, :-WORLD], matrix[:-WORLD, :-WORLD] = found.coupling, found.matrix
         vector = np.append(found.value_vector, -values[-WORLD:] / self.world_std**2)
         matrix[-WORLD:, -WORLD:] = np.diag(self.world_std**-2)
+        # between detections the object may be elsewhere than the knots say
+        knots = self.linearisation.problem.knots
+        noise = np.exp(self.linearisation.log_scale_of_noise(values[:-WORLD], 0.0)) * knots.noise_std.max()
+        astray = (world.scale * noise) ** 2 * straying(knots, self.trajectories, times)
         precisions = np.zeros((len(times), 2, 2))
-        precisions[:, 0, 0] = self.std**-2
+        precisions[:, 0, 0] = 1.0 / (self.std**2 + astray)
         for axis in range(3):  # the second component of each measurement has no weight
             pair = [axis, (axis + 1) % 3]
             normal_equations.accumulate(

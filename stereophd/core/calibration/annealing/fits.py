@@ -303,12 +303,10 @@ def _fit(
 
 def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:
     """Knots of trajectories with the given detections, near the given positions."""
-    counts = np.bincount(observations.trajectories)
-    of_each = [observations.times[observations.trajectories == j] for j in range(len(counts))]
-    spans = [(float(times.min()), float(times.max())) for times in of_each]
+    seen = observations.trajectories
+    detected = [observations.times[seen == j] for j in range(int(seen.max()) + 1)]
     noise = _length_of_noise(task, observations, points, values)
-    spacing = knot_spacing(task.filter.motion, noise)
-    return place_knots(spans, spacing, task.filter.motion, counts)
+    return place_knots(detected, knot_spacing(task.filter.motion, noise), task.filter.motion)
 
 
 def _length_of_noise(task: Task, observations: Observations, points: Array, values: Array) -> float:

@@ -18,6 +18,7 @@ from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import Observations, Problem
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, factor_knots
+from stereophd.core.calibration.adjustment.trajectories import straying
 from stereophd.core.calibration.adjustment.volume import covariances_of_points, inverse_in_band
 
 # Squared distance from its prediction within which a detection belongs to a trajectory: 0.1 % of a normal distribution
@@ -59,10 +60,8 @@ class Predictions:
         )
         spread = np.zeros((len(seen), 3, 3))
         covariances_of_points(self.inverse, path.knot, path.weights, path.weights, spread)
-        spans = knots.spans[seen.trajectories]
-        beyond = np.maximum(np.maximum(spans[:, 0] - seen.times, seen.times - spans[:, 1]), 0.0)
         noise = np.exp(linearisation.log_scale_of_noise(self.adjustment.values, 0.0)) * knots.noise_std
-        spread += knots.motion.noise(beyond).position[:, None, None] * np.diag(noise**2)
+        astray = straying(knots, seen.trajectories, seen.times)[:, None, None] * np.diag(noise**2)
         total = np.zeros((len(seen), 2, len(self.adjustment.values)))
         for place in range(12):
             rows = np.minimum(6 * path.knot + place, len(self.following) - 1)
@@ -75,6 +74,7 @@ class Predictions:
         predicted += total @ self.adjustment.covariance @ total.swapaxes(1, 2)
         left = (1.0 + LEAST_LEFT) * np.eye(2) - weights[:, None, None] * (predicted @ seen.precisions)
         covariance = np.linalg.inv(seen.precisions) + np.linalg.solve(left, predicted)
+        covariance += by_point @ astray @ by_point.swapaxes(1, 2)
         # rounding makes what is far too uncertain in one direction singular: it is taken to be so in both
         singular = np.linalg.det(covariance) == 0.0
         covariance[singular] = np.trace(covariance[singular], axis1=1, axis2=2)[:, None, None] * np.eye(2)

@@ -19,7 +19,6 @@ from stereophd.core.calibration.adjustment.solver import (
     within_prior,
 )
 from stereophd.core.calibration.adjustment.trajectories import (
-    KNOTS_PER_DETECTION,
     fit_states,
     interpolation,
     knot_spacing,
@@ -39,13 +38,17 @@ STRAIGHT = ConstantVelocity([0.0, 0.0, 0.0])
 
 
 def solve(
-    problem: MadeUp, motion: Motion = STRAIGHT, loss: Loss = SQUARED, scale: ScaleMeasurement | None = None
+    problem: MadeUp,
+    motion: Motion = STRAIGHT,
+    loss: Loss = SQUARED,
+    scale: ScaleMeasurement | None = None,
+    deviation: float = 0.2,
 ) -> tuple[Problem, Adjustment]:
     """Adjust from the guess, the trajectories begun at a common depth."""
     observations = problem.observations
     count = int(observations.trajectories.max()) + 1
-    spans = [(0.0, float(observations.times.max()))] * count
-    knots = place_knots(spans, knot_spacing(motion, 0.2), motion)
+    detected = [observations.times[observations.trajectories == j] for j in range(count)]
+    knots = place_knots(detected, knot_spacing(motion, deviation), motion)
     interpolated = interpolation(knots, observations.trajectories, observations.times)
     rough = np.empty((len(observations), 3))
     for k, camera in enumerate(problem.parameters.cameras):
@@ -176,29 +179,45 @@ def test_two_unknown_cameras() -> None:
 def test_knots_follow_a_manoeuvre_to_a_part_of_the_noise() -> None:
     motion = ConstantVelocity([0.5, 0.5, 0.5])
     spacing = knot_spacing(motion, 0.1)
-    knots = place_knots([(0.0, 20.0)], spacing, motion)
     times = np.linspace(0.0, 20.0, 400)
+    knots = place_knots([times], spacing, motion)
+    assert len(knots.times) < 100
     path = np.column_stack([np.sin(times), np.cos(0.7 * times), 0.1 * times])
     interpolated = interpolation(knots, np.zeros(400, dtype=int), times)
     states = fit_states(knots, *interpolated, path, np.full(400, 0.1**-2))
     assert np.abs(positions(states, *interpolated) - path).max() < 0.05
 
 
-def test_knots_grow_with_the_detections_however_small_the_noise_seems() -> None:
-    motion = ConstantVelocity([0.5, 0.5, 0.5])
-    spans, counts = [(0.0, 20.0), (3.0, 5.0), (1.0, 1.0)], np.array([40, 9, 1])
-    spacing = knot_spacing(motion, 1e-9)
-    assert len(place_knots(spans, spacing, motion).times) > 100_000
-    knots = place_knots(spans, spacing, motion, counts)
-    np.testing.assert_array_equal(np.diff(knots.first), [KNOTS_PER_DETECTION * 40 + 1, KNOTS_PER_DETECTION * 9 + 1, 1])
-    usual = knot_spacing(motion, 10.0)
-    np.testing.assert_array_equal(
-        place_knots(spans, usual, motion, counts).times, place_knots(spans, usual, motion).times
-    )
+def test_knots_are_at_detections_however_small_the_noise_seems() -> None:
+    """All of them where objects turn quickly, the fewest that no longer interval crosses where they do not."""
+    motion, rng = ConstantVelocity([0.5, 0.5, 0.5]), np.random.default_rng(4)
+    detected = [rng.uniform(0.0, 20.0, 400), np.repeat(rng.uniform(3.0, 5.0, 9), 2), np.array([1.0])]
+    every = place_knots(detected, knot_spacing(motion, 1e-9), motion)
+    np.testing.assert_array_equal(np.diff(every.first), [400, 9, 1])
+    np.testing.assert_array_equal(every.times[:400], np.sort(detected[0]))
+    knots = place_knots(detected, 1.0, motion)
+    assert 20 <= knots.first[1] <= 25
+    assert np.isin(knots.times[: knots.first[1]], detected[0]).all()
+    assert np.diff(knots.times[: knots.first[1]]).max() <= 1.0
+    np.testing.assert_array_equal(place_knots([np.array([0.0, 0.01, 7.0, 7.5])], 1.0, motion).times, [0.0, 7.0, 7.5])
+
+
+def test_fewer_knots_leave_the_cameras_where_they_are() -> None:
+    """Knots at every detection are the motion model itself; fewer change neither cameras nor their covariance."""
+    motion, made = ConstantVelocity([0.002] * 3), make_problem(3, three=True, frames=40)
+    answers = []
+    for deviation in (1e-6, 0.2):
+        whole, found = solve(made, motion, deviation=deviation)
+        answers.append((len(whole.knots.times), found))
+    (many, exact), (few, found) = answers
+    assert few < 0.5 * many
+    std = np.sqrt(np.diag(exact.covariance))
+    np.testing.assert_allclose(found.values, exact.values, atol=0.1 * std.min(), rtol=0.1)
+    np.testing.assert_allclose(np.sqrt(np.diag(found.covariance)), std, rtol=0.1)
 
 
 def test_motion_precision_has_no_say_on_straight_lines() -> None:
-    knots = place_knots([(0.0, 10.0), (2.0, 5.0)], 2.0, ConstantVelocity([0.1, 0.2, 0.3]))
+    knots = place_knots([np.arange(0.0, 11.0, 2.0), np.arange(2.0, 6.0)], 2.0, ConstantVelocity([0.1, 0.2, 0.3]))
     assert knots.count == 2
     bands = motion_prior(knots).bands
     dense = np.zeros((knots.size, knots.size))

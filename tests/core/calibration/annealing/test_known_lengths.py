@@ -50,7 +50,7 @@ def test_a_step_is_that_of_the_dense_equations_with_the_distances_added() -> Non
 
 def test_derivatives_of_distances_are_the_numerical_ones() -> None:
     rng = np.random.default_rng(2)
-    knots = place_knots([(0.0, 1.0), (0.2, 1.3), (0.0, 2.0)], 0.4, ConstantVelocity(0.5))
+    knots = place_knots([np.linspace(*span, 6) for span in ((0.0, 1.0), (0.2, 1.3), (0.0, 2.0))], 0.4, ConstantVelocity(0.5))
     fit: Any = SimpleNamespace(knots=knots)
     states = rng.standard_normal((len(knots.times), 2, 3))
     pairs = np.array([[0, 1], [1, 2]])
@@ -76,7 +76,7 @@ def test_a_pair_of_about_the_length_is_told_from_one_of_the_length_where_the_tra
     for number, distance in enumerate((rod, rod, rod + 0.3, np.linspace(9.8, 10.2, len(times)))):
         one = number * np.array([0.0, 30.0, 0.0]) + times[:, None] * shift
         paths += [one, one + distance[:, None] * [0.6, 0.0, 0.8]]
-    knots = place_knots([(times[0], times[-1])] * 8, 1.0, ConstantVelocity(0.5))
+    knots = place_knots([times] * 8, 1.0, ConstantVelocity(0.5))
     numbers, every = np.repeat(np.arange(8), len(times)), np.tile(times, 8)
     at = interpolation(knots, numbers, every)
     states = fit_states(knots, *at, np.concatenate(paths), np.full(len(every), 1e8))
@@ -114,7 +114,7 @@ def test_any_number_of_rods_have_odds(count: int) -> None:
     for number in range(count):
         one = number * np.array([0.0, 30.0, 0.0]) + times[:, None] * shift
         paths += [one, one + 10.0 * np.array([0.6, 0.0, 0.8])]
-    knots = place_knots([(times[0], times[-1])] * (2 * count), 3.0, ConstantVelocity(0.5))
+    knots = place_knots([times] * (2 * count), 3.0, ConstantVelocity(0.5))
     numbers, every = np.repeat(np.arange(2 * count), len(times)), np.tile(times, 2 * count)
     states = fit_states(knots, *interpolation(knots, numbers, every), np.concatenate(paths), np.full(len(every), 1e8))
     size = states.size
@@ -134,7 +134,7 @@ def test_any_number_of_rods_have_odds(count: int) -> None:
 
 
 def test_equations_without_a_solution_leave_the_odds_as_they_are() -> None:
-    knots = place_knots([(0.0, 1.0), (0.0, 1.0)], 0.4, ConstantVelocity(0.5))
+    knots = place_knots([np.linspace(0.0, 1.0, 4)] * 2, 0.4, ConstantVelocity(0.5))
     size = 6 * len(knots.times)
     equations = NormalEquations(
         0.0, -np.ones((12, size)), np.zeros((size, 1)), np.eye(1), np.zeros(size), np.zeros(1), np.empty(0), 0.0,

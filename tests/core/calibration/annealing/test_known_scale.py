@@ -21,7 +21,7 @@ MOTION = ConstantVelocity(0.5)
 
 def fit_of(paths: list[tuple[np.ndarray, np.ndarray]], spacing: float = 0.2) -> Any:
     """A fit whose trajectories follow paths: times and positions."""
-    knots = place_knots([(times[0], times[-1]) for times, _ in paths], spacing, MOTION)
+    knots = place_knots([times for times, _ in paths], spacing, MOTION)
     numbers = np.concatenate([np.full(len(times), j) for j, (times, _) in enumerate(paths)])
     times = np.concatenate([times for times, _ in paths])
     points = np.concatenate([points for _, points in paths])
