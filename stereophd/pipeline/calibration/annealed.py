@@ -174,7 +174,7 @@ def _result_report(result: Calibrated, best: Start) -> dict[str, Any]:
     """What the report holds of the way from the best start to the answer."""
     believed = result.believed
     report: dict[str, Any] = {
-        "motion_noise_factor": believed.answer.noise_factor,
+        "motion_noise_factor": believed.answer.motion_factors.tolist(),
         "noise_factors": dict(
             zip(
                 (camera.name for camera in believed.task.parameters.cameras),

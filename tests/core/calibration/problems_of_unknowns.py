@@ -33,6 +33,9 @@ def rig(lens: str = "brown_conrady") -> tuple[Camera, ...]:
     )  # fmt: skip
 
 
+ALIKE = np.eye(3)
+
+
 def unknowns(cameras: tuple[Camera, ...], names: tuple[str, ...]) -> ParameterSet:
     """Priors of quantities of all cameras; the frame is that of the first."""
     return ParameterSet(
@@ -48,12 +51,15 @@ def unknowns(cameras: tuple[Camera, ...], names: tuple[str, ...]) -> ParameterSe
 
 
 def observe(
-    cameras: tuple[Camera, ...], seed: int, objects: int, seconds: float
+    cameras: tuple[Camera, ...], seed: int, objects: int, seconds: float, mixed: np.ndarray = ALIKE
 ) -> tuple[Observations, np.ndarray, np.ndarray]:
-    """Detections of objects of white acceleration by true cameras, their true times and positions."""
+    """Detections of objects of white acceleration by true cameras, their true times and positions.
+
+    `mixed` (3, 3) turns acceleration that is alike on all axes into another.
+    """
     rng = np.random.default_rng(seed)
     grid = np.arange(-1.0, seconds + 1.0, 0.005)
-    kicks = ACCELERATION * np.sqrt(0.005) * rng.standard_normal((objects, 3, len(grid)))
+    kicks = mixed @ (ACCELERATION * np.sqrt(0.005) * rng.standard_normal((objects, 3, len(grid))))
     velocity = rng.normal(0.0, 0.2, (objects, 3, 1)) + np.cumsum(kicks, axis=2)
     paths = rng.normal(0.0, 0.8, (objects, 3, 1)) + 0.005 * np.cumsum(velocity, axis=2)
     rows = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +11,12 @@ from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.problem import Loss, Problem, true_times
 from stereophd.core.calibration.adjustment.trajectories import (
+    AXES,
+    STATED,
     Interpolation,
+    MotionNoise,
     MotionPrior,
-    banded_product,
     interpolation,
-    motion_prior,
     positions,
     slopes,
 )
@@ -26,12 +27,17 @@ from stereophd.core.calibration.unknowns.scale import log_scale, predicted
 from stereophd.core.geometry.camera import Camera
 
 
+class NoiseEquations(NamedTuple):
+    """What the normal equations of the noise of the motion are (`MotionNoise`), without its prior."""
+
+    coupling: Array  # (6 k, 6)
+    matrix: Array  # (6, 6)
+    vector: Array  # (6,)
+
+
 @dataclass(frozen=True)
 class NormalEquations:
-    """Linearisation of a problem; see the head of `stereophd.core.calibration.adjustment.solver`.
-
-    `energy` is what the motion model adds to the cost, and `pull` (size,) half of its derivative by the knots.
-    """
+    """Linearisation of a problem; see the head of `stereophd.core.calibration.adjustment.solver`."""
 
     cost: float
     bands: Array
@@ -40,8 +46,7 @@ class NormalEquations:
     state_vector: Array
     value_vector: Array
     distances: Array
-    energy: float = 0.0
-    pull: Array = field(default_factory=lambda: np.zeros(0))
+    by_noise: NoiseEquations | None = None
 
 
 class Placement(NamedTuple):
@@ -79,21 +84,22 @@ class Linearisation:
         columns = np.full((len(places), max(len(index) for index in places)), -1, dtype=np.int64)
         for row, index in zip(columns, places, strict=True):
             row[: len(index)] = index
-        return Linearisation(problem, members, path, rates, motion_prior(problem.knots), columns)
+        return Linearisation(problem, members, path, rates, MotionPrior.of(problem.knots), columns)
 
-    def at(self, values: Array, states: Array, log_noise: float = 0.0) -> NormalEquations:
-        """Return the normal equations at values (m,) and knots (k, 2, 3), the motion's noise times e^log_noise."""
+    def at(self, values: Array, states: Array, noise: Array = STATED) -> NormalEquations:
+        """Return the normal equations at values (m,), knots (k, 2, 3) and a noise of the motion (6,)."""
         problem, parameters = self.problem, self.problem.parameters
         is_free = problem.held is None or not problem.held.all()
         sums = self.summed(*self.residuals(values, states, by_values=is_free))
         coupling, matrix, value_vector = sums.coupling, sums.matrix, sums.value_vector
         # motion model, its noise in units of the scene's scale
-        logarithm, gradient = log_scale(parameters, problem.reference, values)
-        energy, pull = self._add_motion(sums, states, logarithm + log_noise)
+        energy, by_noise = self._add_motion(sums, states, self.noise_at(values, noise))
+        # a larger scale is a larger noise along every axis
+        _, gradient = log_scale(parameters, problem.reference, values)
         scales = np.flatnonzero(gradient)
-        coupling[:, scales] -= np.outer(pull, gradient[scales])
-        matrix += energy * np.outer(gradient, gradient)
-        value_vector += energy * gradient
+        coupling[:, scales] += np.outer(by_noise.coupling[:, :3].sum(axis=1), gradient[scales])
+        matrix += by_noise.matrix[:3, :3].sum() * np.outer(gradient, gradient)
+        value_vector += by_noise.vector[:3].sum() * gradient
         # priors
         scaled = (values - parameters.prior_mean) / parameters.prior_std
         matrix += np.diag(parameters.prior_std**-2)
@@ -110,7 +116,7 @@ class Linearisation:
             coupling[:, held], value_vector[held] = 0.0, 0.0
             matrix[held], matrix[:, held] = 0.0, 0.0
             matrix[held, held] = parameters.prior_std[held] ** -2
-        return replace(sums, cost=cost, energy=energy, pull=pull)
+        return replace(sums, cost=cost, by_noise=by_noise)
 
     def summed(
         self,
@@ -137,21 +143,24 @@ class Linearisation:
         )  # fmt: skip
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances)
 
-    def _add_motion(self, sums: NormalEquations, states: Array, log_noise: float) -> tuple[float, Array]:
-        """Add the motion model, its noise times e^log_noise, to the sums of the knots; return its energy and pull."""
-        density, x, motion = np.exp(-2.0 * log_noise), states.ravel(), self.motion
-        product = density * banded_product(motion.bands, x)
-        pull = product - density * motion.pull
-        sums.bands[:] += density * motion.bands
-        sums.state_vector[:] -= pull
-        return float(x @ product) + density * (motion.energy - 2.0 * float(x @ motion.pull)), pull
+    def _add_motion(self, sums: NormalEquations, states: Array, noise: MotionNoise) -> tuple[float, NoiseEquations]:
+        """Add the motion model to the sums of the knots: its part of the cost, and the equations of its noise."""
+        precision, (pulls, products) = noise.precision, self.motion.pulls(states)
+        sums.bands[:] += self.motion.with_axes(precision)
+        sums.state_vector[:] -= (pulls @ precision).ravel()
+        whitening = noise.whitening[AXES]
+        coupling = (pulls @ noise.slopes.T)[:, None, :] * whitening.T
+        matrix = np.where(AXES[:, None] == AXES, noise.slopes @ products @ noise.slopes.T, 0.0)
+        by_noise = NoiseEquations(coupling.reshape(-1, len(AXES)), matrix, -noise.by_unknowns(products))
+        return float((precision * products).sum()), by_noise
 
-    def log_scale_of_noise(self, values: Array, log_noise: float) -> float:
-        """Logarithm of the factor on the noise of the motion, at values (m,) and a noise times e^log_noise."""
-        return log_scale(self.problem.parameters, self.problem.reference, values)[0] + log_noise
+    def noise_at(self, values: Array, noise: Array = STATED) -> MotionNoise:
+        """Return the noise of the motion of values (m,) and unknowns (6,): that of the knots is stated."""
+        logarithm, _ = log_scale(self.problem.parameters, self.problem.reference, values)
+        return MotionNoise.of(noise + logarithm * (np.arange(len(AXES)) < 3), self.problem.knots.noise_std)
 
     def of_knots(
-        self, values: Array, states: Array, log_noise: float = 0.0, placement: Placement | None = None
+        self, values: Array, states: Array, noise: Array = STATED, placement: Placement | None = None
     ) -> tuple[float, Array, Array]:
         """Cost of detections and motion, matrix (12, size) and vector (size,) of the knots, as `at` has them, sooner.
 
@@ -159,7 +168,7 @@ class Linearisation:
         """
         placement = placement or self.placed(values, by_values=False)
         sums = self.summed(*self.residuals(values, states, placement, by_values=False))
-        energy, _ = self._add_motion(sums, states, self.log_scale_of_noise(values, log_noise))
+        energy, _ = self._add_motion(sums, states, self.noise_at(values, noise))
         return sums.cost + energy, sums.bands, sums.state_vector
 
     def placed(self, values: Array, by_values: bool = True) -> Placement:

@@ -5,7 +5,7 @@ trajectories add many values that the detections constrain only weakly, and the 
 that stretch the scene: rotations about the vertical, focal lengths. Integrating out the knots (Laplace's method) adds
 the terms of the volume,
 
-    -2 log p(v, u | detections) = J(v, u) + log det A(v, u) + 12 k log s(v) + 12 l u + (u / std)^2 + constant,
+    -2 log p(v, n | detections) = J(v, n) + log det A(v, n) + 12 k log s(v) + 4 l sum u + |n / std|^2 + constant,
 
 with the matrix A of the knots in the normal equations, the number k of knots, the number l of links between successive
 ones, and the scale s of the scene (`calibration.unknowns.scale`).
@@ -13,14 +13,14 @@ ones, and the scale s of the scene (`calibration.unknowns.scale`).
 **Noise of the motion.** It is stated in lengths, and the cost uses it in units of the scene: noise_std * s(v), s = 1 at
 the size that the prior expects. A scene that is truly larger by a factor f has objects that accelerate 1 / f times as
 much in those units, and the data do not show f. The noise in units of the scene is therefore known no better than the
-size of the scene is, and here it is noise_std * s(v) * e^u with the unknown u: the logarithm of the noise that the log
-shows over what is stated. Both matter: objects that accelerate alike in all directions are known to show as much
-acceleration in depth as across, in proportion to the noise that the motion model expects. If that is wrong by a
-tenth, the depth of the scene is stretched until the two agree, and the rotations with it.
+size of the scene is. It has six unknowns n (`trajectories.MotionNoise`): the logarithms u of the noise along each axis
+over noise_std * s(v), and how axes go together. Were it one number, objects would be known to accelerate in depth as
+they do across. Where they do not, as hardly any do, the scene would be stretched and bent until they did, and
+rotations, focal lengths and principal points with it: 8 standard deviations for two cameras before one object.
 
 **Normalisation.** The motion model is a density of the l differences between successive knots, 6 numbers each, of
-standard deviations proportional to s e^u: its normalisation is 12 l (log s + u). The first position and velocity of
-each of the k - l trajectories have a flat density in units of the scene, 12 (k - l) log s: scaling cameras and knots
+standard deviations proportional to s e^u: its normalisation is 12 l log s + 4 l sum u. The first position and velocity
+of each of the k - l trajectories have a flat density in units of the scene, 12 (k - l) log s: scaling cameras and knots
 together then changes nothing, so that the data stay flat along the scale.
 
 **Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it at
@@ -28,12 +28,11 @@ the joint optimum, in the cost and in the volume. With the loss itself, a step t
 volume smaller, which is no evidence, and the objective is not smooth. The weights at the optimum found replace them,
 and the optimum is looked for again from there, until they are the same.
 
-**Derivatives.** The residuals of the motion are proportional to e^-u / s, so that u enters the normal equations as the
-logarithm of s does: with the energy E of the motion and the derivative p of E / 2 by the knots, -p is the coupling
-of u with the knots and E its curvature. At knots that minimise the cost the gradient of J / 2 is minus the vector of
-the normal equations. That of the volume is exact (`adjustment.volume`): how the knots follow is found with the second
-derivatives of the cost, as what one camera alone sees lies in a valley so flat and curved that the normal equations do
-not tell it.
+**Derivatives.** The residuals of the motion are proportional to e^-u / s, so that the logarithm of s enters the normal
+equations as all u together do (`Linearisation.at`). At knots that minimise the cost the gradient of J / 2 is minus the
+vector of the normal equations. That of the volume is exact (`adjustment.volume`): how the knots follow is found with
+the second derivatives of the cost, as what one camera alone sees lies in a valley so flat and curved that the normal
+equations do not tell it.
 
 **Minimum.** Newton steps by the exact gradient, on the curvature of the normal equations. That lacks the curvature of
 the volume, and of the noise half: a mode of the motion of unit variance that is seen with the information b is
@@ -70,13 +69,13 @@ from stereophd.core.calibration.adjustment.solver import (
     settled_knots,
     within_prior,
 )
-from stereophd.core.calibration.adjustment.trajectories import banded_product
+from stereophd.core.calibration.adjustment.trajectories import STATED, banded_product
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.random_streams import BENDS_SEED
 from stereophd.core.numerics.threads import in_threads
 
-# Prior standard deviation of the logarithm of the noise of the motion over what is stated, beside that of the scale.
+# Prior standard deviation of the unknowns of the noise of the motion, beside that of the scale.
 NOISE_STD = 0.5
 # Length at which the steps settle, longest step, and longest step left of a search that has converged, all in posterior
 # standard deviations; most steps.
@@ -107,18 +106,18 @@ class MarginalOptimum:
     # Values, the knots that belong to them, and the covariance of the values; not `converged` where the search ended
     # by more than `LONGEST_LEFT` posterior standard deviations too early.
     adjustment: Adjustment
-    noise_factor: float  # Noise of the motion, in units of the scene's scale, over what is stated
+    motion_noise: Array  # (6,): Unknowns of the noise of the motion (`MotionNoise`), in units of the scene's scale
 
 
-def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 1.0) -> MarginalOptimum:
+def marginal_optimum(problem: Problem, found: Adjustment, noise: Array = STATED) -> MarginalOptimum:
     """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
 
-    The problem holds nothing. The search begins at a factor on the noise of the motion. Returns the adjustment given,
+    The problem holds nothing. The search begins at a noise of the motion (6,). Returns the adjustment given,
     not converged, at the noise stated, where the normal equations are singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
-    unknowns = np.append(found.values, np.full(int(len(problem.knots.links()) > 0), np.log(noise_factor)))
+    unknowns = np.append(found.values, noise[: len(noise) if len(problem.knots.links()) else 0])
     try:
         for _ in range(MOST_WEIGHTINGS):
             posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
@@ -129,22 +128,21 @@ def marginal_optimum(problem: Problem, found: Adjustment, noise_factor: float = 
                 break
         covariance = posterior.covariance(at)[:size, :size]
     except LinAlgError:
-        return MarginalOptimum(replace(found, converged=False), 1.0)
+        return MarginalOptimum(replace(found, converged=False), STATED)
     moved = replace(
         found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
         distances=at.equations.distances, converged=left <= LONGEST_LEFT,
     )  # fmt: skip
-    log_noise = float(at.unknowns[size:].sum())
-    return MarginalOptimum(moved, float(np.exp(log_noise)))
+    return MarginalOptimum(moved, posterior.parted(at.unknowns)[1])
 
 
-def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: float, threads: int = 1) -> Array:
+def exact_covariance(problem: Problem, adjustment: Adjustment, noise: Array, threads: int = 1) -> Array:
     """Covariance (m, m) of the values by the second derivatives of the objective at its minimum.
 
     They are differences of the gradient along each column of a root of the covariance by the normal equations. Raises
     LinAlgError where an end of such a difference has no normal equations that are positive definite.
     """
-    posterior, at = at_answer(problem, adjustment, noise_factor)
+    posterior, at = at_answer(problem, adjustment, noise)
     root, size = posterior.root(at), len(adjustment.values)
 
     def curvature(step: Array) -> Array:
@@ -166,7 +164,7 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: flo
 class Point:
     """Unknowns and the knots that minimise the cost there, the normal equations, and the objective.
 
-    The unknowns are the values and, where the motion has noise, the logarithm u of its factor. The objective is the
+    The unknowns are the values and, where the motion has noise, those of it. The objective is the
     negative logarithm of the marginal posterior, without its constant.
     """
 
@@ -195,8 +193,8 @@ class MarginalPosterior:
 
     @property
     def size(self) -> int:
-        """Number of unknowns: values, and the noise of the motion if there is any."""
-        return self.linearisation.problem.parameters.size + (self.links > 0)
+        """Number of unknowns: values, and those of the noise of the motion if there is any."""
+        return self.linearisation.problem.parameters.size + len(STATED) * (self.links > 0)
 
     @property
     def prior_std(self) -> Array:
@@ -204,8 +202,9 @@ class MarginalPosterior:
         problem = self.linearisation.problem
         std = problem.parameters.prior_std
         _, gradient = log_scale(problem.parameters, problem.reference, problem.parameters.prior_mean)
-        noise = np.sqrt(NOISE_STD**2 + float(gradient**2 @ std**2))
-        return np.append(std, np.full(self.size - len(std), noise))
+        of_noise = np.full(self.size - len(std), NOISE_STD)
+        of_noise[:3] = np.sqrt(NOISE_STD**2 + float(gradient**2 @ std**2))
+        return np.append(std, of_noise)
 
     def equations(self, unknowns: Array, states: Array) -> NormalEquations:
         """Normal equations of all unknowns and the knots (k, 2, 3)."""
@@ -213,15 +212,17 @@ class MarginalPosterior:
         count = problem.parameters.size
         if self.size == count:
             return self.linearisation.at(unknowns, states)
-        values, log_noise, std = unknowns[:count], float(unknowns[count]), self.prior_std[count]
-        found = self.linearisation.at(values, states, log_noise)
-        with_scale = found.energy * log_scale(problem.parameters, problem.reference, values)[1]
+        values, noise, std = unknowns[:count], unknowns[count:], self.prior_std[count:]
+        found = self.linearisation.at(values, states, noise)
+        assert found.by_noise is not None
+        coupling, matrix, vector = found.by_noise
+        with_scale = np.outer(log_scale(problem.parameters, problem.reference, values)[1], matrix[:3].sum(axis=0))
         return replace(
             found,
-            cost=found.cost + (log_noise / std) ** 2,
-            coupling=np.column_stack([found.coupling, -found.pull]),
-            matrix=np.block([[found.matrix, with_scale[:, None]], [with_scale, found.energy + std**-2]]),
-            value_vector=np.append(found.value_vector, found.energy - log_noise / std**2),
+            cost=found.cost + float(((noise / std) ** 2).sum()),
+            coupling=np.hstack([found.coupling, coupling]),
+            matrix=np.block([[found.matrix, with_scale], [with_scale.T, matrix + np.diag(std**-2)]]),
+            value_vector=np.append(found.value_vector, vector - noise / std**2),
         )
 
     @property
@@ -231,35 +232,36 @@ class MarginalPosterior:
         return (6.0 if knots.motion.moves else 3.0) * len(knots.times)
 
     def _volume(self, unknowns: Array, factor: Array) -> float:
-        problem, (values, noise) = self.linearisation.problem, self._parted(unknowns)
+        problem, (values, noise) = self.linearisation.problem, self.parted(unknowns)
         scale, _ = log_scale(problem.parameters, problem.reference, values)
-        return float(np.log(factor[0]).sum()) + self._flat * scale + 6.0 * self.links * noise
+        return float(np.log(factor[0]).sum()) + self._flat * scale + 2.0 * self.links * float(noise[:3].sum())
 
     def at(self, unknowns: Array, states: Array) -> Point:
         """Return the point of unknowns, its knots minimised from the given ones.
 
         Raises LinAlgError when the normal equations are not positive definite, or the cost is not finite.
         """
-        values, log_noise = self._parted(unknowns)
-        states = settled_knots(self.linearisation, values, states, log_noise)
+        values, noise = self.parted(unknowns)
+        states = settled_knots(self.linearisation, values, states, noise)
         equations = self.equations(unknowns, states)
         factor = factor_knots(equations.bands)
         return Point(unknowns, states, equations, factor, 0.5 * equations.cost + self._volume(unknowns, factor))
 
-    def _parted(self, unknowns: Array) -> tuple[Array, float]:
-        """Values (m,), and the logarithm of the noise of the motion over what is stated."""
+    def parted(self, unknowns: Array) -> tuple[Array, Array]:
+        """Return values (m,), and the unknowns (6,) of the noise of the motion."""
         count = self.linearisation.problem.parameters.size
-        return unknowns[:count], float(unknowns[count:].sum())
+        return unknowns[:count], unknowns[count:] if self.links else STATED
 
     def gradient(self, at: Point) -> Array:
         """Gradient (size,) of the objective."""
         linearisation, equations = self.linearisation, at.equations
-        problem, (values, _) = linearisation.problem, self._parted(at.unknowns)
+        problem, (values, _) = linearisation.problem, self.parted(at.unknowns)
         slopes = self.slopes(at)
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
-        by_noise = float(slopes.by_noise.sum())
-        direct = linearisation.of_values(slopes.by_value) + (self._flat + by_noise) * by_scale
-        direct = np.append(direct, np.full(self.size - len(values), by_noise + 6.0 * self.links))
+        by_noise = slopes.by_noise.sum(axis=0)
+        direct = linearisation.of_values(slopes.by_value) + (self._flat + float(by_noise[:3].sum())) * by_scale
+        by_noise[:3] += 2.0 * self.links
+        direct = np.append(direct, by_noise[: self.size - len(values)])
         across = self._knots_against(at, linearisation.of_states(slopes.path, slopes.by_point))
         step = _short(equations.bands, across)
         moved = step * across.reshape(at.states.shape)
@@ -271,22 +273,22 @@ class MarginalPosterior:
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
-        values, log_noise = self._parted(at.unknowns)
-        return VolumeSlopes.of(self.linearisation, values, at.states, log_noise, at.factor)
+        values, noise = self.parted(at.unknowns)
+        return VolumeSlopes.of(self.linearisation, values, at.states, noise, at.factor)
 
     def _knots_against(self, at: Point, right: Array) -> Array:
         """Solve H x = right (6 k,) with the second derivatives H of the cost by the knots, second ones of pixels too.
 
         Conjugate gradients with the matrix A of the normal equations as preconditioner, which lacks those.
         """
-        values, log_noise = self._parted(at.unknowns)
+        values, noise = self.parted(at.unknowns)
         placement = self.linearisation.placed(values, by_values=False)
 
         def product(direction: Array) -> Array:
             step = _short(at.equations.bands, direction)
             moved = step * direction.reshape(at.states.shape)
             ahead, behind = (
-                self.linearisation.of_knots(values, at.states + sign * moved, log_noise, placement)[2]
+                self.linearisation.of_knots(values, at.states + sign * moved, noise, placement)[2]
                 for sign in (1.0, -1.0)
             )
             return np.asarray((behind - ahead) / (2.0 * step))
@@ -309,28 +311,31 @@ class MarginalPosterior:
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point.
 
-        Their information about the noise of the motion counts twice, as the head of this module derives.
+        Their information about the noise of the motion along the axes counts twice, as the head of this module derives.
         """
         covariance = within_prior(at.eliminated.schur, self.prior_std)
         if not self.links:
             return covariance
-        known = max(float(at.eliminated.schur[-1, -1]) - self.prior_std[-1] ** -2, 0.0)
-        with_noise = covariance[:, -1]
-        return np.asarray(covariance - known / (1.0 + known * with_noise[-1]) * np.outer(with_noise, with_noise))
+        axes = slice(self.size - len(STATED), self.size - len(STATED) + 3)
+        known = np.maximum(np.diag(at.eliminated.schur)[axes] - self.prior_std[axes] ** -2, 0.0)[:, None]
+        with_noise = covariance[:, axes]
+        taken = np.linalg.solve(np.eye(3) + known * with_noise[axes], known * with_noise.T)
+        return np.asarray(covariance - with_noise @ taken)
 
     def root(self, at: Point) -> Array:
         """Root D (size, size) of the covariance D D^T of the unknowns."""
         return np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
 
 
-def at_answer(problem: Problem, adjustment: Adjustment, noise_factor: float) -> tuple[MarginalPosterior, Point]:
+def at_answer(problem: Problem, adjustment: Adjustment, noise: Array) -> tuple[MarginalPosterior, Point]:
     """Return the marginal posterior of a problem, with the weights that detections have at its optimum, and that point.
 
-    The optimum is an adjustment, at a noise of the motion over what is stated; the problem has the stated one.
+    The optimum is an adjustment, at a noise of the motion (6,) beside what is stated; the problem has the stated one.
     """
     posterior = MarginalPosterior(Linearisation.of(problem.weighted(problem.weights(adjustment.distances))))
-    log_noise = np.full(posterior.size - len(adjustment.values), np.log(noise_factor))
-    return posterior, posterior.at(np.append(adjustment.values, log_noise), adjustment.states)
+    return posterior, posterior.at(
+        np.append(adjustment.values, noise[: posterior.size - len(adjustment.values)]), adjustment.states
+    )
 
 
 def _ends(posterior: MarginalPosterior, at: Point, step: Array) -> list[tuple[float, Point]]:

@@ -31,6 +31,7 @@ from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
+from stereophd.core.calibration.adjustment.trajectories import STATED
 
 # Most steps of the knots at given values, and the fall of the cost that is left; most of them that follow a step.
 KNOT_STEPS, KNOTS_SETTLED, FOLLOWING_STEPS = 15, 1e-8, 3
@@ -130,7 +131,7 @@ def settled_knots(
     linearisation: Linearisation,
     values: Array,
     states: Array,
-    log_noise: float = 0.0,
+    noise: Array = STATED,
     most: int = KNOT_STEPS,
     settled: float = KNOTS_SETTLED,
 ) -> Array:
@@ -139,7 +140,7 @@ def settled_knots(
     Raises LinAlgError when the matrix of the knots is not positive definite, or the cost is not finite.
     """
     placement = linearisation.placed(values, by_values=False)
-    cost, bands, vector = linearisation.of_knots(values, states, log_noise, placement)
+    cost, bands, vector = linearisation.of_knots(values, states, noise, placement)
     for _ in range(most):
         if not np.isfinite(cost):
             raise LinAlgError("the cost is not finite")
@@ -149,7 +150,7 @@ def settled_knots(
         share = 1.0
         while share >= LEAST_SHARE:
             moved = states + share * step.reshape(states.shape)
-            tried = linearisation.of_knots(values, moved, log_noise, placement)
+            tried = linearisation.of_knots(values, moved, noise, placement)
             if tried[0] <= cost:
                 break
             share *= 0.5
@@ -214,7 +215,9 @@ def _followed(
     problem = linearisation.problem.weighted(linearisation.problem.weights(before.distances))
     settled = tolerance * max(before.cost, 1.0)
     try:
-        states = settled_knots(replace(linearisation, problem=problem), values, states, 0.0, FOLLOWING_STEPS, settled)
+        states = settled_knots(
+            replace(linearisation, problem=problem), values, states, STATED, FOLLOWING_STEPS, settled
+        )
     except LinAlgError:
         return values, states, after
     return values, states, linearisation.at(values, states)

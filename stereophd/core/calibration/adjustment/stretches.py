@@ -20,7 +20,7 @@ from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import Point, at_answer
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment
-from stereophd.core.calibration.adjustment.trajectories import motion_links
+from stereophd.core.calibration.adjustment.trajectories import AXES, motion_links
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.unknowns.scale import log_scale
 
@@ -29,15 +29,15 @@ from stereophd.core.calibration.unknowns.scale import log_scale
 STRETCHES, JOINED, BEYOND_CHANCE = 64, (1, 2, 4), 1.5
 
 
-def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, noise_factor: float) -> tuple[Array, float]:
+def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, noise: Array) -> tuple[Array, float]:
     """Return the covariance (m, m) that disagreeing stretches add to that of a fit, and by how much it widens it most.
 
     The factor is one of standard deviations, 1 where the stretches agree.
     """
     size = problem.parameters.size
-    posterior, point = at_answer(problem, adjustment, noise_factor)
+    posterior, point = at_answer(problem, adjustment, noise)
     covariance, prior_std = posterior.covariance(point), posterior.prior_std
-    scores = _scores(posterior.linearisation, point, float(np.log(noise_factor)), posterior.slopes(point))
+    scores = _scores(posterior.linearisation, point, noise, posterior.slopes(point))
     determined = max(float((1.0 - np.diag(covariance) / prior_std**2).sum()), 1.0)
     root = np.linalg.cholesky(covariance)
     widened = widening((scores - scores.mean(axis=0)) @ root, determined)
@@ -60,7 +60,7 @@ def widening(scores: Array, determined: float) -> Array:
     return root
 
 
-def _scores(linearisation: Linearisation, point: Point, log_noise: float, volume: VolumeSlopes) -> Array:
+def _scores(linearisation: Linearisation, point: Point, noise: Array, volume: VolumeSlopes) -> Array:
     """Scores (b, u) of the stretches of a log, each of as many detections, by all unknowns."""
     problem, observations = linearisation.problem, linearisation.problem.observations
     unknowns, states = len(point.unknowns), point.states
@@ -86,17 +86,18 @@ def _scores(linearisation: Linearisation, point: Point, log_noise: float, volume
     links, knots = motion_links(problem.knots), problem.knots
     if not len(links.knot):
         return scores
-    density = np.exp(-2.0 * linearisation.log_scale_of_noise(values, log_noise)) / knots.noise_std**2
+    motion = linearisation.noise_at(values, noise)
     both = np.concatenate([states[links.knot], states[links.knot + 1]], axis=1)
-    product = links.precisions @ both
-    forces = -density * (product - links.pull)
-    energies = (density * ((both * (product - 2.0 * links.pull)).sum(axis=1) + links.energy)).sum(axis=1)
-    energies = energies - volume.by_noise - 6.0
+    moved = links.precisions @ both
+    forces = -(moved - links.pull) @ motion.precision
+    across = np.swapaxes(both, 1, 2) @ (moved - links.pull)
+    products = across - np.swapaxes(links.pull, 1, 2) @ both + links.energy
+    by_noise = -motion.by_unknowns(products) - volume.by_noise - 2.0 * (np.arange(len(AXES)) < 3)
     stretch_of = np.searchsorted(ends, 0.5 * (knots.times[links.knot] + knots.times[links.knot + 1]))
     _, by_scale = log_scale(problem.parameters, problem.reference, values)
-    by_energy = np.append(by_scale, np.ones(unknowns - len(by_scale)))
     for stretch in range(STRETCHES):
         rows = np.flatnonzero(stretch_of == stretch)
+        total = by_noise[rows].sum(axis=0)
         pulled = np.concatenate([following[links.knot[rows]], following[links.knot[rows] + 1]], axis=1)
-        scores[stretch] += np.einsum("lja,ljau->u", forces[rows], pulled) + energies[rows].sum() * by_energy
+        scores[stretch] += np.einsum("lja,ljau->u", forces[rows], pulled) + np.append(total[:3].sum() * by_scale, total)
     return scores

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import product
 from typing import NamedTuple
 
 import numpy as np
@@ -34,6 +35,11 @@ SOON = 0.1
 # Weight of a unit velocity of a static object, against positions in pixels: it stays zero.
 STATIC_WEIGHT = 1e6
 
+
+# Axis of the noise that each unknown of `MotionNoise` is of, and that on which the last three regress it.
+AXES, BEFORE = np.array([0, 1, 2, 1, 2, 2]), np.array([0, 0, 1])
+# Its unknowns where the noise is as stated.
+STATED = np.zeros(6)
 
 # In place of a spacing of 0, of objects that cameras at one place put into themselves.
 SMALLEST = float(np.finfo(np.float64).tiny)
@@ -186,13 +192,13 @@ class Links(NamedTuple):
     """The motion between successive knots.
 
     What it changes, A x - drift with A = [[-1, -reach, 1, 0], [0, -keep, 0, 1]] over the positions and velocities of
-    both knots, has on each axis the covariance noise_std^2 Q of `Motion.noise`.
+    both knots, has for unit noise the covariance Q of `Motion.noise` on each axis.
     """
 
     knot: Integers  # (l,) of int: The knot before each link
     precisions: Array  # (l, 4, 4): A^T Q^-1 A
     pull: Array  # (l, 4, 3): A^T Q^-1 drift
-    energy: Array  # (l, 3): drift^T Q^-1 drift
+    energy: Array  # (l, 3, 3): drift^T Q^-1 drift
 
 
 def motion_links(knots: Knots) -> Links:
@@ -205,37 +211,87 @@ def motion_links(knots: Knots) -> Links:
     difference[:, 1, 1], difference[:, 1, 3] = -flow.keep, 1.0
     drift = flow.drift.reshape(-1, 2, 3)
     pull = inverse @ drift
-    energy = (drift * pull).sum(axis=1)
+    energy = np.swapaxes(drift, 1, 2) @ pull
     across = np.swapaxes(difference, 1, 2)
     return Links(knot, across @ inverse @ difference, across @ pull, energy)
 
 
-class MotionPrior(NamedTuple):
-    """Minus twice the logarithm of the density of knots x (size,): ``x^T M x - 2 x^T pull + energy``.
+@dataclass(frozen=True)
+class MotionPrior:
+    """The links of all trajectories, for unit noise, which is the same on every axis.
 
-    `bands` holds M, lower banded (12, size): the prior of no position.
+    With X (2 k, 3) the positions and velocities of all knots, `bands` (4, 2 k) holds K, lower banded. Minus twice the
+    logarithm of the density is tr(D (X^T K X - pull^T X - X^T pull + energy)), D (3, 3) the precision of the noise.
     """
 
     bands: Array
-    pull: Array
-    energy: float
+    pull: Array  # (2 k, 3)
+    energy: Array  # (3, 3)
 
-
-def motion_prior(knots: Knots) -> MotionPrior:
-    """Return the motion model over all unknowns."""
-    bands, pull, energy = np.zeros((12, knots.size)), np.zeros(knots.size), 0.0
-    links, precisions, pulls, energies = motion_links(knots)
-    for axis in range(3):
-        density = knots.noise_std[axis] ** 2
+    @staticmethod
+    def of(knots: Knots) -> MotionPrior:
+        """Return the motion model between all knots."""
+        size = 2 * len(knots.times)
+        bands, pull, links = np.zeros((4, size)), np.zeros((size, 3)), motion_links(knots)
         for row in range(4):
-            np.add.at(pull, 6 * links + 3 * row + axis, pulls[:, row, axis] / density)
+            np.add.at(pull, 2 * links.knot + row, links.pull[:, row])
             for column in range(row + 1):
-                below = 3 * (row - column)
-                np.add.at(bands[below], 6 * links + 3 * column + axis, precisions[:, row, column] / density)
-        energy += float((energies[:, axis] / density).sum())
+                np.add.at(bands[row - column], 2 * links.knot + column, links.precisions[:, row, column])
         if not knots.motion.moves:
-            bands[0, 3 + axis :: 6] += STATIC_WEIGHT
-    return MotionPrior(bands, pull, energy)
+            bands[0, 1::2] += STATIC_WEIGHT
+        return MotionPrior(bands, pull, links.energy.sum(axis=0))
+
+    def with_axes(self, precision: Array) -> Array:
+        """Return the matrix of all unknowns, lower banded (12, 6 k), at a precision (3, 3) of the noise."""
+        out = np.zeros((12, 3 * self.bands.shape[1]))
+        for (below, unit), i, j in product(enumerate(self.bands), range(3), range(3)):
+            if 3 * below + i >= j:
+                out[3 * below + i - j, j::3] += precision[i, j] * unit
+        return out
+
+    def pulls(self, states: Array) -> tuple[Array, Array]:
+        """Return K X - pull (2 k, 3) at knots (k, 2, 3), and what D multiplies in the density (3, 3)."""
+        points = states.reshape(-1, 3)
+        moved = np.stack([banded_product(self.bands, column) for column in points.T], axis=1)
+        pulls = moved - self.pull
+        return pulls, points.T @ pulls - self.pull.T @ points + self.energy
+
+
+@dataclass(frozen=True)
+class MotionNoise:
+    """Noise of the motion, which need not be alike along all axes nor independent on them.
+
+    Differences d (3,) between knots over their standard deviations by the configuration are whitened as
+    r = diag(e^-u) (1 + T) d, with T below the diagonal: the noise of an axis, and its regression on those before it
+    (M. Pourahmadi, Biometrika 86, 1999). Unknown are u_x, u_y, u_z, T_yx, T_zx and T_zy.
+    """
+
+    whitening: Array  # (3, 3): Of differences in lengths
+    slopes: Array  # (6, 3): r of the axis `AXES` moves by this times d, in lengths, with each unknown
+
+    @staticmethod
+    def of(unknowns: Array, noise_std: Array) -> MotionNoise:
+        """Return the noise of unknowns (6,) beside stated standard deviations (3,)."""
+        mixed = np.eye(3)
+        mixed[AXES[3:], BEFORE] = unknowns[3:]
+        scales = np.exp(-unknowns[:3])
+        slopes = np.vstack([-scales[:, None] * mixed, scales[AXES[3:], None] * np.eye(3)[BEFORE]])
+        inverse = 1.0 / np.where(noise_std > 0.0, noise_std, 1.0)  # without noise there are no differences
+        return MotionNoise(scales[:, None] * mixed * inverse, slopes * inverse)
+
+    @property
+    def precision(self) -> Array:
+        """Precision (3, 3) of differences, in lengths."""
+        return np.asarray(self.whitening.T @ self.whitening)
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations (3,) along the axes, length/s^2."""
+        return np.asarray(np.sqrt(np.diag(np.linalg.inv(self.precision))))
+
+    def by_unknowns(self, products: Array) -> Array:
+        """Derivatives (..., 6) of half of tr(precision products), (..., 3, 3), by the unknowns."""
+        return np.asarray(np.einsum("ji,...ik,jk->...j", self.slopes, products, self.whitening[AXES]))
 
 
 def banded_product(bands: Array, vector: Array) -> Array:
@@ -249,8 +305,9 @@ def banded_product(bands: Array, vector: Array) -> Array:
 
 def fit_states(knots: Knots, knot: Integers, weights: Array, offsets: Array, points: Array, precision: Array) -> Array:
     """Fit the knots (k, 2, 3) to positions (n, 3) of scalar precision (n,), with the motion model between."""
-    bands, right, _ = motion_prior(knots)
-    size = knots.size
+    prior, size = MotionPrior.of(knots), knots.size
+    precision_of_motion = MotionNoise.of(STATED, knots.noise_std).precision
+    bands, right = prior.with_axes(precision_of_motion), (prior.pull @ precision_of_motion).ravel()
     points = points - offsets
     for axis in range(3):
         for row in range(4):

@@ -11,6 +11,7 @@ J. Fagan and M.-S. Chin, "Formation of a sparse bus impedance matrix", 1973).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -63,13 +64,13 @@ class VolumeSlopes:
     path: Interpolation
     by_value: Array  # (n, q): by the values of the camera of each detection
     by_point: Array  # (n, 3): by the point of each detection
-    by_noise: Array  # (l,): of each link, by the logarithm of the noise of the motion
+    by_noise: Array  # (l, 6): of each link, by the unknowns of the noise of the motion
 
     @staticmethod
-    def of(linearisation: Linearisation, values: Array, states: Array, log_noise: float, factor: Array) -> VolumeSlopes:
+    def of(linearisation: Linearisation, values: Array, states: Array, noise: Array, factor: Array) -> VolumeSlopes:
         """Return the derivatives at values (m,) and knots (k, 2, 3); `factor` (12, 6 k) is that of A, lower banded."""
         problem = linearisation.problem
-        observations, knots = problem.observations, problem.knots
+        observations = problem.observations
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
         placement = linearisation.placed(values)
@@ -99,13 +100,10 @@ class VolumeSlopes:
             of_point[told] += scale * (point_after - point_before)[told, r]
         by_time = np.einsum("nri,nrs,nsj,nij->n", by_point, precisions, by_point, spread[1])
         of_value += by_time[:, None] * linearisation.time_slopes(values)
-        links = motion_links(knots)
-        moved_by_noise = np.zeros(len(links.knot))
-        density = np.exp(-2.0 * linearisation.log_scale_of_noise(values, log_noise))
-        for axis in range(3 if len(links.knot) else 0):
-            for b in range(4):
-                for c in range(4):
-                    row, column = 6 * links.knot + 3 * b + axis, 6 * links.knot + 3 * c + axis
-                    covariance = inverse[np.abs(row - column), np.minimum(row, column)]
-                    moved_by_noise -= density / knots.noise_std[axis] ** 2 * links.precisions[:, b, c] * covariance
+        links = motion_links(problem.knots)
+        covariances = np.zeros((len(links.knot), 3, 3))
+        for b, c, i, j in product(range(4), range(4), range(3), range(3)):
+            row, column = 6 * links.knot + 3 * b + i, 6 * links.knot + 3 * c + j
+            covariances[:, i, j] += links.precisions[:, b, c] * inverse[np.abs(row - column), np.minimum(row, column)]
+        moved_by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
         return VolumeSlopes(path, of_value, of_point, moved_by_noise)

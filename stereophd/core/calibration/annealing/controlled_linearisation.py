@@ -66,7 +66,7 @@ class ControlledLinearisation:
         matrix[-WORLD:, -WORLD:] = np.diag(self.world_std**-2)
         # between detections the object may be elsewhere than the knots say
         knots = self.linearisation.problem.knots
-        noise = np.exp(self.linearisation.log_scale_of_noise(values[:-WORLD], 0.0)) * knots.noise_std.max()
+        noise = self.linearisation.noise_at(values[:-WORLD]).std.max()
         astray = (world.scale * noise) ** 2 * straying(knots, self.trajectories, times)
         precisions = np.zeros((len(times), 2, 2))
         precisions[:, 0, 0] = 1.0 / (self.std**2 + astray)

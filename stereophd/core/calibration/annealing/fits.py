@@ -12,7 +12,9 @@ from stereophd.core.calibration.adjustment.marginal import marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
+    STATED,
     Knots,
+    MotionNoise,
     fit_states,
     interpolation,
     knot_spacing,
@@ -251,26 +253,27 @@ def problem_of(task: Task, fit: Fit) -> Problem:
     return Problem(task.parameters, task.reference, fit.knots, fit.observations, FITTED_LOSS, task.scale)
 
 
-def marginal_fit(task: Task, fit: Fit, factor: float = 1.0) -> tuple[Fit, float]:
+def marginal_fit(task: Task, fit: Fit, noise: Array = STATED) -> tuple[Fit, Array]:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
 
-    Nothing is held. Also returns the noise of the motion over that of the fit; it is looked for from a factor on.
+    Nothing is held. Also returns the unknowns (6,) of the noise of the motion beside that of the fit; they are looked
+    for from those given.
     """
-    found = marginal_optimum(problem_of(task, fit), fit.adjustment, factor)
+    found = marginal_optimum(problem_of(task, fit), fit.adjustment, noise)
     cameras = task.parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
-    knots = replace(fit.knots, noise_std=found.noise_factor * fit.knots.noise_std)
-    return Fit(found.adjustment, knots, observations, fit.detections), found.noise_factor
+    knots = replace(fit.knots, noise_std=MotionNoise.of(found.motion_noise, fit.knots.noise_std).std)
+    return Fit(found.adjustment, knots, observations, fit.detections), found.motion_noise
 
 
-def restated_fit(task: Task, chosen: Fit, factor: float) -> tuple[Fit, float]:
+def restated_fit(task: Task, chosen: Fit, noise: Array) -> tuple[Fit, Array]:
     """`marginal_fit` of the detections that the trajectories of a marginal optimum have chosen.
 
     The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
     residuals look like shared errors. The search goes on from the marginal optimum, with the noise of the task.
     """
     again = readjusted(task, chosen, np.ones(task.parameters.size, dtype=np.bool_))
-    return marginal_fit(task, with_stated_motion(task, again), factor)
+    return marginal_fit(task, with_stated_motion(task, again), noise)
 
 
 def readjusted(task: Task, fit: Fit, held: Booleans | None = None, loss: Loss = FITTED_LOSS) -> Fit:

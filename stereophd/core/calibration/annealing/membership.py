@@ -60,7 +60,7 @@ class Predictions:
         )
         spread = np.zeros((len(seen), 3, 3))
         covariances_of_points(self.inverse, path.knot, path.weights, path.weights, spread)
-        noise = np.exp(linearisation.log_scale_of_noise(self.adjustment.values, 0.0)) * knots.noise_std
+        noise = linearisation.noise_at(self.adjustment.values).std
         astray = straying(knots, seen.trajectories, seen.times)[:, None, None] * np.diag(noise**2)
         total = np.zeros((len(seen), 2, len(self.adjustment.values)))
         for place in range(12):

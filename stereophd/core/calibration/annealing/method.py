@@ -20,6 +20,7 @@ from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
+from stereophd.core.calibration.adjustment.trajectories import STATED, MotionNoise
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
     ANNEALED_LOSS,
@@ -111,7 +112,12 @@ class Answer:
     """What is stated of a fit."""
 
     fit: Fit  # The marginal optimum.
-    noise_factor: float  # Noise of the motion over what is stated.
+    motion_noise: Array  # (6,): Unknowns of the noise of the motion (`MotionNoise`), beside what is stated
+
+    @property
+    def motion_factors(self) -> Array:
+        """Noise of the motion along the axes of the world (3,) over what is stated."""
+        return MotionNoise.of(self.motion_noise, np.ones(3)).std
 
 
 @dataclass(frozen=True)
@@ -259,7 +265,7 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
     for number in range(MOST_ROUNDS):
         if not task.limit.begin(f"what the answer assumes is tested, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and tested: these cameras are the best so far"
-            answer = answer or Answer(fit, 1.0)
+            answer = answer or Answer(fit, STATED)
             held, remarks = [], (Remark("time", text, is_reservation=True),)
             break
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
@@ -278,9 +284,9 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
             task, noise = task.with_noise(factors, shared), noise * factors
             from_above |= hides
         if answer.fit.adjustment.converged and not hides.any():
-            again = restated_fit(task, chosen, answer.noise_factor)
+            again = restated_fit(task, chosen, answer.motion_noise)
             if is_new or again[0].adjustment.converged:
-                answer = replace(answer, fit=again[0], noise_factor=again[1])
+                answer = replace(answer, fit=again[0], motion_noise=again[1])
         fit = with_stated_motion(task, answer.fit)
         if is_new:
             if hides.any() or not answer.fit.adjustment.converged:
@@ -308,7 +314,7 @@ def suspected(task: Task, answer: Answer, given_up: Sequence[Suspicion]) -> tupl
     """
     enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
     quadratic = quadratic_posterior(
-        problem_of_answer(task, answer), enlarged, answer.fit.adjustment, answer.noise_factor
+        problem_of_answer(task, answer), enlarged, answer.fit.adjustment, answer.motion_noise
     )
     free = np.arange(task.parameters.size)
     held = suspect(quadratic, enlarged, free)
@@ -330,11 +336,11 @@ def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[
     problem, fit = problem_of_answer(task, answer), answer.fit
     if fit.adjustment.converged:
         try:
-            exact = exact_covariance(problem, fit.adjustment, answer.noise_factor, task.threads)
+            exact = exact_covariance(problem, fit.adjustment, answer.motion_noise, task.threads)
             fit = replace(fit, adjustment=replace(fit.adjustment, covariance=exact))
         except LinAlgError:
             fit = replace(fit, adjustment=replace(fit.adjustment, converged=False))
-    more, factor = disagreement_of_stretches(problem, fit.adjustment, answer.noise_factor)
+    more, factor = disagreement_of_stretches(problem, fit.adjustment, answer.motion_noise)
     covariance = fit.adjustment.covariance + more + doubtful @ doubtful.T
     fit = replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
     text = (
@@ -381,10 +387,11 @@ def spread_remarks(moves: TrackMoves, covariance: Array) -> tuple[Remark, ...]:
 
 def motion_remarks(answer: Answer) -> tuple[Remark, ...]:
     """Return a remark if the noise of the motion is far from the stated one."""
-    if abs(np.log(answer.noise_factor)) <= np.log(MOTION_FACTOR):
+    factor = float(np.exp(np.log(answer.motion_factors).mean()))
+    if abs(np.log(factor)) <= np.log(MOTION_FACTOR):
         return ()
     text = (
-        f"the objects accelerate {answer.noise_factor:.2g} times as much as motion.acceleration_std states; what they "
+        f"the objects accelerate {factor:.2g} times as much as motion.acceleration_std states; what they "
         "show was used: motion.acceleration_std is wrong, or objects move together (corners of a board: state their "
         "known distance, calibration.scale.kind: length)"
     )

@@ -19,11 +19,12 @@ from stereophd.core.calibration.adjustment.solver import (
     within_prior,
 )
 from stereophd.core.calibration.adjustment.trajectories import (
+    MotionNoise,
+    MotionPrior,
     fit_states,
     interpolation,
     knot_spacing,
     motion_links,
-    motion_prior,
     place_knots,
     positions,
 )
@@ -219,7 +220,9 @@ def test_fewer_knots_leave_the_cameras_where_they_are() -> None:
 def test_motion_precision_has_no_say_on_straight_lines() -> None:
     knots = place_knots([np.arange(0.0, 11.0, 2.0), np.arange(2.0, 6.0)], 2.0, ConstantVelocity([0.1, 0.2, 0.3]))
     assert knots.count == 2
-    bands = motion_prior(knots).bands
+    bands = MotionPrior.of(knots).with_axes(
+        MotionNoise.of(np.array([0.1, 0.0, -0.2, 0.5, 0.3, -0.4]), knots.noise_std).precision
+    )
     dense = np.zeros((knots.size, knots.size))
     for k in range(12):
         dense += np.diag(bands[k, : knots.size - k], -k)
@@ -235,9 +238,7 @@ def test_knots_without_information_are_held() -> None:
     """The weights of detections far off a robust loss underflow: what is left of them is no matrix to factorise."""
     bands = np.zeros((12, 12))
     bands[0, :6], bands[0, 6:], bands[1, 6:11] = 1.0, 5e-324, 5e-324
-    equations = NormalEquations(
-        0.0, bands, np.zeros((12, 2)), 4.0 * np.eye(2), np.zeros(12), np.zeros(2), np.empty(0), 0.0, np.zeros(12)
-    )
+    equations = NormalEquations(0.0, bands, np.zeros((12, 2)), 4.0 * np.eye(2), np.zeros(12), np.zeros(2), np.empty(0))
     np.testing.assert_allclose(posterior_covariance(equations, np.ones(2)), 0.25 * np.eye(2))
 
 

@@ -39,7 +39,7 @@ def posed(lens: Lens, stated: Lens) -> tuple[Problem, MarginalOptimum]:
 
 def suspicions_of(problem: Problem, found: MarginalOptimum) -> tuple[EnlargedSet, list[Suspicion]]:
     enlarged = enlarge(problem.parameters, 0, PERIODS)
-    quadratic = quadratic_posterior(problem, enlarged, found.adjustment, found.noise_factor)
+    quadratic = quadratic_posterior(problem, enlarged, found.adjustment, found.motion_noise)
     return enlarged, suspect(quadratic, enlarged, np.arange(problem.parameters.size))
 
 

@@ -28,7 +28,7 @@ def equations(seed: int, size: int, values: int) -> tuple[NormalEquations, np.nd
     for k in range(12):
         bands[k, : size - k] = np.diagonal(whole[:size, :size], -k)
     found = NormalEquations(
-        0.0, bands, whole[:size, size:], whole[size:, size:], right[:size], right[size:], np.empty(0), 0.0, np.empty(0)
+        0.0, bands, whole[:size, size:], whole[size:, size:], right[:size], right[size:], np.empty(0)
     )
     return found, whole, right
 
@@ -50,7 +50,9 @@ def test_a_step_is_that_of_the_dense_equations_with_the_distances_added() -> Non
 
 def test_derivatives_of_distances_are_the_numerical_ones() -> None:
     rng = np.random.default_rng(2)
-    knots = place_knots([np.linspace(*span, 6) for span in ((0.0, 1.0), (0.2, 1.3), (0.0, 2.0))], 0.4, ConstantVelocity(0.5))
+    knots = place_knots(
+        [np.linspace(*span, 6) for span in ((0.0, 1.0), (0.2, 1.3), (0.0, 2.0))], 0.4, ConstantVelocity(0.5)
+    )
     fit: Any = SimpleNamespace(knots=knots)
     states = rng.standard_normal((len(knots.times), 2, 3))
     pairs = np.array([[0, 1], [1, 2]])
@@ -92,9 +94,7 @@ def test_a_pair_of_about_the_length_is_told_from_one_of_the_length_where_the_tra
     for k in range(12):
         bands[k, : size - k] = np.diagonal(whole, -k)
     nothing = np.zeros((size, 1))
-    equations = NormalEquations(
-        0.0, bands, nothing, np.eye(1), np.zeros(size), np.zeros(1), np.empty(0), 0.0, np.zeros(size)
-    )
+    equations = NormalEquations(0.0, bands, nothing, np.eye(1), np.zeros(size), np.zeros(1), np.empty(0))
     linearisation: Any = SimpleNamespace(at=lambda _values, _states: equations)
     fit: Any = SimpleNamespace(knots=knots, adjustment=SimpleNamespace(states=states, values=np.zeros(1)))
     odds = _odds_of_lengths(linearisation, fit, np.arange(8).reshape(4, 2), 10.0, 0.01)
@@ -120,9 +120,7 @@ def test_any_number_of_rods_have_odds(count: int) -> None:
     size = states.size
     bands = np.zeros((12, size))
     bands[0] = 1e4
-    equations = NormalEquations(
-        0.0, bands, np.zeros((size, 1)), np.eye(1), np.zeros(size), np.zeros(1), np.empty(0), 0.0, np.zeros(size)
-    )
+    equations = NormalEquations(0.0, bands, np.zeros((size, 1)), np.eye(1), np.zeros(size), np.zeros(1), np.empty(0))
     linearisation: Any = SimpleNamespace(at=lambda _values, _states: equations)
     fit: Any = SimpleNamespace(knots=knots, adjustment=SimpleNamespace(states=states, values=np.zeros(1)))
     odds = _odds_of_lengths(linearisation, fit, np.arange(2 * count).reshape(count, 2), 10.0, 0.01)
@@ -137,8 +135,7 @@ def test_equations_without_a_solution_leave_the_odds_as_they_are() -> None:
     knots = place_knots([np.linspace(0.0, 1.0, 4)] * 2, 0.4, ConstantVelocity(0.5))
     size = 6 * len(knots.times)
     equations = NormalEquations(
-        0.0, -np.ones((12, size)), np.zeros((size, 1)), np.eye(1), np.zeros(size), np.zeros(1), np.empty(0), 0.0,
-        np.zeros(size),
+        0.0, -np.ones((12, size)), np.zeros((size, 1)), np.eye(1), np.zeros(size), np.zeros(1), np.empty(0),
     )  # fmt: skip
     linearisation: Any = SimpleNamespace(at=lambda _values, _states: equations)
     states = np.arange(float(size)).reshape(-1, 2, 3)
