@@ -249,9 +249,8 @@ def test_the_covariance_knows_all_that_there_is_of_the_noise_of_the_motion() -> 
 def test_objects_that_accelerate_along_a_slanted_line_leave_the_cameras_where_they_are() -> None:
     """As people on a slope do: a noise alike along all axes would bend the scene until they accelerated so."""
     true = unknowns(rig()[:2], ("center", "rotation", "focal", "principal_point"))
-    observations, _, points = observe(
-        true.cameras, 4, 2, 30.0, np.array([[0.3, 0.0, 0.0], [0.0, 0.3, 0.9], [0.0, 0.9, 2.7]])
-    )
+    slanted = np.array([[0.5, 0.0, 0.0], [0.0, 0.2, 0.5], [0.0, 0.5, 1.2]])
+    observations, _, points = observe(true.cameras, 5, 4, 10.0, slanted)
     problem, states = problem_of(true, observations, points)
     found = marginal_optimum(problem, adjust(problem, np.zeros(true.size), states))
     assert found.adjustment.converged
