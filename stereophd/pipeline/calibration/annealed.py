@@ -182,7 +182,7 @@ def _result_report(result: Calibrated, best: Start) -> dict[str, Any]:
                 strict=True,
             )
         ),
-        "freed": [name for suspicion in believed.given_up for name in suspicion.group.names],
+        "freed": list(believed.task.parameters.names[len(best.start) :]),
         "stated": _statements(result),
         "fit": _fit_report(best, result.fit),
     }
