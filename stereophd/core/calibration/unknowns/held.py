@@ -99,6 +99,13 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
 
 
+def with_unmeasured(parameters: ParameterSet, reference: int, periods: Array) -> ParameterSet:
+    """Return the unknowns of a calibration, and all that nobody may have measured, under wide priors."""
+    enlarged = enlarge(parameters, reference, periods)
+    places = [group.places for group in enlarged.groups if group.is_unmeasured]
+    return enlarged.freed(parameters, np.unique(np.concatenate([np.empty(0, np.int64), *places])))
+
+
 def _wide_priors(camera: Camera, period: float, is_reference: bool) -> dict[str, dict[str, float]]:
     """Standard deviations by quantity and component of what may be misstated of a camera."""
     wide = {

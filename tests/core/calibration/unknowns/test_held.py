@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stereophd.core.calibration.unknowns.held import K1_STD, enlarge
+from stereophd.core.calibration.unknowns.held import K1_STD, enlarge, with_unmeasured
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
@@ -72,6 +72,16 @@ def test_clocks_that_were_not_compared_say_nothing_of_images() -> None:
     clock = next(group for group in enlarged.groups if group.quantity == "clock_offset")
     assert clock.is_unmeasured
     assert names(enlarged.parameters, enlarged.unmeasured_with(clock)) == ["right.clock_offset"]
+
+
+def test_what_nobody_may_have_measured_is_unknown_from_the_beginning() -> None:
+    left, right = cameras(Lens())
+    known = (Parameter("focal", "right", 0.0, 0.01),)
+    measured = replace(right, lens=Lens("radial", k1=0.1))
+    images = ("left.k1", "left.focal", "left.principal_point_u", "left.principal_point_v")
+    found = with_unmeasured(ParameterSet((left, measured), known), 0, PERIODS)
+    assert found.names == ("right.focal", *images, "right.clock_offset")
+    assert with_unmeasured(ParameterSet((measured,), known), 0, PERIODS[1:]).names == ("right.focal",)
 
 
 def test_what_is_freed_follows_the_unknowns() -> None:
