@@ -169,7 +169,8 @@ class CalibrationConfig(Model):
     )
     model: Literal["as_stated", "lenses", "free"] = parameter(
         "what is estimated although it is stated as known, where the data contradict it: nothing; lenses that are "
-        "stated as none, and clocks that are said to agree; intrinsics, readouts and rates of clocks too",
+        "stated as none, images as makers state them, and clocks that are said to agree; intrinsics, readouts and "
+        "rates of clocks too",
         default="lenses",
     )
     scale: ScaleConfig = parameter("what fixes the scale, which moving objects do not show", default_factory=NoScale)

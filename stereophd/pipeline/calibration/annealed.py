@@ -12,9 +12,11 @@ from stereophd.config.calibration import CalibrationConfig, LengthScale, SpeedSc
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.annealing.known_scale import rescaled
 from stereophd.core.calibration.annealing.method import (
+    AS_STATED,
     Calibrated,
     Choices,
     KnownMeasure,
+    Remark,
     calibrated,
     why_none_succeeded,
 )
@@ -30,7 +32,9 @@ from stereophd.core.calibration.annealing.starts import (
 )
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
 from stereophd.core.calibration.pairing.clock_search import offset_places
+from stereophd.core.calibration.unknowns.held import with_unmeasured
 from stereophd.core.calibration.unknowns.observability import laplace_draws
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
 from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task
@@ -42,11 +46,19 @@ LAPLACE_DRAWS = 1000
 
 
 def annealed_outcome(run: CalibrationRun) -> Outcome:
-    """Method annealed, with the posterior that the section names."""
-    problem, section = run.problem, run.section
+    """Method annealed, with the posterior that the section names.
+
+    Where no start agrees with the data, what nobody may have measured is unknown from the beginning.
+    """
+    problem, section, stated = run.problem, run.section, run.problem.parameters.size
     run.limit.begin("one-camera tracks are made")
-    task = replace(annealed_task(run.loaded, section, problem), limit=run.limit, threads=run.jobs)
+    task = _task(run)
     starts = _all_starts(run, task)
+    if best_of(starts) is None and (unmeasured := _unmeasured(run)).size > stated and not run.limit.is_over:
+        problem = replace(problem, parameters=unmeasured)
+        run = replace(run, problem=problem)
+        task = _task(run)
+        starts = _all_starts(run, task, "starts_unmeasured")
     best = best_of(starts)
     details: dict[str, Any] = {
         "starts": [_start_report(task, start, best) for start in starts],
@@ -64,7 +76,12 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
         )
     result = calibrated(task, starts, replace(choices_of(section), control=problem.control))
     believed = result.believed
-    details |= _result_report(result, best)
+    details |= _result_report(result, best, stated)
+    remarks = result.remarks
+    if problem.parameters.size > stated:
+        names = ", ".join(problem.parameters.names[stated:])
+        text = f"no start agrees with cameras as stated: {names} were estimated (calibration.model: as_stated forbids)"
+        remarks = (Remark("model", text, is_reservation=True), *remarks)
     if section.posterior == "smc":
         scale = believed.task.scale
         found = distinct(starts)
@@ -79,9 +96,22 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
     return Outcome(
         parameters, adjustment.values, adjustment.covariance, draws, weights, result.history, "", result.doubt,
-        result.fit, result.remarks, result.moves, result.world, details,
+        result.fit, remarks, result.moves, result.world, details,
         1.0 if problem.noise_in_log else believed.contradicted_noise,
     )  # fmt: skip
+
+
+def _task(run: CalibrationRun) -> Task:
+    return replace(annealed_task(run.loaded, run.section, run.problem), limit=run.limit, threads=run.jobs)
+
+
+def _unmeasured(run: CalibrationRun) -> ParameterSet:
+    """Return the unknowns of a run, and those that nobody may have measured where these may be given up."""
+    problem = run.problem
+    if run.section.model == AS_STATED:
+        return problem.parameters
+    cameras = len(problem.parameters.cameras)
+    return with_unmeasured(problem.parameters, problem.reference, problem.recording.periods(cameras))
 
 
 def choices_of(section: CalibrationConfig) -> Choices:
@@ -94,16 +124,16 @@ def choices_of(section: CalibrationConfig) -> Choices:
     return Choices(section.model, known, section.posterior == "smc")
 
 
-def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
+def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[Start]:
     """Run starts until enough agree; where too few do, those that have failed are judged at larger noise.
 
     That is where all were run, or where none of as many as are to agree then has succeeded; if the time is over before
-    any has, the one that explains most.
+    any has, the one that explains most. They are kept under a name while the run is unfinished.
     """
     count, agreeing = task.most_starts, task.settings.agreeing_starts
     values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.seed), count)
     seeds = CALIBRATION_PAIRING.seed(run.seed).spawn(count)
-    starts: list[Start] = run.unfinished.read("starts", list[Start], {Motion: task.filter.motion}) or []
+    starts: list[Start] = run.unfinished.read(kept, list[Start], {Motion: task.filter.motion}) or []
 
     def is_done() -> bool:
         return enough(starts, agreeing) or (bool(starts) and run.limit.is_over)
@@ -125,7 +155,7 @@ def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
         for place, start in zip(again or new, found, strict=False):
             starts[place : place + 1] = [start]
             if not run.limit.is_over:  # one that the time has cut short is done again
-                run.unfinished.keep("starts", list(starts))
+                run.unfinished.keep(kept, list(starts))
             run.report_progress(len(starts), count)
             if is_done() or (not again and failed()):
                 break
@@ -170,8 +200,8 @@ def _start_report(task: Task, start: Start, best: Start | None) -> dict[str, Any
     }
 
 
-def _result_report(result: Calibrated, best: Start) -> dict[str, Any]:
-    """What the report holds of the way from the best start to the answer."""
+def _result_report(result: Calibrated, best: Start, stated: int) -> dict[str, Any]:
+    """What the report holds of the way from the best start to the answer; of all unknowns `stated` were stated."""
     believed = result.believed
     report: dict[str, Any] = {
         "motion_noise_factor": believed.answer.motion_factors.tolist(),
@@ -182,7 +212,7 @@ def _result_report(result: Calibrated, best: Start) -> dict[str, Any]:
                 strict=True,
             )
         ),
-        "freed": [name for suspicion in believed.given_up for name in suspicion.group.names],
+        "freed": list(believed.task.parameters.names[stated:]),
         "stated": _statements(result),
         "fit": _fit_report(best, result.fit),
     }

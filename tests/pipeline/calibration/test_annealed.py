@@ -8,10 +8,15 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from stereophd.core.calibration.adjustment.recording import Recording
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.annealing.task import SUCCEEDED, Fit, Start, Task
+from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
+from stereophd.core.calibration.unknowns.held import is_of_maker
+from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.pipeline.calibration import annealed
-from stereophd.pipeline.calibration.problem import CalibrationRun
+from stereophd.pipeline.calibration.problem import CalibrationProblem, CalibrationRun
+from tests.scenes import build_camera
 
 COUNT, AGREEING = 8, 2
 
@@ -122,3 +127,37 @@ def test_where_the_time_is_over_before_a_start_has_succeeded_one_is_judged_at_la
 def test_particles_need_no_starts_at_larger_noise(run_all: Any) -> None:
     starts, judged = run_all([None] * COUNT, 7.0, posterior="smc")
     assert (len(starts), judged) == (COUNT, [])
+
+
+@dataclass(frozen=True)
+class Run:
+    """What is read of a run whose starts all fail."""
+
+    problem: CalibrationProblem
+    section: Any
+    limit: TimeLimit = ENDLESS
+
+
+@pytest.mark.parametrize(("model", "expected"), [("lenses", [1, 9]), ("as_stated", [1])])
+def test_where_no_start_succeeds_what_nobody_measured_is_unknown(
+    monkeypatch: pytest.MonkeyPatch, model: str, expected: list[int]
+) -> None:
+    left = build_camera("left")
+    assert is_of_maker(left)
+    two = (left, replace(left, name="right"))
+    known = (Parameter("focal", "right", 0.0, 0.01),)
+    recording = cast("Recording", SimpleNamespace(periods=lambda count: np.full(count, 0.1)))
+    problem = CalibrationProblem(ParameterSet(two, known), 0, recording, None, {})
+    sizes = list[int]()
+
+    def fail(run: Any, task: Any, *_: str) -> list[Start]:
+        sizes.append(run.problem.parameters.size)
+        return [start(0, None)]
+
+    monkeypatch.setattr(annealed, "_task", lambda _: SimpleNamespace(stages=()))
+    monkeypatch.setattr(annealed, "_clock_report", lambda _: {})
+    monkeypatch.setattr(annealed, "_start_report", lambda *_: {})
+    monkeypatch.setattr(annealed, "_all_starts", fail)
+    outcome = annealed.annealed_outcome(cast("CalibrationRun", Run(problem, SimpleNamespace(model=model))))
+    assert sizes == expected  # with four and three values of the images, and the offset of one clock
+    assert outcome.reason.startswith("none of 1 starts agrees with the data")

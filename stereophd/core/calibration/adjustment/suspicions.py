@@ -52,7 +52,7 @@ class Suspicion:
     @property
     def is_contradicted(self) -> bool:
         """Whether the data contradict the statement."""
-        return self.log_evidence + min(float(np.log(self.group.odds)), 0.0) > float(np.log(CONTRADICTED_ODDS))
+        return self.log_evidence + float(np.log(self.group.odds)) > float(np.log(CONTRADICTED_ODDS))
 
 
 @dataclass(frozen=True)

@@ -4,10 +4,13 @@
 integrated out), and doubted: the noise of the detections is estimated until it stays, and what the calibration holds is
 tested (`adjustment.suspicions`). Where a contradicted statement may be given up, the answer is stated anew under the
 better model. What remains in doubt is a remark.
+
+What a lens does to an image, or a clock, is smooth, and looks like an error that detections share. An error that they
+share is as large as the residuals are, so that it contradicts nothing. Errors therefore count as independent until
+nothing is contradicted that may be given up; what neighbours still share after that is noise.
 """
 
 from collections import Counter
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -45,7 +48,7 @@ from stereophd.core.calibration.annealing.starts import (
     wanted,
 )
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
-from stereophd.core.calibration.unknowns.held import FOCAL_STD, IMAGE, WHOLE_IMAGE, EnlargedSet, enlarge
+from stereophd.core.calibration.unknowns.held import FOCAL_STD, EnlargedSet, enlarge
 from stereophd.core.calibration.unknowns.observability import posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import scale_is_free
@@ -254,14 +257,16 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict.
 
     Trajectories of an answer choose their detections and show the noise, and the search goes on from the answer. Once
-    the noise stays, what is held is tested. Other unknowns, and a search that did not end, begin at the joint optimum
-    again. `noise_of_fit` is the noise of the task over what is stated.
+    the noise stays, what is held is tested: first with errors that are independent, then with those that detections
+    share. Other unknowns, and a search that did not end, begin at the joint optimum again. `noise_of_fit` is the noise
+    of the task over what is stated.
     """
     count = len(task.parameters.cameras)
     noise, shared = np.full(count, noise_of_fit), np.zeros(count)
     given_up, held = list[Suspicion](), list[Suspicion]()
     from_above, remarks = np.full(count, noise_of_fit > 1.0), tuple[Remark, ...]()
     answer: Answer | None = None
+    radius = 0.0  # Within which detections share errors.
     for number in range(MOST_ROUNDS):
         if not task.limit.begin(f"what the answer assumes is tested, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and tested: these cameras are the best so far"
@@ -273,9 +278,8 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
             answer = Answer(*marginal_fit(task, fit))
         chosen = chosen_anew(task, answer.fit, still=True) if answer.fit.adjustment.converged else answer.fit
         estimate = estimate_noise(
-            problem_of(task, chosen), chosen.adjustment, noise, shared, task.settings.shared_error_px,
-            np.random.default_rng(NOISE_SEED),
-        )  # fmt: skip
+            problem_of(task, chosen), chosen.adjustment, noise, shared, radius, np.random.default_rng(NOISE_SEED)
+        )
         differs, hides = estimate.differs(shared, from_above), estimate.hides & ~from_above
         is_new = bool((differs | hides).any()) and not last
         if is_new:
@@ -292,13 +296,16 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
             if hides.any() or not answer.fit.adjustment.converged:
                 fit, answer = chosen_anew(task, readjusted(task, fit)), None
             continue
-        enlarged, held = suspected(task, answer, given_up)
+        enlarged, held = suspected(task, answer)
         wrong = next((s for s in held if s.is_contradicted and may_be_freed(s, choices, task.parameters)), None)
-        if wrong is None or last:
+        if wrong is not None and not last:
+            given_up.append(wrong)
+            task, fit = with_freed(task, fit, enlarged, wrong)
+            answer = None
+        elif radius < task.settings.shared_error_px and not last:
+            radius = task.settings.shared_error_px
+        else:
             break
-        given_up.append(wrong)
-        task, fit = with_freed(task, fit, enlarged, wrong)
-        answer = None
     assert answer is not None
     size = task.parameters.size
     doubtful = np.hstack([np.zeros((size, 0)), *(suspicion.spread[:size] for suspicion in held)])
@@ -306,21 +313,13 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
     return Believed(task, answer, noise, tuple(given_up), tuple(held), doubtful, remarks)
 
 
-def suspected(task: Task, answer: Answer, given_up: Sequence[Suspicion]) -> tuple[EnlargedSet, list[Suspicion]]:
-    """Test what an answer holds as stated; the statement of the greatest evidence against it first.
-
-    Who measures an image measures its focal length, principal point and lens together. Where one of them is
-    contradicted, here or among what was given up, the others count as uncertain.
-    """
+def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
+    """Test what an answer holds as stated; the statement of the greatest evidence against it first."""
     enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
     quadratic = quadratic_posterior(
         problem_of_answer(task, answer), enlarged, answer.fit.adjustment, answer.motion_noise
     )
-    free = np.arange(task.parameters.size)
-    held = suspect(quadratic, enlarged, free)
-    if any(one.group.quantity in IMAGE for one in (*given_up, *(one for one in held if one.is_contradicted))):
-        held += suspect(quadratic, enlarged.of_makers(), free)
-    return enlarged, held
+    return enlarged, suspect(quadratic, enlarged, np.arange(task.parameters.size))
 
 
 def problem_of_answer(task: Task, answer: Answer) -> Problem:
@@ -353,8 +352,9 @@ def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[
 
 def may_be_freed(suspicion: Suspicion, choices: Choices, parameters: ParameterSet) -> bool:
     """Whether a contradicted statement may be given up."""
-    is_asked = choices.model == FREE or (choices.model != AS_STATED and suspicion.group.is_unmeasured)
-    return is_asked and suspicion.group.quantity != WHOLE_IMAGE and is_shown(suspicion, parameters)
+    if suspicion.group.is_unmeasured:
+        return choices.model != AS_STATED
+    return choices.model == FREE and is_shown(suspicion, parameters)
 
 
 def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
@@ -365,10 +365,14 @@ def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
     """Return the task with what was contradicted among its unknowns, and the fit from the values that fit.
 
-    No detection is left out on the way: before the poses follow, a lens moves pixels by hundreds of their noises.
+    What nobody has measured with it is unknown, too. No detection is left out on the way: before the poses follow, a
+    lens moves pixels by hundreds of their noises.
     """
-    task = replace(task, parameters=enlarged.freed(task.parameters, suspicion.group.places))
-    values = np.append(fit.adjustment.values, suspicion.values)
+    places = enlarged.unmeasured_with(suspicion.group)
+    task = replace(task, parameters=enlarged.freed(task.parameters, places))
+    fitting_values = np.zeros(enlarged.parameters.size)
+    fitting_values[suspicion.group.places] = suspicion.values
+    values = np.append(fit.adjustment.values, fitting_values[places])
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
     return task, chosen_anew(task, readjusted(task, begin, loss=ANNEALED_LOSS))
 
@@ -434,9 +438,7 @@ def statement_remarks(believed: Believed, is_doubted: bool) -> tuple[Remark, ...
     if contradicted is not None:
         can_tell = is_shown(contradicted, believed.task.parameters)
         remedy = "measure it: two cameras do not show it"
-        if contradicted.group.quantity == WHOLE_IMAGE:
-            remedy = "measure it, or give it a prior"
-        elif can_tell:
+        if can_tell:
             remedy = "state it, give it a prior, or let it be estimated (calibration.model: free)"
         text = f"the data contradict what is stated: {fitting(contradicted, is_doubted or not can_tell)} fits; {remedy}"
         remarks.append(Remark("model", text, is_reservation=True))

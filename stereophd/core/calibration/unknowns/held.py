@@ -2,8 +2,9 @@
 
 Makers state no lens, a focal length of the data sheet, the middle of the image. Whether the data contradict that, and
 how far an answer moves if it is not quite so, are questions to one set of unknowns in which everything is free
-(`calibration.adjustment.suspicions`). Where one of these statements is contradicted, nobody has measured the image, and
-the others are known to no more than these priors.
+(`calibration.adjustment.suspicions`). Who measures an image measures its lens, focal length and principal point
+together: where one of them is contradicted, all of them are unknown under these priors, of every camera that is stated
+as makers state it.
 """
 
 from __future__ import annotations
@@ -21,11 +22,9 @@ from stereophd.core.geometry.lens import Lens
 # Standard deviations of what is stated as known: of k1, of the logarithm of the focal length, of the principal point
 # in widths of the image, of the readout and the clock's offset in periods of the frames, of the clock's rate.
 K1_STD, FOCAL_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.3, 0.03, 0.015, 1.0, 1e-3
-# Odds, before the data, that a statement is wrong: of what nobody may have measured, of any other value, and of what
-# nobody has measured.
-UNMEASURED_ODDS, STATED_ODDS, CERTAIN_ODDS = 0.1, 1e-3, 1e300
-# What is measured of an image together, and what all of it is called; the middle is stated to half a pixel.
-WHOLE_IMAGE = "image"
+# Odds, before the data, that a statement is wrong: of what is absent (a lens, an offset of clocks), of any other value.
+ABSENT_ODDS, STATED_ODDS = 0.1, 1e-3
+# What is measured of an image together; the middle is stated to half a pixel.
 IMAGE, MIDDLE_PX = ("distortion", "focal", "principal_point"), 0.5
 
 
@@ -37,11 +36,7 @@ class HeldGroup:
     names: tuple[str, ...]  # Of its values.
     places: Integers  # Where they are in the enlarged set.
     odds: float  # Before the data, that the values are not as stated.
-
-    @property
-    def is_unmeasured(self) -> bool:
-        """Whether nobody may have measured it: that a camera has no lens, or that clocks agree."""
-        return self.odds >= UNMEASURED_ODDS
+    is_unmeasured: bool  # Whether nobody may have measured it: what is absent, and the image that makers state.
 
 
 @dataclass(frozen=True)
@@ -56,14 +51,15 @@ class EnlargedSet:
         more = tuple(self.parameters.parameters[i] for i in places.tolist())
         return replace(self.parameters, parameters=(*known.parameters, *more))
 
-    def of_makers(self) -> EnlargedSet:
-        """Return the set with one group: all that it holds of the images that are stated as makers state them."""
-        makers = {camera.name for camera in self.parameters.cameras if is_of_maker(camera)}
-        held = np.unique(np.concatenate([np.empty(0, np.int64), *(group.places for group in self.groups)])).tolist()
-        unknowns = self.parameters.parameters
-        places = [i for i in held if unknowns[i].camera in makers and unknowns[i].quantity.name in IMAGE]
-        names = tuple(self.parameters.names[i] for i in places)
-        return replace(self, groups=(HeldGroup(WHOLE_IMAGE, names, np.array(places), CERTAIN_ODDS),) if places else ())
+    def unmeasured_with(self, group: HeldGroup) -> Integers:
+        """Places of what nobody has measured if that of a group is contradicted: of an image, of all that makers state.
+
+        That of any other group is the group alone.
+        """
+        if group.quantity not in IMAGE or not group.is_unmeasured:
+            return group.places
+        of_images = [one.places for one in self.groups if one.quantity in IMAGE and one.is_unmeasured]
+        return np.unique(np.concatenate(of_images))
 
 
 def is_of_maker(camera: Camera) -> bool:
@@ -89,16 +85,25 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
             places = np.arange(size + len(extra), size + len(extra) + len(names))
             extra += [Parameter(name, camera.name, 0.0, stds[name]) for name in names]
             is_absent = quantity == "clock_offset" or (quantity == "distortion" and not camera.lens.coefficients.any())
-            odds = UNMEASURED_ODDS if is_absent else STATED_ODDS
-            group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, odds)
+            odds = ABSENT_ODDS if is_absent else STATED_ODDS
+            is_unmeasured = is_absent or (quantity in IMAGE and is_of_maker(camera))
+            group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, odds, is_unmeasured)
             by_quantity.setdefault(quantity, []).append(group)
     for quantity, each in by_quantity.items():
         groups += each
         if len(each) > 1:
             together = tuple(name for group in each for name in group.names)
             places = np.concatenate([group.places for group in each])
-            groups.append(HeldGroup(quantity, together, places, min(group.odds for group in each)))
+            odds, is_unmeasured = min(group.odds for group in each), all(group.is_unmeasured for group in each)
+            groups.append(HeldGroup(quantity, together, places, odds, is_unmeasured))
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
+
+
+def with_unmeasured(parameters: ParameterSet, reference: int, periods: Array) -> ParameterSet:
+    """Return the unknowns of a calibration, and all that nobody may have measured, under wide priors."""
+    enlarged = enlarge(parameters, reference, periods)
+    places = [group.places for group in enlarged.groups if group.is_unmeasured]
+    return enlarged.freed(parameters, np.unique(np.concatenate([np.empty(0, np.int64), *places])))
 
 
 def _wide_priors(camera: Camera, period: float, is_reference: bool) -> dict[str, dict[str, float]]:

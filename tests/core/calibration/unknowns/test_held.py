@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from stereophd.core.calibration.unknowns.held import K1_STD, enlarge
+from stereophd.core.calibration.unknowns.held import K1_STD, enlarge, with_unmeasured
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
@@ -53,12 +53,35 @@ def test_images_that_nobody_has_measured_have_no_lens_and_their_middle_as_princi
         replace(right, fy=880.0),
         replace(right, lens=Lens("radial", k1=0.1)),
     )
-    for camera in measured:
-        (image,) = enlarge(ParameterSet((left, camera), known), 0, PERIODS).of_makers().groups
-        assert list(image.names) == images
-    (image,) = enlarge(ParameterSet((left, right), known), 0, PERIODS).of_makers().groups
-    assert sorted(image.names) == sorted([*images, "right.k1", "right.principal_point_u", "right.principal_point_v"])
-    assert not enlarge(ParameterSet(measured[:1], known), 0, PERIODS).of_makers().groups
+    for camera, lens in zip(measured, (["right.k1"], ["right.k1"], []), strict=True):
+        assert unmeasured_with_a_lens(ParameterSet((left, camera), known)) == sorted([*images, *lens])
+    both = [*images, "right.k1", "right.principal_point_u", "right.principal_point_v"]
+    assert unmeasured_with_a_lens(ParameterSet((left, right), known)) == sorted(both)
+    assert unmeasured_with_a_lens(ParameterSet(measured[:1], known)) == ["right.k1"]
+
+
+def unmeasured_with_a_lens(stated: ParameterSet) -> list[str]:
+    """What nobody has measured where the first lens is contradicted."""
+    enlarged = enlarge(stated, 0, PERIODS)
+    lens = next(group for group in enlarged.groups if group.quantity == "distortion")
+    return sorted(names(enlarged.parameters, enlarged.unmeasured_with(lens)))
+
+
+def test_clocks_that_were_not_compared_say_nothing_of_images() -> None:
+    enlarged = enlarge(ParameterSet(cameras(Lens()), ()), 0, PERIODS)
+    clock = next(group for group in enlarged.groups if group.quantity == "clock_offset")
+    assert clock.is_unmeasured
+    assert names(enlarged.parameters, enlarged.unmeasured_with(clock)) == ["right.clock_offset"]
+
+
+def test_what_nobody_may_have_measured_is_unknown_from_the_beginning() -> None:
+    left, right = cameras(Lens())
+    known = (Parameter("focal", "right", 0.0, 0.01),)
+    measured = replace(right, lens=Lens("radial", k1=0.1))
+    images = ("left.k1", "left.focal", "left.principal_point_u", "left.principal_point_v")
+    found = with_unmeasured(ParameterSet((left, measured), known), 0, PERIODS)
+    assert found.names == ("right.focal", *images, "right.clock_offset")
+    assert with_unmeasured(ParameterSet((measured,), known), 0, PERIODS[1:]).names == ("right.focal",)
 
 
 def test_what_is_freed_follows_the_unknowns() -> None:
