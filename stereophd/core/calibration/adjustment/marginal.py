@@ -139,19 +139,21 @@ def marginal_optimum(problem: Problem, found: Adjustment, noise: Array = STATED)
 def exact_covariance(problem: Problem, adjustment: Adjustment, noise: Array, threads: int = 1) -> Array:
     """Covariance (m, m) of the values by the second derivatives of the objective at its minimum.
 
-    They are differences of the gradient along each column of a root of the covariance by the normal equations. Raises
-    LinAlgError where an end of such a difference has no normal equations that are positive definite.
+    They are differences of the gradient along each column of a root of the covariance by the normal equations; those of
+    the volume, which is small and costs most, to one side only. Raises LinAlgError where an end of such a difference
+    has no normal equations that are positive definite.
     """
     posterior, at = at_answer(problem, adjustment, noise)
-    root, size = posterior.root(at), len(adjustment.values)
+    root, size, volume = posterior.root(at), len(adjustment.values), posterior.gradient_of_volume(at)
 
     def curvature(step: Array) -> Array:
         ends = _ends(posterior, at, step)
         if len(ends) < 2:
             raise LinAlgError("no normal equations beside the optimum")
         (ahead, beyond), (behind, before) = ends
-        change = posterior.gradient(beyond) - posterior.gradient(before)
-        return np.asarray(root.T @ change / (CURVATURE_STEP * (ahead + behind)))
+        change = (posterior.gradient_of_cost(beyond) - posterior.gradient_of_cost(before)) / (ahead + behind)
+        change += (posterior.gradient_of_volume(beyond) - volume) / ahead
+        return np.asarray(root.T @ change / CURVATURE_STEP)
 
     curvatures: Array = np.column_stack(in_threads(curvature, CURVATURE_STEP * root.T, threads))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
@@ -254,6 +256,15 @@ class MarginalPosterior:
 
     def gradient(self, at: Point) -> Array:
         """Gradient (size,) of the objective."""
+        return self.gradient_of_cost(at) + self.gradient_of_volume(at)
+
+    def gradient_of_cost(self, at: Point) -> Array:
+        """Gradient (size,) of J / 2; the knots are at the minimum but for a trace, whose effect is removed."""
+        left = cho_solve_banded((at.factor, True), at.equations.state_vector, check_finite=False)
+        return np.asarray(at.equations.coupling.T @ left - at.equations.value_vector)
+
+    def gradient_of_volume(self, at: Point) -> Array:
+        """Gradient (size,) of the other terms."""
         linearisation, equations = self.linearisation, at.equations
         problem, (values, _) = linearisation.problem, self.parted(at.unknowns)
         slopes = self.slopes(at)
@@ -266,10 +277,7 @@ class MarginalPosterior:
         step = _short(equations.bands, across)
         moved = step * across.reshape(at.states.shape)
         ahead, behind = (self.equations(at.unknowns, at.states + sign * moved).value_vector for sign in (1.0, -1.0))
-        # the knots are at the minimum but for a trace, whose effect is removed to first order
-        left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
-        followed = (ahead - behind) / (2.0 * step)
-        return np.asarray(direct + followed + equations.coupling.T @ left - equations.value_vector)
+        return np.asarray(direct + (ahead - behind) / (2.0 * step))
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
