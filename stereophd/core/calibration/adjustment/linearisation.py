@@ -11,7 +11,7 @@ from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.problem import Loss, Problem, true_times
 from stereophd.core.calibration.adjustment.trajectories import (
-    AXES,
+    OF_ALL,
     STATED,
     Interpolation,
     MotionNoise,
@@ -97,9 +97,9 @@ class Linearisation:
         # a larger scale is a larger noise along every axis
         _, gradient = log_scale(parameters, problem.reference, values)
         scales = np.flatnonzero(gradient)
-        coupling[:, scales] += np.outer(by_noise.coupling[:, :3].sum(axis=1), gradient[scales])
-        matrix += by_noise.matrix[:3, :3].sum() * np.outer(gradient, gradient)
-        value_vector += by_noise.vector[:3].sum() * gradient
+        coupling[:, scales] += np.outer(by_noise.coupling[:, 0], gradient[scales])
+        matrix += by_noise.matrix[0, 0] * np.outer(gradient, gradient)
+        value_vector += by_noise.vector[0] * gradient
         # priors
         scaled = (values - parameters.prior_mean) / parameters.prior_std
         matrix += np.diag(parameters.prior_std**-2)
@@ -148,16 +148,15 @@ class Linearisation:
         precision, (pulls, products) = noise.precision, self.motion.pulls(states)
         sums.bands[:] += self.motion.with_axes(precision)
         sums.state_vector[:] -= (pulls @ precision).ravel()
-        whitening = noise.whitening[AXES]
-        coupling = (pulls @ noise.slopes.T)[:, None, :] * whitening.T
-        matrix = np.where(AXES[:, None] == AXES, noise.slopes @ products @ noise.slopes.T, 0.0)
-        by_noise = NoiseEquations(coupling.reshape(-1, len(AXES)), matrix, -noise.by_unknowns(products))
+        coupling = np.einsum("na,jba,bc->ncj", pulls, noise.slopes, noise.whitening, optimize=True)
+        matrix = np.einsum("iab,bc,jac->ij", noise.slopes, products, noise.slopes)
+        by_noise = NoiseEquations(coupling.reshape(-1, len(STATED)), matrix, -noise.by_unknowns(products))
         return float((precision * products).sum()), by_noise
 
     def noise_at(self, values: Array, noise: Array = STATED) -> MotionNoise:
         """Return the noise of the motion of values (m,) and unknowns (6,): that of the knots is stated."""
         logarithm, _ = log_scale(self.problem.parameters, self.problem.reference, values)
-        return MotionNoise.of(noise + logarithm * (np.arange(len(AXES)) < 3), self.problem.knots.noise_std)
+        return MotionNoise.of(noise + logarithm * OF_ALL, self.problem.knots.noise_std)
 
     def of_knots(
         self, values: Array, states: Array, noise: Array = STATED, placement: Placement | None = None

@@ -5,7 +5,7 @@ trajectories add many values that the detections constrain only weakly, and the 
 that stretch the scene: rotations about the vertical, focal lengths. Integrating out the knots (Laplace's method) adds
 the terms of the volume,
 
-    -2 log p(v, n | detections) = J(v, n) + log det A(v, n) + 12 k log s(v) + 4 l sum u + |n / std|^2 + constant,
+    -2 log p(v, n | detections) = J(v, n) + log det A(v, n) + 12 k (log s(v) + u) + |n / std|^2 + constant,
 
 with the matrix A of the knots in the normal equations, the number k of knots, the number l of links between successive
 ones, and the scale s of the scene (`calibration.unknowns.scale`).
@@ -13,15 +13,16 @@ ones, and the scale s of the scene (`calibration.unknowns.scale`).
 **Noise of the motion.** It is stated in lengths, and the cost uses it in units of the scene: noise_std * s(v), s = 1 at
 the size that the prior expects. A scene that is truly larger by a factor f has objects that accelerate 1 / f times as
 much in those units, and the data do not show f. The noise in units of the scene is therefore known no better than the
-size of the scene is. It has six unknowns n (`trajectories.MotionNoise`): the logarithms u of the noise along each axis
-over noise_std * s(v), and how axes go together. Were it one number, objects would be known to accelerate in depth as
-they do across. Where they do not, as hardly any do, the scene would be stretched and bent until they did, and
+size of the scene is. It has six unknowns n (`trajectories.MotionNoise`): the logarithm u of the noise over
+noise_std * s(v), how unlike it is along the axes, and how these go together. Were it one number, objects would be known
+to accelerate in depth as they do across. Where they do not, the scene would be stretched and bent until they did, and
 rotations, focal lengths and principal points with it: 8 standard deviations for two cameras before one object.
 
 **Normalisation.** The motion model is a density of the l differences between successive knots, 6 numbers each, of
-standard deviations proportional to s e^u: its normalisation is 12 l log s + 4 l sum u. The first position and velocity
-of each of the k - l trajectories have a flat density in units of the scene, 12 (k - l) log s: scaling cameras and knots
-together then changes nothing, so that the data stay flat along the scale.
+standard deviations proportional to s e^u: its normalisation is 12 l (log s + u). The first position and velocity of
+each of the k - l trajectories have a flat density in units of that noise, 12 (k - l) (log s + u): scaling cameras and
+knots together then changes nothing, so that the data stay flat along the scale, and a scene that is stretched along one
+axis gains nothing by its larger volume.
 
 **Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it at
 the joint optimum, in the cost and in the volume. With the loss itself, a step that leaves detections out makes the
@@ -29,10 +30,10 @@ volume smaller, which is no evidence, and the objective is not smooth. The weigh
 and the optimum is looked for again from there, until they are the same.
 
 **Derivatives.** The residuals of the motion are proportional to e^-u / s, so that the logarithm of s enters the normal
-equations as all u together do (`Linearisation.at`). At knots that minimise the cost the gradient of J / 2 is minus the
-vector of the normal equations. That of the volume is exact (`adjustment.volume`): how the knots follow is found with
-the second derivatives of the cost, as what one camera alone sees lies in a valley so flat and curved that the normal
-equations do not tell it.
+equations as u does (`Linearisation.at`). At knots that minimise the cost the gradient of J / 2 is minus the vector of
+the normal equations. That of the volume is exact (`adjustment.volume`): how the knots follow is found with the second
+derivatives of the cost, as what one camera alone sees lies in a valley so flat and curved that the normal equations do
+not tell it.
 
 **Minimum.** Newton steps by the exact gradient, on the curvature of the normal equations. That lacks the curvature of
 the volume, and of the noise half: a mode of the motion of unit variance that is seen with the information b is
@@ -75,8 +76,9 @@ from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.random_streams import BENDS_SEED
 from stereophd.core.numerics.threads import in_threads
 
-# Prior standard deviation of the unknowns of the noise of the motion, beside that of the scale.
-NOISE_STD = 0.5
+# Prior standard deviations of the logarithm of the noise of the motion over what is stated, beside that of the scale,
+# and of what tells its axes apart.
+NOISE_STD, UNLIKE_STD = 0.5, 0.25
 # Length at which the steps settle, longest step, and longest step left of a search that has converged, all in posterior
 # standard deviations; most steps.
 SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS = 0.05, 20.0, 1.0, 200
@@ -139,19 +141,21 @@ def marginal_optimum(problem: Problem, found: Adjustment, noise: Array = STATED)
 def exact_covariance(problem: Problem, adjustment: Adjustment, noise: Array, threads: int = 1) -> Array:
     """Covariance (m, m) of the values by the second derivatives of the objective at its minimum.
 
-    They are differences of the gradient along each column of a root of the covariance by the normal equations. Raises
-    LinAlgError where an end of such a difference has no normal equations that are positive definite.
+    They are differences of the gradient along each column of a root of the covariance by the normal equations; those of
+    the volume, which is small and costs most, to one side only. Raises LinAlgError where an end of such a difference
+    has no normal equations that are positive definite.
     """
     posterior, at = at_answer(problem, adjustment, noise)
-    root, size = posterior.root(at), len(adjustment.values)
+    root, size, volume = posterior.root(at), len(adjustment.values), posterior.gradient_of_volume(at)
 
     def curvature(step: Array) -> Array:
         ends = _ends(posterior, at, step)
         if len(ends) < 2:
             raise LinAlgError("no normal equations beside the optimum")
         (ahead, beyond), (behind, before) = ends
-        change = posterior.gradient(beyond) - posterior.gradient(before)
-        return np.asarray(root.T @ change / (CURVATURE_STEP * (ahead + behind)))
+        change = (posterior.gradient_of_cost(beyond) - posterior.gradient_of_cost(before)) / (ahead + behind)
+        change += (posterior.gradient_of_volume(beyond) - volume) / ahead
+        return np.asarray(root.T @ change / CURVATURE_STEP)
 
     curvatures: Array = np.column_stack(in_threads(curvature, CURVATURE_STEP * root.T, threads))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
@@ -202,8 +206,8 @@ class MarginalPosterior:
         problem = self.linearisation.problem
         std = problem.parameters.prior_std
         _, gradient = log_scale(problem.parameters, problem.reference, problem.parameters.prior_mean)
-        of_noise = np.full(self.size - len(std), NOISE_STD)
-        of_noise[:3] = np.sqrt(NOISE_STD**2 + float(gradient**2 @ std**2))
+        of_noise = np.full(self.size - len(std), UNLIKE_STD)
+        of_noise[:1] = np.sqrt(NOISE_STD**2 + float(gradient**2 @ std**2))
         return np.append(std, of_noise)
 
     def equations(self, unknowns: Array, states: Array) -> NormalEquations:
@@ -216,7 +220,7 @@ class MarginalPosterior:
         found = self.linearisation.at(values, states, noise)
         assert found.by_noise is not None
         coupling, matrix, vector = found.by_noise
-        with_scale = np.outer(log_scale(problem.parameters, problem.reference, values)[1], matrix[:3].sum(axis=0))
+        with_scale = np.outer(log_scale(problem.parameters, problem.reference, values)[1], matrix[0])
         return replace(
             found,
             cost=found.cost + float(((noise / std) ** 2).sum()),
@@ -234,7 +238,7 @@ class MarginalPosterior:
     def _volume(self, unknowns: Array, factor: Array) -> float:
         problem, (values, noise) = self.linearisation.problem, self.parted(unknowns)
         scale, _ = log_scale(problem.parameters, problem.reference, values)
-        return float(np.log(factor[0]).sum()) + self._flat * scale + 2.0 * self.links * float(noise[:3].sum())
+        return float(np.log(factor[0]).sum()) + self._flat * (scale + float(noise[0]))
 
     def at(self, unknowns: Array, states: Array) -> Point:
         """Return the point of unknowns, its knots minimised from the given ones.
@@ -254,22 +258,28 @@ class MarginalPosterior:
 
     def gradient(self, at: Point) -> Array:
         """Gradient (size,) of the objective."""
+        return self.gradient_of_cost(at) + self.gradient_of_volume(at)
+
+    def gradient_of_cost(self, at: Point) -> Array:
+        """Gradient (size,) of J / 2; the knots are at the minimum but for a trace, whose effect is removed."""
+        left = cho_solve_banded((at.factor, True), at.equations.state_vector, check_finite=False)
+        return np.asarray(at.equations.coupling.T @ left - at.equations.value_vector)
+
+    def gradient_of_volume(self, at: Point) -> Array:
+        """Gradient (size,) of the other terms."""
         linearisation, equations = self.linearisation, at.equations
         problem, (values, _) = linearisation.problem, self.parted(at.unknowns)
         slopes = self.slopes(at)
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
         by_noise = slopes.by_noise.sum(axis=0)
-        direct = linearisation.of_values(slopes.by_value) + (self._flat + float(by_noise[:3].sum())) * by_scale
-        by_noise[:3] += 2.0 * self.links
+        direct = linearisation.of_values(slopes.by_value) + (self._flat + float(by_noise[0])) * by_scale
+        by_noise[0] += self._flat
         direct = np.append(direct, by_noise[: self.size - len(values)])
         across = self._knots_against(at, linearisation.of_states(slopes.path, slopes.by_point))
         step = _short(equations.bands, across)
         moved = step * across.reshape(at.states.shape)
         ahead, behind = (self.equations(at.unknowns, at.states + sign * moved).value_vector for sign in (1.0, -1.0))
-        # the knots are at the minimum but for a trace, whose effect is removed to first order
-        left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
-        followed = (ahead - behind) / (2.0 * step)
-        return np.asarray(direct + followed + equations.coupling.T @ left - equations.value_vector)
+        return np.asarray(direct + (ahead - behind) / (2.0 * step))
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
@@ -317,9 +327,9 @@ class MarginalPosterior:
         if not self.links:
             return covariance
         axes = slice(self.size - len(STATED), self.size - len(STATED) + 3)
-        known = np.maximum(np.diag(at.eliminated.schur)[axes] - self.prior_std[axes] ** -2, 0.0)[:, None]
+        known = at.eliminated.schur[axes, axes] - np.diag(self.prior_std[axes] ** -2)
         with_noise = covariance[:, axes]
-        taken = np.linalg.solve(np.eye(3) + known * with_noise[axes], known * with_noise.T)
+        taken = np.linalg.solve(np.eye(3) + known @ with_noise[axes], known @ with_noise.T)
         return np.asarray(covariance - with_noise @ taken)
 
     def root(self, at: Point) -> Array:

@@ -20,7 +20,7 @@ from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import Point, at_answer
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment
-from stereophd.core.calibration.adjustment.trajectories import AXES, motion_links
+from stereophd.core.calibration.adjustment.trajectories import OF_ALL, motion_links
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.unknowns.scale import log_scale
 
@@ -92,12 +92,12 @@ def _scores(linearisation: Linearisation, point: Point, noise: Array, volume: Vo
     forces = -(moved - links.pull) @ motion.precision
     across = np.swapaxes(both, 1, 2) @ (moved - links.pull)
     products = across - np.swapaxes(links.pull, 1, 2) @ both + links.energy
-    by_noise = -motion.by_unknowns(products) - volume.by_noise - 2.0 * (np.arange(len(AXES)) < 3)
+    by_noise = -motion.by_unknowns(products) - volume.by_noise - 6.0 * OF_ALL
     stretch_of = np.searchsorted(ends, 0.5 * (knots.times[links.knot] + knots.times[links.knot + 1]))
     _, by_scale = log_scale(problem.parameters, problem.reference, values)
     for stretch in range(STRETCHES):
         rows = np.flatnonzero(stretch_of == stretch)
         total = by_noise[rows].sum(axis=0)
         pulled = np.concatenate([following[links.knot[rows]], following[links.knot[rows] + 1]], axis=1)
-        scores[stretch] += np.einsum("lja,ljau->u", forces[rows], pulled) + np.append(total[:3].sum() * by_scale, total)
+        scores[stretch] += np.einsum("lja,ljau->u", forces[rows], pulled) + np.append(total[0] * by_scale, total)
     return scores

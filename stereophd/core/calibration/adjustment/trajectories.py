@@ -36,10 +36,13 @@ SOON = 0.1
 STATIC_WEIGHT = 1e6
 
 
-# Axis of the noise that each unknown of `MotionNoise` is of, and that on which the last three regress it.
-AXES, BEFORE = np.array([0, 1, 2, 1, 2, 2]), np.array([0, 0, 1])
+# Axes of `MotionNoise` that are regressed, and those that they are regressed on; how unlike axes are, orthogonal.
+REGRESSED = (np.array([1, 2, 2]), np.array([0, 0, 1]))
+UNLIKE = np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 2.0]]) / np.sqrt([2.0, 6.0])
 # Its unknowns where the noise is as stated.
 STATED = np.zeros(6)
+# The unknown of all axes together, which the logarithm of a scale adds to.
+OF_ALL = np.eye(6)[0]
 
 # In place of a spacing of 0, of objects that cameras at one place put into themselves.
 SMALLEST = float(np.finfo(np.float64).tiny)
@@ -263,21 +266,24 @@ class MotionNoise:
 
     Differences d (3,) between knots over their standard deviations by the configuration are whitened as
     r = diag(e^-u) (1 + T) d, with T below the diagonal: the noise of an axis, and its regression on those before it
-    (M. Pourahmadi, Biometrika 86, 1999). Unknown are u_x, u_y, u_z, T_yx, T_zx and T_zy.
+    (M. Pourahmadi, Biometrika 86, 1999). The unknowns are the mean of u, its two deviations `UNLIKE`, and T_yx, T_zx
+    and T_zy.
     """
 
     whitening: Array  # (3, 3): Of differences in lengths
-    slopes: Array  # (6, 3): r of the axis `AXES` moves by this times d, in lengths, with each unknown
+    slopes: Array  # (6, 3, 3): Its derivatives by the unknowns
 
     @staticmethod
     def of(unknowns: Array, noise_std: Array) -> MotionNoise:
         """Return the noise of unknowns (6,) beside stated standard deviations (3,)."""
-        mixed = np.eye(3)
-        mixed[AXES[3:], BEFORE] = unknowns[3:]
-        scales = np.exp(-unknowns[:3])
-        slopes = np.vstack([-scales[:, None] * mixed, scales[AXES[3:], None] * np.eye(3)[BEFORE]])
+        mixed, unit = np.eye(3), np.zeros((3, 3, 3))
+        mixed[REGRESSED] = unknowns[3:]
+        unit[np.arange(3), *REGRESSED] = 1.0
+        along = np.column_stack([np.ones(3), UNLIKE])
+        scales = np.exp(-along @ unknowns[:3])[:, None]
         inverse = 1.0 / np.where(noise_std > 0.0, noise_std, 1.0)  # without noise there are no differences
-        return MotionNoise(scales[:, None] * mixed * inverse, slopes * inverse)
+        slopes = np.concatenate([-along.T[:, :, None] * mixed, unit])
+        return MotionNoise(scales * mixed * inverse, scales * slopes * inverse)
 
     @property
     def precision(self) -> Array:
@@ -291,7 +297,7 @@ class MotionNoise:
 
     def by_unknowns(self, products: Array) -> Array:
         """Derivatives (..., 6) of half of tr(precision products), (..., 3, 3), by the unknowns."""
-        return np.asarray(np.einsum("ji,...ik,jk->...j", self.slopes, products, self.whitening[AXES]))
+        return np.asarray(np.einsum("jab,...bc,ac->...j", self.slopes, products, self.whitening))
 
 
 def banded_product(bands: Array, vector: Array) -> Array:
