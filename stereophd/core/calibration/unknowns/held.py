@@ -96,6 +96,11 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
             places = np.concatenate([group.places for group in each])
             odds, is_unmeasured = min(group.odds for group in each), all(group.is_unmeasured for group in each)
             groups.append(HeldGroup(quantity, together, places, odds, is_unmeasured))
+    unmeasured = [group for each in by_quantity.values() for group in each if group.is_unmeasured]
+    if len({group.quantity for group in unmeasured}) > 1:
+        names = tuple(name for group in unmeasured for name in group.names)
+        places = np.concatenate([group.places for group in unmeasured])
+        groups.append(HeldGroup("unmeasured", names, places, min(group.odds for group in unmeasured), True))
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
 
 
