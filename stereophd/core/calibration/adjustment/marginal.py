@@ -46,14 +46,15 @@ the gradient from other bends of the valley, and took four times as many steps.
 **Covariance.** The normal equations lack second derivatives of the residuals, too. Where objects turn within the time
 in which they move by some noises of their detections, other velocities compensate for a later clock: by residuals
 times the change of the knots' weights with time. The normal equations believe the velocities that the noise has bent,
-and state clocks up to four times too sure. `exact_covariance` differentiates the gradient of the objective instead.
+and state clocks up to four times too sure. `exact_covariance` differentiates the gradient of the objective instead. A
+step along the tangent of a valley leaves it by the square of the step, and the objective rises by the fourth power of
+it: where that matters, the ends of the difference follow the valley.
 """
 
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
@@ -90,11 +91,11 @@ DECREASE = 1e-4
 LEFT_OUT = 50.0
 # Most times that the weights of detections are taken anew, and their change at which they are the same.
 MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
-# Step of differences of the gradient, in standard deviations by the normal equations.
-CURVATURE_STEP = 0.3
+# Step of differences of the gradient, in standard deviations.
+DIFFERENCE = 0.1
 # Directions of the posterior beyond this part of the prior are loose. Draws of these, beside which the bend of the
-# others is looked at, and their length in parts of theirs.
-LOOSE, BENDS, BEND_STEP = 0.1, 12, 0.5
+# others is looked at.
+LOOSE, BENDS = 0.1, 12
 # Step of differences by the knots, in standard deviations of all together; part of the residual at which equations of
 # their second derivatives are solved, and most products with these.
 KNOT_DIFFERENCE, KNOTS_SOLVED, MOST_PRODUCTS = 0.1, 1e-3, 12
@@ -145,20 +146,19 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: flo
     LinAlgError where an end of such a difference has no normal equations that are positive definite.
     """
     posterior, at = at_answer(problem, adjustment, noise_factor)
-    root, size = posterior.root(at), len(adjustment.values)
+    root, size, gradient = posterior.root(at), len(adjustment.values), posterior.gradient(at)
 
     def curvature(step: Array) -> Array:
-        ends = _ends(posterior, at, step)
-        if len(ends) < 2:
-            raise LinAlgError("no normal equations beside the optimum")
-        (ahead, beyond), (behind, before) = ends
-        change = posterior.gradient(beyond) - posterior.gradient(before)
-        return np.asarray(root.T @ change / (CURVATURE_STEP * (ahead + behind)))
+        along, second = _differences(posterior, at, gradient, step)
+        bend = root.T @ second
+        if np.linalg.norm(bend) > 1.0:
+            along, _ = _differences(posterior, at, gradient, step, -root @ bend)
+        return np.asarray(root.T @ along)
 
-    curvatures: Array = np.column_stack(in_threads(curvature, CURVATURE_STEP * root.T, threads))
+    curvatures: Array = np.column_stack(in_threads(curvature, root.T, threads))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
     covariance = within_prior(inverse.T @ curvatures @ inverse, posterior.prior_std)
-    bends = _bends(posterior, at, covariance, np.random.default_rng(BENDS_SEED), threads)
+    bends = _bends(posterior, at, gradient, covariance, np.random.default_rng(BENDS_SEED), threads)
     return (covariance + bends.T @ bends / max(len(bends) - 1, 1))[:size, :size]
 
 
@@ -333,12 +333,25 @@ def at_answer(problem: Problem, adjustment: Adjustment, noise_factor: float) -> 
     return posterior, posterior.at(np.append(adjustment.values, log_noise), adjustment.states)
 
 
-def _ends(posterior: MarginalPosterior, at: Point, step: Array) -> list[tuple[float, Point]]:
-    """Return the points after a step and its opposite, or the first share of each that is regular, with the shares."""
-    return [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
+def _differences(
+    posterior: MarginalPosterior, at: Point, gradient: Array, step: Array, bend: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Return the first derivative of the gradient along a step, and half the second one; LinAlgError if there is none.
+
+    The ends of the difference follow a valley that leaves its tangent by `bend` times the square of the step.
+    """
+    ahead, behind = DIFFERENCE * (DIFFERENCE * bend + step), DIFFERENCE * (DIFFERENCE * bend - step)
+    found = next(_tried(posterior, at, ahead, behind), None)
+    if found is None:
+        raise LinAlgError("no normal equations beside the optimum")
+    share, points = DIFFERENCE * found[0], found[1]
+    one, other = (posterior.gradient(point) for point in points)
+    return (one - other) / (2.0 * share), ((one + other) / 2.0 - gradient) / share**2
 
 
-def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.random.Generator, threads: int) -> Array:
+def _bends(
+    posterior: MarginalPosterior, at: Point, gradient: Array, covariance: Array, rng: np.random.Generator, threads: int
+) -> Array:
     """Moves (d, u) of what is well known beside draws of what is loosely known, to second order.
 
     A step of the loose directions and its opposite leave gradients whose mean, but for that at the minimum, is of
@@ -347,16 +360,12 @@ def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.r
     std = posterior.prior_std
     variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
     root, loose = std[:, None] * vectors * np.sqrt(np.maximum(variances, 0.0)), variances > LOOSE**2
-    gradient, steps = posterior.gradient(at), rng.standard_normal((BENDS, int(loose.sum()))) @ root[:, loose].T
+    steps = rng.standard_normal((BENDS, int(loose.sum()))) @ root[:, loose].T
 
-    def bend(step: Array) -> list[Array]:
-        ends = _ends(posterior, at, step)
-        if len(ends) < 2 or ends[0][0] != ends[1][0]:
-            return []
-        mean = sum(posterior.gradient(point) for _, point in ends) / 2.0 - gradient
-        return [-root[:, ~loose] @ (root[:, ~loose].T @ mean) / (BEND_STEP * ends[0][0]) ** 2]
+    def bend(step: Array) -> Array:
+        return np.asarray(-root[:, ~loose] @ (root[:, ~loose].T @ _differences(posterior, at, gradient, step)[1]))
 
-    return np.array([np.zeros(len(std)), *(b for found in in_threads(bend, BEND_STEP * steps, threads) for b in found)])
+    return np.array([np.zeros(len(std)), *in_threads(bend, steps, threads)])
 
 
 def _short(bands: Array, direction: Array) -> float:
@@ -378,7 +387,7 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
         step = taken / length * root @ downhill
         slope = float(gradient @ step)
         tried = _tried(posterior, at, step)
-        found = next(((s, p) for s, p in tried if p.objective <= at.objective + DECREASE * s * slope), None)
+        found = next(((s, p) for s, (p,) in tried if p.objective <= at.objective + DECREASE * s * slope), None)
         if found is None:
             break
         share, at = found
@@ -389,14 +398,15 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
     return at, length
 
 
-def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tuple[float, Point]]:
-    """Points after a step and shorter and shorter shares of it, where the normal equations are regular.
+def _tried(posterior: MarginalPosterior, at: Point, *steps: Array) -> Iterator[tuple[float, list[Point]]]:
+    """Points after steps and shorter and shorter shares of them, where the normal equations are regular.
 
     The knots begin where they follow the step to first order, near their minimum.
     """
-    following = at.eliminated.followed(step).reshape(at.states.shape)
+    following = [at.eliminated.followed(step).reshape(at.states.shape) for step in steps]
     share = 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):
-            yield share, posterior.at(at.unknowns + share * step, at.states + share * following)
+            moved = zip(steps, following, strict=True)
+            yield share, [posterior.at(at.unknowns + share * u, at.states + share * x) for u, x in moved]
         share *= 0.5
