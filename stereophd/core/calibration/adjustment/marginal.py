@@ -158,8 +158,18 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, noise_factor: flo
     curvatures: Array = np.column_stack(in_threads(curvature, root.T, threads))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
     covariance = within_prior(inverse.T @ curvatures @ inverse, posterior.prior_std)
-    bends = _bends(posterior, at, gradient, covariance, np.random.default_rng(BENDS_SEED), threads)
-    return (covariance + bends.T @ bends / max(len(bends) - 1, 1))[:size, :size]
+    # beside draws of the loose directions the others move by their covariance times what is of second order
+    std = posterior.prior_std
+    variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
+    directions, is_loose = std[:, None] * vectors * np.sqrt(np.maximum(variances, 0.0)), variances > LOOSE**2
+    loose, known = directions[:, is_loose], directions[:, ~is_loose]
+
+    def bend(draw: Array) -> Array:
+        return np.asarray(-known @ (known.T @ _differences(posterior, at, gradient, draw)[1]))
+
+    draws = np.random.default_rng(BENDS_SEED).standard_normal((BENDS, loose.shape[1])) @ loose.T
+    bends = np.array(in_threads(bend, draws, threads))
+    return np.asarray((covariance + bends.T @ bends / BENDS)[:size, :size])
 
 
 @dataclass(frozen=True)
@@ -347,25 +357,6 @@ def _differences(
     share, points = DIFFERENCE * found[0], found[1]
     one, other = (posterior.gradient(point) for point in points)
     return (one - other) / (2.0 * share), ((one + other) / 2.0 - gradient) / share**2
-
-
-def _bends(
-    posterior: MarginalPosterior, at: Point, gradient: Array, covariance: Array, rng: np.random.Generator, threads: int
-) -> Array:
-    """Moves (d, u) of what is well known beside draws of what is loosely known, to second order.
-
-    A step of the loose directions and its opposite leave gradients whose mean, but for that at the minimum, is of
-    second order; the others move by their covariance times that.
-    """
-    std = posterior.prior_std
-    variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
-    root, loose = std[:, None] * vectors * np.sqrt(np.maximum(variances, 0.0)), variances > LOOSE**2
-    steps = rng.standard_normal((BENDS, int(loose.sum()))) @ root[:, loose].T
-
-    def bend(step: Array) -> Array:
-        return np.asarray(-root[:, ~loose] @ (root[:, ~loose].T @ _differences(posterior, at, gradient, step)[1]))
-
-    return np.array([np.zeros(len(std)), *in_threads(bend, steps, threads)])
 
 
 def _short(bands: Array, direction: Array) -> float:

@@ -72,13 +72,9 @@ def observability(
         scale_ratio = min(float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0) / prior)), 1.0)
         allowed = int(scale_ratio > UNDETERMINED_RATIO)
     # of lenses, clocks and shutters the prior may be all that is known; poses must come from the data
-    of = [parameter.quantity for parameter in parameters.parameters]
-    posed = np.array([quantity.of_the_frame and quantity.affects == MOVES for quantity in of])
-    needed = (
-        ratios
-        if posed.all() or not posed.any()
-        else np.sqrt(np.maximum(np.linalg.eigvalsh(whitened[np.ix_(posed, posed)]), 0.0))
-    )
+    posed = np.array([p.quantity.of_the_frame and p.quantity.affects == MOVES for p in parameters.parameters])
+    posed |= ~posed.any()
+    needed = np.sqrt(np.maximum(np.linalg.eigvalsh(whitened[np.ix_(posed, posed)]), 0.0))
     open_directions = int((needed > UNDETERMINED_RATIO).sum())
     status = PARTLY if open_directions <= len(needed) // 2 else UNDETERMINED
     open_moves = np.zeros(len(ratios))
