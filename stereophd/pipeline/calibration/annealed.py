@@ -33,6 +33,7 @@ from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.unknowns.observability import laplace_draws
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
+from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task
 from stereophd.pipeline.calibration.sampled import smc_outcome
 from stereophd.pipeline.workers.places import on_processes
@@ -164,8 +165,8 @@ def _start_report(task: Task, start: Start, best: Start | None) -> dict[str, Any
         "best": start is best,
         "passes": len(start.passes),
         "explained": start.explained,
-        "log_evidence": _number(start.log_evidence),
-        "log_prior": _number(start.log_prior),
+        "log_evidence": finite_or_none(start.log_evidence),
+        "log_prior": finite_or_none(start.log_prior),
         "values": dict(zip(task.parameters.names, values, strict=False)),
     }
 
@@ -221,7 +222,3 @@ def _fit_report(best: Start, fit: Fit) -> dict[str, Any]:
         "log_prior": best.log_prior,
         "converged": fit.adjustment.converged,
     }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -19,7 +19,7 @@ COUNT, AGREEING = 8, 2
 def start(number: int, place: float | None, noise: float = 1.0) -> Start:
     """A start that ended at a place at a noise, or failed and can be judged at larger noise."""
     values = np.full(3, place or 0.0)
-    adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(3), 0.0, np.full(4, 2.0), 1, True)
+    adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(3), 0.0, np.full(4, 2.0), True)
     fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
     outcome = "it failed" if place is None else SUCCEEDED
     made = Start(number, outcome, values, np.empty((0, 3)), fit, -100.0, 0.0, 1.0, "pairing 0", noise)
