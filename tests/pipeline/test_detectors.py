@@ -28,6 +28,8 @@ from stereophd.pipeline.detectors.statistics import BETWEEN_AXES, DetectorSums, 
 from stereophd.pipeline.stream import open_stream
 from tests.commands.test_track import SCENE
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 FromFarAway = Callable[[int], tuple[dict, Path]]
 
 # what the cameras do, and where the estimation starts: far from it
