@@ -32,7 +32,7 @@ from stereophd.pipeline.checks.run_figures import (
     check_tracking,
 )
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
-from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.progress import Progress, ignore_progress
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record
@@ -72,7 +72,7 @@ def track(
     out_dir: Path | str,
     *,
     options: TrackOptions,
-    progress: Progress | None = None,
+    progress: Progress = ignore_progress,
 ) -> dict[str, Any]:
     """Track the objects of a detection log, as `stereophd.api.track`, into an output folder: all of it or nothing.
 
@@ -126,7 +126,7 @@ class _Outputs:
     motion: dict[str, Any] | None = None
     plots: bool = False
 
-    def in_pieces(self, options: TrackOptions, progress: Progress | None) -> JoinedPieces:
+    def in_pieces(self, options: TrackOptions, progress: Progress) -> JoinedPieces:
         """Track the log in pieces."""
         # Only here: a run in one piece begins sooner without what joins pieces.
         from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, plan_pieces, track_pieces

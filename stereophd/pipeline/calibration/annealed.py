@@ -126,7 +126,7 @@ def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
             starts[place : place + 1] = [start]
             if not run.limit.is_over:  # one that the time has cut short is done again
                 run.unfinished.keep("starts", list(starts))
-            run.report_progress(len(starts), count)
+            run.progress(len(starts), count)
             if is_done() or (not again and failed()):
                 break
     loose = [start for start in starts if start.looser]

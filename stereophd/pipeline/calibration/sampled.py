@@ -37,7 +37,7 @@ def sequential_outcome(run: CalibrationRun) -> Outcome:
 
     def after(state: BridgeState, steps: Any) -> None:
         run.unfinished.keep("sequential", (state, list(steps)))
-        run.report_progress(int(1000 * (state.stage + state.temperature)), 1000 * len(path.stages))
+        run.progress(int(1000 * (state.stage + state.temperature)), 1000 * len(path.stages))
 
     result = bridging.run(sampler, run.unfinished.read("sequential", BRIDGE), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
@@ -69,7 +69,7 @@ def _plain_outcome(run: CalibrationRun) -> Outcome:
 
     def after(number: int, state: Any, history: Any) -> None:
         run.unfinished.keep("sequential", (state, list(history)))
-        run.report_progress(number, len(events))
+        run.progress(number, len(events))
 
     state, infos = sequential.run(
         parameters,
@@ -124,7 +124,7 @@ def smc_outcome(
 
     def after(state: BridgeState, steps: Any) -> None:
         run.unfinished.keep("smc", (state, list(steps)))
-        run.report_progress(int(1000 * state.temperature), 1000)
+        run.progress(int(1000 * state.temperature), 1000)
 
     result = bridging.run(sampler, run.unfinished.read("smc", BRIDGE), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)

@@ -33,7 +33,7 @@ from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filte
 from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
 from stereophd.pipeline.tracking.run import with_detectors
-from stereophd.wording import counted, number
+from stereophd.wording import PROGRESS, counted, number
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
@@ -47,6 +47,8 @@ REGION_NEARER, REGION_FARTHER = 0.4, 2.5
 # Largest standard deviation of a reported position, and the cutoff of scores, over the middle depth.
 UNCERTAIN, CUTOFF = 0.1, 0.1
 CAUSES_OF_DETECTORS = ("clutter", "sigma")
+# Steps that a run shows; the check of the log is the last of them.
+STEPS = 6
 # Figures of a filter that concern points only.
 UNUSED_BY_BODIES = {"region.depth", "report.max_position_std", "evaluation.cutoff"}
 
@@ -57,6 +59,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     The given draft has the cameras of the log, and the usual values of a kind of object. Raises InputError if the log
     is not usable, or is one of other cameras.
     """
+    begin(1, "detections of one camera and rays of several are compared")
     bare = loaded_draft(draft, str(log_path))
     cameras = tuple(camera.build(name) for name, camera in draft.cameras.items())
     reader = open_log(bare.config.input, cameras, log_path)
@@ -104,6 +107,7 @@ def _with_tracks(
         return draft, "no two cameras have a view in common" if is_compared else None
     parts = stretches(open_stream(loaded_draft(draft, name).config, [sample.camera for sample in samples], log_path))
     found = _with_filter(draft.with_choices(rough), draft, priors, parts, name)
+    begin(5, "cameras are compared by their tracks")
     loaded = loaded_draft(found, name)
     events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
     gain = float(log_likelihoods(loaded, events).sum())
@@ -112,6 +116,11 @@ def _with_tracks(
         gain -= float(log_likelihoods(loaded, own, (camera,)).sum())
     why = f"the log is more probable (by {-gain:,.0f} of the logarithm) if each sees objects of its own"
     return found, why if is_compared and gain <= -BELIEVED else None
+
+
+def begin(step: int, what: str) -> None:
+    """Tell which step begins."""
+    PROGRESS.info("%s, step %d of %d", what, step, STEPS)
 
 
 def _mistake(samples: list[CameraSample]) -> Finding | None:
@@ -148,10 +157,12 @@ def _with_bodies(
         bodies = refine_bodies(bodies, loaded_draft(draft, name), cameras, events)
         draft = draft.with_choices(bodies.choices(draft.unit))
     if priors:
+        begin(3, "the detectors are estimated")
         draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
         noisy = point_noise(loaded_draft(draft, name).build_cameras(), events)
         draft = _with_cameras(draft, noisy, unknown)
         events = [list(part.with_cameras(noisy)) for part in parts]
+    begin(4, "the acceleration is estimated")
     draft = _with_acceleration(draft, events, name)
     figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
@@ -250,11 +261,14 @@ def _with_filter(
     events = [list(part) for part in parts]
     if sum(map(len, events)) < LEAST_FRAMES:
         return draft
+    begin(2, "the acceleration is estimated")
     draft = _with_acceleration(draft, events, name)
     if priors:
+        begin(3, "the detectors are estimated")
         draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
         cameras = loaded_draft(draft, name).build_cameras()
         events = [list(part.with_cameras(cameras)) for part in parts]
+        begin(4, "the acceleration is estimated with these detectors")
         draft = _with_acceleration(draft, events, name)
     figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
@@ -321,8 +335,9 @@ def _source_of_detector(entry: Mapping[str, Any]) -> str:
     if entry["residual_correlation"] is not None and max(entry["residual_correlation"]) > LASTING:
         text += "; their errors last from frame to frame, as those of pose, clock or lens do"
     if (error := entry["clutter_per_frame_standard_error"]) is not None:
-        errors = entry["p_detect_standard_error"], error
-        text += "; standard errors: p_detect {:.2g}, clutter_per_frame {:.2g}".format(*errors)
+        share = float(np.divide(entry["sigma_px_standard_error"], entry["sigma_px"]).max())
+        errors = 100.0 * share, entry["p_detect_standard_error"], error
+        text += "; standard errors: noise {:.0f} %, p_detect {:.2g}, clutter_per_frame {:.2g}".format(*errors)
     return text
 
 
