@@ -7,15 +7,16 @@ confirmed track ever claimed are clutter. Sums for all three accumulate, event b
 filter runs with the present values. A new run starts from the new values until they agree (a fixed point: at the true
 values every expectation below holds).
 
-Noise. Filter covariances scale nearly as the noise does, so S is taken as proportional to R between two runs:
-with residuals e and weights w = p R / S (the probability p of the pair, and the information that it has on R),
+Noise. With residuals e and weights w = p R / S (the probability p of the pair, and the share of R in S), the derivative
+of the log-likelihood by log R is sum(w (e^2 / S - 1)) / 2 per axis of the distorted image, with C known. A run moves R
+towards
 
     R_new / R = sum(w e^2 / S) / sum(w),
 
-per axis of the distorted image. Its standard error treats C as known, which is on the safe side:
-sqrt(2 sum(w^2)) / sum(w) for R_new / R, divided by the mean of R / S. Few residuals say little: the estimate is joined
-with what rays and displacements say (`stereophd.pipeline.detectors.ray_noise`), so that it cannot run away from pass to
-pass.
+which is right where C scales with R, with a weight of 2 sum(w) of log(sigma) against the prior: what rays and
+displacements say (`stereophd.pipeline.detectors.ray_noise`), of both axes together. Where the runs end, the derivatives
+of both cancel, whatever the part of C is. The standard error is that of the prior and of sqrt(2 sum(w^2)) / sum(w) for
+R_new / R, divided by the mean of R / S.
 
 Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of
 the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last
@@ -61,9 +62,9 @@ LEAST_PART, MOST_LASTING = 1e-3, 0.9
 # Spread of the logarithm of the noise between the axes of a camera, or the values of a box, and between the cameras of
 # one log.
 BETWEEN_AXES, BETWEEN_CAMERAS = 0.25, 0.4
-# Residuals over stated noise between which tracks confirm it (to within so many standard errors), the fewest of them
-# that can, and the spread of what is known from the rays from which it needs no more of them.
-CONFIRMED, CONFIRMED_ERRORS, FEWEST_TO_CONFIRM, KNOWN_SPREAD = (0.7, 1.4), 2.0, 8.0, 0.25
+# Residuals over stated noise between which tracks confirm it (to within so many standard errors), and the spread of
+# what is known from the rays from which it needs none of them.
+CONFIRMED, CONFIRMED_ERRORS, KNOWN_SPREAD = (0.7, 1.4), 2.0, 0.25
 # Tracks that contradict the rays by this factor, and beyond three standard errors, are those of another error.
 CONTRADICTED, CONTRADICTED_ERRORS = 1.5, 3.0
 
@@ -277,20 +278,21 @@ def _add_residuals(
 def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) -> DetectorEstimate:
     """Return the detector estimated from the sums of a run with the `present` one, and from what was known before.
 
-    The noise is the mean of its logarithm after both: of the prior, and of the residuals, weighted with their squared
-    standard errors. Without residuals it is the prior's, and where they contradict it: wrong tracks would otherwise
-    make the noise larger, which makes more of them wrong.
+    Runs from one estimate to the next end at the most probable noise after both, prior and residuals. Without residuals
+    it is the prior's, and where they contradict it: wrong tracks would otherwise make the noise larger, which makes
+    more of them wrong.
     """
     noise, ratio = np.asarray(prior.noise), None
-    error = noise * np.hypot(prior.spread, BETWEEN_AXES)
+    spread = np.hypot(prior.spread, BETWEEN_AXES)
+    error = noise * spread
     confirmed = prior.spread < KNOWN_SPREAD
     if sums.pairs > 0.0 and (sums.residuals > 0.0).all() and (sums.weights > 0.0).all():
         measured = prior.of(present) * np.sqrt(sums.residuals / sums.weights)
         relative = np.sqrt(2.0 * sums.squares) / sums.weights / (sums.shares / sums.weights) / 2.0
-        spread = np.hypot(prior.spread, BETWEEN_AXES)
-        weight = relative**-2 / (relative**-2 + spread**-2)
-        noise = np.exp((1.0 - weight) * np.log(prior.noise) + weight * np.log(measured))
-        error = noise * np.sqrt(weight) * relative
+        known = np.linalg.inv(prior.spread**2 + BETWEEN_AXES**2 * np.eye(len(noise)))
+        pull = 2.0 * sums.weights
+        noise = noise * np.exp(np.linalg.solve(known + np.diag(pull), pull * np.log(measured / noise)))
+        error = noise * np.sqrt(np.diag(np.linalg.inv(known + np.diag(relative**-2))))
         ratio = float(np.sqrt((sums.residuals / sums.weights).mean()))
         apart = abs(float(np.log(measured / prior.noise).mean()))
         most = max(np.log(CONTRADICTED), CONTRADICTED_ERRORS * float(np.hypot(relative.min(), prior.spread)))
@@ -300,7 +302,7 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
             ratio = float(np.exp(np.log(measured / prior.noise).mean()))
         slack = CONFIRMED_ERRORS * float(relative.max())
         low, high = np.log(CONFIRMED[0]) - slack, np.log(CONFIRMED[1]) + slack
-        confirmed = bool(agrees and low <= np.log(ratio) <= high) and (confirmed or sums.pairs >= FEWEST_TO_CONFIRM)
+        confirmed = bool(agrees and low <= np.log(ratio) <= high)
     in_view = sums.detected + sums.missed
     p_detect = (sums.detected + USUAL_P_DETECT * PRIOR_FRAMES) / (in_view + PRIOR_FRAMES)
     p_error = float(np.sqrt(p_detect * (1.0 - p_detect) / (in_view + PRIOR_FRAMES)))
