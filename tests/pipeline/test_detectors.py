@@ -220,7 +220,6 @@ def test_values_from_sums() -> None:
     for share in (np.full(2, 0.8), np.full(2, 0.4)):
         sums.residuals = sums.residuals + 50 * share * 4.0
         sums.weights = sums.weights + 50 * share
-        sums.squares = sums.squares + 50 * share**2
         sums.shares = sums.shares + 50 * share * share
     vague = NoisePrior(np.array([1.0, 1.0]), 100.0)
     found = estimate_detector(sums, present, vague)
@@ -228,9 +227,8 @@ def test_values_from_sums() -> None:
     kept = 120.0 / (120.0 + BETWEEN_AXES**-2)
     sigma = np.sqrt(24.0) * (2.0 / 3.0) ** (np.array([0.5, -0.5]) * kept)
     np.testing.assert_allclose(found.detector.sigma, sigma, rtol=1e-4)
-    # standard error of R_new / R: sqrt(2 * 50 * (0.64 + 0.16)) / 60, over the mean share (0.64 + 0.16) / 1.2
-    relative = np.sqrt(2 * 50 * 0.8) / 60 / (0.8 / 1.2) / 2
-    variance = 0.5 * relative**2 + 0.5 / (relative**-2 + BETWEEN_AXES**-2)
+    told = 2 * 50 * (0.64 + 0.16)
+    variance = 0.5 / told + 0.5 / (told + BETWEEN_AXES**-2)
     np.testing.assert_allclose(found.noise_error, sigma * np.sqrt(variance), rtol=1e-4)
     assert found.residual_ratio == pytest.approx(2.0)
     assert found.detector.p_detect == pytest.approx(79.5 / 105.0)
@@ -256,14 +254,14 @@ def test_values_from_sums() -> None:
 def test_tracks_confirm_a_noise_or_not(ratio: float, confirmed: bool) -> None:
     sums = DetectorSums(pairs=400.0)
     sums.residuals, sums.weights = np.full(2, 400.0 * ratio**2), np.full(2, 400.0)
-    sums.squares, sums.shares = np.full(2, 400.0), np.full(2, 400.0)
+    sums.shares = np.full(2, 400.0)
     prior = NoisePrior(np.array([1.0, 1.0]), 0.1)
     assert estimate_detector(sums, Detector((1.0, 1.0), 0.9, 1.0), prior).confirmed == confirmed
 
 
 def test_few_residuals_count_for_as_much_as_they_say() -> None:
     """Two of them move the noise by a part of what they show, and its error says so."""
-    sums = DetectorSums(np.full(2, 2.0 * 4.0), np.full(2, 2.0), np.full(2, 2.0), np.full(2, 2.0), pairs=2.0)
+    sums = DetectorSums(np.full(2, 2.0 * 4.0), np.full(2, 2.0), np.full(2, 2.0), pairs=2.0)
     found = estimate_detector(sums, Detector((1.0, 1.0), 0.9, 1.0), NoisePrior(np.array([1.0, 1.0]), 0.4))
     assert (found.detector.sigma > 1.2).all()
     assert (found.detector.sigma < 1.9).all()
@@ -304,7 +302,7 @@ def test_passes_that_make_the_log_less_probable_are_not_kept(tmp_path: Path, mon
             likelihood -= 100.0 * abs(np.log(camera.detector.clutter_per_frame))
             sums = DetectorSums(pairs=400.0, frames=100, detections=100, attributed=100, detected=90.0, missed=10.0)
             sums.residuals, sums.weights = np.full(2, 400.0 * 1.3**2), np.full(2, 400.0)
-            sums.squares, sums.shares = np.full(2, 400.0), np.full(2, 400.0)
+            sums.shares = np.full(2, 400.0)
             estimates[camera.name] = estimate_detector(sums, camera.detector, priors[camera.name])
         return passes._Run(cameras, estimates, likelihood, False)
 

@@ -81,11 +81,6 @@ class CalibrationRun:
         """The ``calibration`` section."""
         return calibration_section(self.loaded)
 
-    @property
-    def seed(self) -> int:
-        """Seed of the configuration."""
-        return self.loaded.config.seed
-
 
 @dataclass(frozen=True)
 class Outcome:

@@ -32,7 +32,7 @@ def sequential_outcome(run: CalibrationRun) -> Outcome:
     if settings.moves == "none":
         return _plain_outcome(run)
     path = BlockPath(_evidence(run, settings.likelihood, problem.scale, samples=settings.samples), settings)
-    seed = SEQUENTIAL_PARTICLES.seed(run.seed)
+    seed = SEQUENTIAL_PARTICLES.seed(run.loaded.config.seed)
     sampler = BridgeSampler(path, settings.resample_below, settings.moves_per_step, seed)
 
     def after(state: BridgeState, steps: Any) -> None:
@@ -76,7 +76,7 @@ def _plain_outcome(run: CalibrationRun) -> Outcome:
         events,
         FilterBatch(_template(run, settings.likelihood, settings.samples), run.jobs),
         settings,
-        SEQUENTIAL_PARTICLES.seed(run.seed),
+        SEQUENTIAL_PARTICLES.seed(run.loaded.config.seed),
         run.unfinished.read("sequential", tuple[SequentialState, list[SequentialInfo]]),
         after,
         walk if walk.any() else None,
@@ -120,7 +120,8 @@ def smc_outcome(
     """Full posterior by tempered particles about the modes found."""
     settings, parameters = run.section.smc, run.problem.parameters
     path = TemperedPath(parameters, _evidence(run, settings.evidence, scale, settings.max_events), modes, settings)
-    sampler = BridgeSampler(path, settings.resample_below, settings.moves, TEMPERED_PARTICLES.seed(run.seed))
+    seed = TEMPERED_PARTICLES.seed(run.loaded.config.seed)
+    sampler = BridgeSampler(path, settings.resample_below, settings.moves, seed)
 
     def after(state: BridgeState, steps: Any) -> None:
         run.unfinished.keep("smc", (state, list(steps)))
