@@ -136,7 +136,7 @@ class _Outputs:
         unfinished = UnfinishedRun(Path(os.path.abspath(self.unfinished.out)), self.unfinished.identity)
         work = PieceWork(self.tracking.loaded, self.tracking.cameras, log, unfinished, options.threads)
         ahead = self.tracking.report.smooth is not None
-        pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead, progress)
+        pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead)
         track_pieces(work, pieces, options.jobs, options.dask, progress)
         joined = JoinedPieces(work, pieces, length_s, overlap_s, isinstance(self.tracking.estimator, SingleTracker))
         self.stream.not_invertible = joined.not_invertible

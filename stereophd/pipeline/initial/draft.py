@@ -5,7 +5,7 @@ with (`stereophd.pipeline.checks`). Then the filter runs over stretches of the l
 acceleration, its tracks give depths, speeds and births, and its residuals the detectors that are unknown.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -110,12 +110,19 @@ def _with_tracks(
     begin(5, "cameras are compared by their tracks")
     loaded = loaded_draft(found, name)
     events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
-    gain = float(log_likelihoods(loaded, events).sum())
-    for index, camera in enumerate(loaded.build_cameras()):
-        own = [[replace(event, camera=0) for event in part if event.camera == index] for part in events]
-        gain -= float(log_likelihoods(loaded, own, (camera,)).sum())
+    every = range(len(samples))
+    gain = _log_likelihood(loaded, events, every) - sum(_log_likelihood(loaded, events, [k]) for k in every)
     why = f"the log is more probable (by {-gain:,.0f} of the logarithm) if each sees objects of its own"
     return found, why if is_compared and gain <= -BELIEVED else None
+
+
+def _log_likelihood(loaded: LoadedConfig, parts: list[list[Event]], group: Sequence[int]) -> float:
+    """Return the log-likelihood of what these cameras alone detect, given by their numbers."""
+    cameras = loaded.build_cameras()
+    own = [
+        [replace(event, camera=group.index(event.camera)) for event in part if event.camera in group] for part in parts
+    ]
+    return float(log_likelihoods(loaded, own, tuple(cameras[k] for k in group)).sum())
 
 
 def begin(step: int, what: str) -> None:
@@ -156,20 +163,40 @@ def _with_bodies(
         draft = draft.with_choices(bodies.choices(draft.unit))
         bodies = refine_bodies(bodies, loaded_draft(draft, name), cameras, events)
         draft = draft.with_choices(bodies.choices(draft.unit))
-    if priors:
+    begin(2, "the boxes of cameras are compared")
+    strangers = tuple(_strangers(loaded_draft(draft, name), events))
+    if priors and not strangers:  # whose noise would be that of their clocks or poses
         begin(3, "the detectors are estimated")
         draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
         noisy = point_noise(loaded_draft(draft, name).build_cameras(), events)
         draft = _with_cameras(draft, noisy, unknown)
         events = [list(part.with_cameras(noisy)) for part in parts]
     begin(4, "the acceleration is estimated")
-    draft = _with_acceleration(draft, events, name)
+    draft = _with_acceleration(replace(draft, findings=(*draft.findings, *strangers)), events, name)
     figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
         return draft
     # bodies are where their region says, and their boxes tell their depth
     final = _final(figures, usual, draft.unit)
     return draft.with_choices({key: choice for key, choice in final.items() if key not in UNUSED_BY_BODIES})
+
+
+def _strangers(loaded: LoadedConfig, parts: list[list[Event]]) -> Iterator[Finding]:
+    """Yield a warning of each camera whose boxes are more probably of objects of its own than of those of the others.
+
+    The rays of boxes miss by too much to tell wrong clocks, and a noise that is estimated from boxes that do not agree
+    would hide them: the cameras have the usual one.
+    """
+    every = range(len(loaded.cameras))
+    together = _log_likelihood(loaded, parts, every)
+    for k, name in enumerate(loaded.cameras):
+        others = [other for other in every if other != k]
+        gain = together - _log_likelihood(loaded, parts, [k]) - _log_likelihood(loaded, parts, others)
+        if gain <= -BELIEVED:
+            text = f"{name}: its boxes do not agree with those of the other cameras: the log is more probable (by "
+            text += f"{-gain:,.0f} of the logarithm) if it sees objects of its own"
+            remedy = "check its frame rate, clock and pose"
+            yield Finding("geometry.boxes", "warning", text, round(gain, 1), 0.0, name, remedy, "boxes_disagree")
 
 
 def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str], estimate: bool = False) -> Draft:

@@ -42,9 +42,6 @@ OVERLAP_S = 60.0
 # More pieces than this are an error.
 MOST_PIECES = 100_000
 
-# Frames between two calls of `progress` while a log is read.
-TICK_EVERY = 5000
-
 
 @dataclass(frozen=True)
 class LogPiece:
@@ -76,13 +73,11 @@ def overlap_of(length_s: float, overlap_s: float | None) -> float:
     return overlap_s
 
 
-def plan_pieces(
-    frames: Iterable[Frame], length_s: float, overlap_s: float, ahead: bool, progress: Progress = ignore_progress
-) -> tuple[LogPiece, ...]:
+def plan_pieces(frames: Iterable[Frame], length_s: float, overlap_s: float, ahead: bool) -> tuple[LogPiece, ...]:
     """Cut a log into pieces of one length; the last one is longer by up to the overlap, or shorter.
 
     Spans without a frame have no piece: a pause of the recording costs nothing. The frames of the log are read once,
-    with all its checks, and `progress` is called now and then. With `ahead` pieces continue beyond their spans too.
+    with all its checks. With `ahead` pieces continue beyond their spans too.
     """
     first_s, last_s = math.nan, math.nan
     # Number of a span of the length, from the first frame on -> events before what is tracked with it.
@@ -103,8 +98,6 @@ def plan_pieces(
                 f"{instant(frame.time_s)} s: choose longer pieces, or cut the log"
             )
         last_s = frame.time_s
-        if number % TICK_EVERY == 0:
-            progress(0, 1)
     if not spans:
         return (LogPiece(0, -math.inf, math.inf, -math.inf, math.inf, 0),)
     last = max(0, math.floor((last_s - overlap_s - first_s) / length_s))
