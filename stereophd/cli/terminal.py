@@ -186,8 +186,7 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
     """Yield a function (done, total) that moves a bar, with the time left and spent, on stderr if it is a terminal.
 
-    The bar names the stages that the run logs, and begins anew with each; without a terminal the last of them is a line
-    every `PACE_S`.
+    The bar names each stage that the run logs, and begins anew; without a terminal that is a line every `PACE_S`.
     """
     if session.quiet:
         yield lambda done, total: interrupts.check()

@@ -28,7 +28,7 @@ from stereophd.pipeline.batch.names import pairs_by_name
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.evaluation.inputs import is_truth
-from stereophd.pipeline.runs.progress import Progress, ignore_progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 from stereophd.pipeline.workers.places import processes
 from stereophd.wording import LOGGER, counted
@@ -86,7 +86,7 @@ def _values(command: str, report: Report) -> Report:
 @takes(TrackOptions)
 def track_logs(
     loaded: LoadedConfig, logs: Sequence[Path | str], out_dir: Path | str, *, options: TrackOptions,
-    progress: Progress = ignore_progress,
+    progress: Progress = ignore,
 ) -> dict[str, Any]:  # fmt: skip
     """Track the objects of many detection logs (paths, or patterns such as ``day-*/detections.parquet``).
 
@@ -99,7 +99,7 @@ def track_logs(
 @takes(CalibrateOptions)
 def calibrate_logs(
     loaded: LoadedConfig, logs: Sequence[Path | str], out_dir: Path | str, *, options: CalibrateOptions,
-    progress: Progress = ignore_progress,
+    progress: Progress = ignore,
 ) -> dict[str, Any]:  # fmt: skip
     """Calibrate cameras from many detection logs, each separately; the folders are named as by `track_logs`."""
     work = partial(_one_log, calibrate, loaded, replace(options, jobs=1, dask=None))
@@ -110,7 +110,7 @@ def calibrate_logs(
 @takes(EvaluateOptions)
 def evaluate_runs(
     tracks_dir: Path | str, truth_dir: Path | str, out_dir: Path | str, *, options: EvaluateOptions,
-    progress: Progress = ignore_progress,
+    progress: Progress = ignore,
 ) -> dict[str, Any]:  # fmt: skip
     """Score the tracks of many runs, ``NAME/tracks.parquet``, against the truths of the same names.
 

@@ -25,7 +25,7 @@ from stereophd.io.streams.messages import Message
 from stereophd.io.tables.schemas import TRUTH
 from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
-from stereophd.pipeline.runs.progress import Progress, ignore_progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import check_size, size_of_simulation
 from stereophd.pipeline.simulation import build_scene, simulate_section
 
@@ -43,7 +43,7 @@ PROGRESS_EVERY = 500
 
 @takes(SimulateOptions)
 def simulate(
-    loaded: LoadedConfig, out_dir: Path | str, *, options: SimulateOptions, progress: Progress = ignore_progress
+    loaded: LoadedConfig, out_dir: Path | str, *, options: SimulateOptions, progress: Progress = ignore
 ) -> dict[str, Any]:
     """Simulate the scene of a configuration, and write ``detections.parquet truth.parquet cameras.yaml``.
 
@@ -113,9 +113,7 @@ def _simulate_runs(
     return counts
 
 
-def _simulate_run(
-    task: tuple[LoadedConfig, int, dict[str, Path]], progress: Progress = ignore_progress
-) -> dict[str, int]:
+def _simulate_run(task: tuple[LoadedConfig, int, dict[str, Path]], progress: Progress = ignore) -> dict[str, int]:
     """Write the files of one run of a configuration, and return how many frames, detections and objects they hold."""
     loaded, run, paths = task
     config = loaded.config

@@ -32,7 +32,7 @@ from stereophd.pipeline.checks.run_figures import (
     check_tracking,
 )
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
-from stereophd.pipeline.runs.progress import Progress, ignore_progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record
@@ -72,7 +72,7 @@ def track(
     out_dir: Path | str,
     *,
     options: TrackOptions,
-    progress: Progress = ignore_progress,
+    progress: Progress = ignore,
 ) -> dict[str, Any]:
     """Track the objects of a detection log, as `stereophd.api.track`, into an output folder: all of it or nothing.
 

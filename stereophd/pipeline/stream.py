@@ -21,7 +21,7 @@ from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.errors import InputError
 from stereophd.io.logs.checks import bad_rows
 from stereophd.io.logs.reading import Frame, LogReader
-from stereophd.pipeline.runs.progress import Progress, ignore_progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.wording import instant
 
 # Events between two calls of `progress`.
@@ -42,7 +42,7 @@ class EventStream:
 
     cameras: tuple[Camera, ...]
     frames: LogReader | Sequence[Frame]
-    progress: Progress = ignore_progress
+    progress: Progress = ignore
     from_s: float = -math.inf
     until_s: float = math.inf
     counted: tuple[float, float] = (-math.inf, math.inf)
@@ -133,7 +133,7 @@ def covered(cameras: Sequence[Camera], frames: Iterable[Frame], source: str) -> 
 
 
 def open_stream(
-    config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress = ignore_progress
+    config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress = ignore
 ) -> EventStream:
     """Open a detection log with the settings of a configuration (section ``input``).
 

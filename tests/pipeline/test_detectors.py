@@ -199,7 +199,7 @@ def test_too_little_to_estimate_from(logs: Path, tmp_path: Path, caplog: pytest.
         assert found[name]["p_detect"] == 0.9
         assert not found[name]["confirmed"]
     assert found["right"]["frames"] == 0
-    assert "tracks do not confirm the estimated noise (no track gave residuals)" in caplog.text
+    assert "tracks do not confirm the estimated noise (0 detections of tracks that two cameras saw)" in caplog.text
 
 
 def test_errors_that_last_are_not_taken_for_noise(

@@ -24,7 +24,7 @@ from stereophd.io.outputs.provenance import to_metadata
 from stereophd.io.tables.schemas import STRING
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.batch.names import expand, folder_names
-from stereophd.pipeline.runs.progress import Progress, ignore_progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.workers.places import ATTEMPTS, Workers, complete, open_workers
 from stereophd.wording import LOGGER
 
@@ -87,7 +87,7 @@ def run_batch(
     dask: str | None = None,
     force: bool = False,
     resume: bool = False,
-    progress: Progress = ignore_progress,
+    progress: Progress = ignore,
 ) -> dict[str, Any]:
     """Do all items of a batch, into ``NAME/`` for each item and ``summary.parquet``.
 
@@ -137,12 +137,7 @@ def _outcomes(batch: Batch, out: Path, workers: Workers, progress: Progress) -> 
         progress(len(found), total)
 
     attempt = partial(
-        _attempt,
-        batch.work,
-        batch.values,
-        out,
-        collect=workers.remote,
-        tick=ignore_progress if workers.remote else tick,
+        _attempt, batch.work, batch.values, out, collect=workers.remote, tick=ignore if workers.remote else tick
     )
     for number, outcome in complete(workers, attempt, batch.items):
         item = batch.items[number]

@@ -36,7 +36,7 @@ from stereophd.errors import InputError, unknown_camera
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
 from stereophd.pipeline.control import read_control
-from stereophd.pipeline.runs.progress import Progress, ignore_progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import Size
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import covered, open_stream
@@ -73,7 +73,7 @@ class CalibrationRun:
     problem: CalibrationProblem
     unfinished: UnfinishedRun
     jobs: int = 1  # Processes, or threads of particles
-    progress: Progress = ignore_progress
+    progress: Progress = ignore
     limit: TimeLimit = ENDLESS
 
     @property

@@ -119,9 +119,7 @@ def _with_tracks(
 def _log_likelihood(loaded: LoadedConfig, parts: list[list[Event]], group: Sequence[int]) -> float:
     """Return the log-likelihood of what these cameras alone detect, given by their numbers."""
     cameras = loaded.build_cameras()
-    own = [
-        [replace(event, camera=group.index(event.camera)) for event in part if event.camera in group] for part in parts
-    ]
+    own = [[replace(one, camera=group.index(one.camera)) for one in part if one.camera in group] for part in parts]
     return float(log_likelihoods(loaded, own, tuple(cameras[k] for k in group)).sum())
 
 
@@ -166,13 +164,11 @@ def _with_bodies(
     begin(2, "the boxes of cameras are compared")
     strangers = tuple(_strangers(loaded_draft(draft, name), events))
     if priors and not strangers:  # whose noise would be that of their clocks or poses
-        begin(3, "the detectors are estimated")
         draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
         noisy = point_noise(loaded_draft(draft, name).build_cameras(), events)
         draft = _with_cameras(draft, noisy, unknown)
         events = [list(part.with_cameras(noisy)) for part in parts]
-    begin(4, "the acceleration is estimated")
-    draft = _with_acceleration(replace(draft, findings=(*draft.findings, *strangers)), events, name)
+    draft = _with_acceleration(replace(draft, findings=(*draft.findings, *strangers)), events, name, 4)
     figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
         return draft
@@ -193,8 +189,7 @@ def _strangers(loaded: LoadedConfig, parts: list[list[Event]]) -> Iterator[Findi
         others = [other for other in every if other != k]
         gain = together - _log_likelihood(loaded, parts, [k]) - _log_likelihood(loaded, parts, others)
         if gain <= -BELIEVED:
-            text = f"{name}: its boxes do not agree with those of the other cameras: the log is more probable (by "
-            text += f"{-gain:,.0f} of the logarithm) if it sees objects of its own"
+            text = f"{name}: its boxes are more probably (by {-gain:,.0f} of the logarithm) of objects of its own"
             remedy = "check its frame rate, clock and pose"
             yield Finding("geometry.boxes", "warning", text, round(gain, 1), 0.0, name, remedy, "boxes_disagree")
 
@@ -288,15 +283,12 @@ def _with_filter(
     events = [list(part) for part in parts]
     if sum(map(len, events)) < LEAST_FRAMES:
         return draft
-    begin(2, "the acceleration is estimated")
-    draft = _with_acceleration(draft, events, name)
+    draft = _with_acceleration(draft, events, name, 2)
     if priors:
-        begin(3, "the detectors are estimated")
         draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
         cameras = loaded_draft(draft, name).build_cameras()
         events = [list(part.with_cameras(cameras)) for part in parts]
-        begin(4, "the acceleration is estimated with these detectors")
-        draft = _with_acceleration(draft, events, name)
+        draft = _with_acceleration(draft, events, name, 4)
     figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
         return draft
@@ -304,8 +296,9 @@ def _with_filter(
     return _with_damping(draft, figures.speed_std, events, name)
 
 
-def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str) -> Draft:
+def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str, step: int) -> Draft:
     """Return the draft with the acceleration that the log shows, from that of the draft on, unless it is given."""
+    begin(step, "the acceleration is estimated")
     if draft.is_given("motion.acceleration_std"):
         return draft
     start = float(draft.choices["motion.acceleration_std"].value)
@@ -339,6 +332,7 @@ def _with_detectors(
     draft: Draft, loaded: LoadedConfig, priors: Mapping[str, NoisePrior], parts: Sequence[EventStream]
 ) -> Draft:
     """Estimate the detectors that are unknown."""
+    begin(3, "the detectors are estimated")
     config, path = loaded.config, loaded.path
     cameras, report = estimate_detectors(
         parts[0].cameras, priors, lambda used: build_labelled_filter(config, used, path, 1), parts
@@ -346,8 +340,8 @@ def _with_detectors(
     notes = dict(draft.camera_notes)
     for name, entry in report["cameras"].items():
         notes[name] = (*notes.get(name, ()), _source_of_detector(entry))
-    findings = tuple(check_estimated_detectors(report))
-    return replace(_with_cameras(draft, cameras, priors), camera_notes=notes, findings=findings)
+    draft = replace(draft, camera_notes=notes, findings=tuple(check_estimated_detectors(report)))
+    return _with_cameras(draft, cameras, priors)
 
 
 def _source_of_detector(entry: Mapping[str, Any]) -> str:

@@ -6,5 +6,5 @@ from collections.abc import Callable
 Progress = Callable[[int, int], None]
 
 
-def ignore_progress(done: int, total: int) -> None:
+def ignore(done: int, total: int) -> None:
     """Show nothing."""

@@ -23,7 +23,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.trajectories.joins import PROBABLE, join_probabilities
 from stereophd.errors import InputError, StereophdError
 from stereophd.io.logs.reading import Frame
-from stereophd.pipeline.runs.progress import Progress, ignore_progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_log
 from stereophd.pipeline.tracking.loop import Record, RunState
@@ -148,7 +148,7 @@ def track_pieces(work: PieceWork, pieces: Sequence[LogPiece], jobs: int, dask: s
         progress(finished, len(pieces))
 
     with open_workers(jobs, dask) as workers:
-        track = partial(track_piece, work, tick=ignore_progress if workers.remote else tick)
+        track = partial(track_piece, work, tick=ignore if workers.remote else tick)
         for number, result in complete(workers, track, todo):
             if result is None:
                 raise StereophdError(
@@ -159,7 +159,7 @@ def track_pieces(work: PieceWork, pieces: Sequence[LogPiece], jobs: int, dask: s
             tick()
 
 
-def track_piece(work: PieceWork, piece: LogPiece, tick: Progress = ignore_progress) -> int:
+def track_piece(work: PieceWork, piece: LogPiece, tick: Progress = ignore) -> int:
     """Track one piece, and write its records; return their number."""
     tracking = build_tracking(work.loaded, work.threads, work.cameras)
     config = work.loaded.config
