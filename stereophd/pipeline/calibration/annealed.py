@@ -75,7 +75,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     parameters, adjustment = believed.task.parameters, result.fit.adjustment
     draws = laplace_draws(
         parameters, problem.reference, adjustment.values, adjustment.covariance, LAPLACE_DRAWS,
-        np.random.default_rng(POSTERIOR_DRAWS.seed(run.seed)),
+        np.random.default_rng(POSTERIOR_DRAWS.seed(run.loaded.config.seed)),
     )  # fmt: skip
     weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
     return Outcome(
@@ -102,8 +102,8 @@ def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
     any has, the one that explains most.
     """
     count, agreeing = task.most_starts, task.settings.agreeing_starts
-    values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.seed), count)
-    seeds = CALIBRATION_PAIRING.seed(run.seed).spawn(count)
+    values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.loaded.config.seed), count)
+    seeds = CALIBRATION_PAIRING.seed(run.loaded.config.seed).spawn(count)
     starts: list[Start] = run.unfinished.read("starts", list[Start], {Motion: task.filter.motion}) or []
 
     def is_done() -> bool:
@@ -127,7 +127,7 @@ def _all_starts(run: CalibrationRun, task: Task) -> list[Start]:
             starts[place : place + 1] = [start]
             if not run.limit.is_over:  # one that the time has cut short is done again
                 run.unfinished.keep("starts", list(starts))
-            run.report_progress(len(starts), count)
+            run.progress(len(starts), count)
             if is_done() or (not again and failed()):
                 break
     loose = [start for start in starts if start.looser]

@@ -257,24 +257,20 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
             continue
         key, unit = ("sigma_px", " px") if points else ("box_noise", "")
         noise = " x ".join(f"{value:.3g}" for value in estimate[key]) + unit
+        error = float(max(np.divide(estimate[f"{key}_standard_error"], estimate[key])))
+        factor = f"known to a factor of {np.exp(2.0 * error):.1f} only"
+        seen = f"{estimate['residuals']:.0f} detections of tracks that two cameras saw"
         if not estimate["confirmed"]:
-            ratio, count = estimate["residual_ratio"], estimate["residuals"]
-            seen = (
-                "no track gave residuals"
-                if ratio is None
-                else f"{count:.0f} residuals of tracks are {ratio:.2g} times it"
-            )
+            ratio = estimate["residual_ratio"]
+            seen += "" if ratio is None else f", whose residuals are {ratio:.2g} times it"
             text = (
                 f"{name}: tracks do not confirm the estimated noise ({seen}): it stays at {noise}, what the rays and "
-                "the usual noise of detectors say"
+                f"the usual noise of detectors say, {factor}"
             )
             remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
             yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")
-        elif (error := float(max(np.divide(estimate[f"{key}_standard_error"], estimate[key])))) > UNSURE:
-            text = (
-                f"{name}: the estimated noise of {noise} is known to a factor of {np.exp(2.0 * error):.1f} only, from "
-                f"{estimate['residuals']:.0f} detections of tracks that two cameras saw"
-            )
+        elif error > UNSURE:
+            text = f"{name}: the estimated noise of {noise} is {factor}, from {seen}"
             remedy = f"state cameras.{name}.detector.{key} if you know it, or take a longer log"
             yield Finding(
                 "detector.estimate", "warning", text, round(error, 2), UNSURE, name, remedy, "too_few_detections"

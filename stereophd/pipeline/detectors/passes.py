@@ -37,7 +37,6 @@ LEAST_GAIN, MOST_RUNS = 0.5, 100
 # Detections of a tentative object that chance gives.
 CHANCE_PAIR = 2
 
-
 LOGGER = logging.getLogger("stereophd")
 
 

@@ -67,8 +67,8 @@ def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[list[Start],
         task = SimpleNamespace(most_starts=COUNT, settings=settings, parameters=None, filter=motion)
         unfinished = SimpleNamespace(read=lambda *_: kept, keep=keep)
         of_run = SimpleNamespace(
-            seed=1, jobs=1, limit=Limit(begun, last), unfinished=unfinished, report_progress=lambda *_: None,
-            section=SimpleNamespace(posterior=posterior),
+            loaded=SimpleNamespace(config=SimpleNamespace(seed=1)), jobs=1, limit=Limit(begun, last),
+            unfinished=unfinished, progress=lambda *_: None, section=SimpleNamespace(posterior=posterior),
         )  # fmt: skip
         return annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task)), judged
 

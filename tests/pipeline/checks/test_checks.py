@@ -243,6 +243,17 @@ def test_objects_faster_than_sound_doubt_the_unit(samples: list[CameraSample], f
     assert ("length_unit" in {one.cause for one in found if one.status == "warning"}) == warned
 
 
+@pytest.mark.parametrize(("speed", "adapted"), [(100.0, True), (1.0, False)])
+def test_settings_are_not_adapted_to_a_wrong_unit(samples: list[CameraSample], speed: float, adapted: bool) -> None:
+    """Cameras in centimetres taken for metres: where depths and speeds agree, a change of either would hide it."""
+    config = make_config({"filter": {"kind": "pmb", "birth": {"depth_range": [3.0, 15.0], "velocity_std": speed,
+                          "per_s": 1.0}}, "motion": {"acceleration_std": speed}}).config  # fmt: skip
+    placed = _with(samples, *[_turned(camera, camera.pose.rotation, 100.0 * camera.pose.center) for camera in CAMERAS])
+    found = check_settings(config, measure_scene(measure(placed, (300.0, 1500.0))), placed, True)
+    assert "depth_range" in {one.cause for one in found}
+    assert any(one.change for one in found) == adapted
+
+
 def test_births_are_asked_where_objects_begin(samples: list[CameraSample]) -> None:
     """Objects that fly away leave the depths of the births (set-up 3083 of the benchmark was warned of)."""
     config = make_config({"filter": {"kind": "pmb", "birth": {"depth_range": [1.0, 3.0], "velocity_std": 1.0,
