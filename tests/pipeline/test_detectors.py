@@ -258,6 +258,16 @@ def test_tracks_confirm_a_noise_or_not(ratio: float, confirmed: bool) -> None:
     assert estimate_detector(sums, Detector((1.0, 1.0), 0.9, 1.0), prior).confirmed == confirmed
 
 
+@pytest.mark.parametrize(("known", "factor", "used"), [(0.1, 0.12, 1.0), (0.5, 0.12, 0.12), (0.5, 9.0, 1.0)])
+def test_a_noise_that_is_only_usual_is_no_evidence_against_less(known: float, factor: float, used: float) -> None:
+    """Good detectors of bodies have a fifth of the usual noise; wrong tracks make noise larger, never smaller."""
+    sums = DetectorSums(pairs=400.0)
+    sums.residuals, sums.weights = sums.residuals + 400.0 * factor**2, sums.weights + 400.0
+    sums.squares, sums.shares = sums.squares + 400.0, sums.shares + 400.0
+    found = estimate_detector(sums, Detector((1.0, 1.0), 0.9, 1.0), NoisePrior(np.array([1.0, 1.0]), known))
+    assert found.noise == pytest.approx([used] * 2, rel=0.05)
+
+
 def test_a_text_that_is_not_estimate(tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text(SCENE)

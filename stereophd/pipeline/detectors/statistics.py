@@ -292,12 +292,13 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
         noise = np.exp((1.0 - weight) * np.log(prior.noise) + weight * np.log(measured))
         error = noise * np.sqrt(weight) * relative
         ratio = float(np.sqrt((sums.residuals / sums.weights).mean()))
-        apart = abs(float(np.log(measured / prior.noise).mean()))
+        apart = float(np.log(measured / prior.noise).mean())
         most = max(np.log(CONTRADICTED), CONTRADICTED_ERRORS * float(np.hypot(relative.min(), prior.spread)))
-        agrees = apart < most
+        # tracks follow errors that last, which rays show; what is only usual stands against larger noise alone
+        agrees = (abs(apart) if confirmed else apart) < most
         if not agrees:
             noise, error = np.asarray(prior.noise), np.asarray(prior.noise) * spread
-            ratio = float(np.exp(np.log(measured / prior.noise).mean()))
+            ratio = float(np.exp(apart))
         slack = CONFIRMED_ERRORS * float(relative.max())
         low, high = np.log(CONFIRMED[0]) - slack, np.log(CONFIRMED[1]) + slack
         confirmed = bool(agrees and low <= np.log(ratio) <= high) and (confirmed or sums.pairs >= FEWEST_TO_CONFIRM)

@@ -287,6 +287,18 @@ class Geometry:
         views = self.views
         return [rays_of(pair, views[pair.a], views[pair.b]) for pair in self.pairs]
 
+    def given_at(self, k: int, tolerance: float) -> Meeting:
+        """Return how well rays of pair k meet at one tolerance, with the cameras as stated."""
+        pair, views = self.pairs[k], self.views
+        if (k, tolerance) not in self._given_at:
+            met = meeting(pair, views[pair.a], views[pair.b], (tolerance,), self.rays[k])
+            self._given_at[k, tolerance] = met
+        return self._given_at[k, tolerance]
+
+    @cached_property
+    def _given_at(self) -> dict[tuple[int, float], Meeting]:
+        return {}
+
     def is_suspicious(self, k: int) -> bool:
         """Whether fewer rays of pair k meet than the configuration promises, or no more than by chance.
 
