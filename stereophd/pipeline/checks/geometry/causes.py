@@ -14,6 +14,7 @@ from stereophd.pipeline.checks.finding import DO_NOT_MEET
 from stereophd.pipeline.checks.geometry.alternatives import Alternative, alternatives
 from stereophd.pipeline.checks.geometry.rays import (
     LEAST_SCORE,
+    SHARP,
     TOLERANCES,
     Candidates,
     Geometry,
@@ -279,5 +280,5 @@ def _met_at(geometry: Geometry, k: int, camera: int, shifts: Array) -> Array:
         seen = pixels_at(geometry.samples[pair.b], at.ravel())
         there = replace(few, pixels_b=seen.reshape(*at.shape, *seen.shape[1:]))
         least = distances(there, first, second)[0].min(axis=2)
-        met[block] = (least <= np.array(TOLERANCES)[:, None, None]).mean(axis=2).sum(axis=0)
+        met[block] = (least <= np.array((*SHARP, *TOLERANCES))[:, None, None]).mean(axis=2).sum(axis=0)
     return met

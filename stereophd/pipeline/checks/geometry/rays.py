@@ -313,12 +313,8 @@ class Geometry:
 
     def is_blurred(self) -> bool:
         """Whether rays meet, but by less than the noise of the detections allows: lens, clock or pose slightly off."""
-        views = self.views
-        pairs = [p for p, given in zip(self.pairs, self.given, strict=True) if given.score >= LEAST_SCORE]
-        tight, wide = (
-            [meeting(pair, views[pair.a], views[pair.b], (tolerance,)).excess for pair in pairs]
-            for tolerance in (SHARP[0], TOLERANCES[0])
-        )
+        met = [k for k, given in enumerate(self.given) if given.score >= LEAST_SCORE]
+        tight, wide = ([self.given_at(k, tolerance).excess for k in met] for tolerance in (SHARP[0], TOLERANCES[0]))
         return any(t < SHARP_SHARE * w for t, w in zip(tight, wide, strict=True))
 
 
