@@ -271,6 +271,14 @@ def test_few_residuals_count_for_as_much_as_they_say() -> None:
     assert found.confirmed
 
 
+@pytest.mark.parametrize(("known", "factor", "used"), [(0.1, 0.12, 1.0), (0.5, 0.12, 0.12), (0.5, 9.0, 1.0)])
+def test_a_noise_that_is_only_usual_is_no_evidence_against_less(known: float, factor: float, used: float) -> None:
+    """Good detectors of bodies have a fifth of the usual noise; wrong tracks make noise larger, never smaller."""
+    sums = DetectorSums(np.full(2, 400.0 * factor**2), np.full(2, 400.0), np.full(2, 400.0), pairs=400.0)
+    found = estimate_detector(sums, Detector((1.0, 1.0), 0.9, 1.0), NoisePrior(np.array([1.0, 1.0]), known))
+    assert found.noise == pytest.approx([used] * 2, rel=0.05)
+
+
 def test_a_text_that_is_not_estimate(tmp_path: Path) -> None:
     path = tmp_path / "scene.yaml"
     path.write_text(SCENE)

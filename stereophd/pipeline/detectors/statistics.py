@@ -66,6 +66,8 @@ BETWEEN_AXES, BETWEEN_CAMERAS = 0.25, 0.4
 CONFIRMED, CONFIRMED_ERRORS = (0.7, 1.4), 2.0
 # Tracks that contradict the rays by this factor, and beyond three standard errors, are those of another error.
 CONTRADICTED, CONTRADICTED_ERRORS = 1.5, 3.0
+# Spread of what rays show; beyond it is what is only usual.
+KNOWN_SPREAD = 0.25
 
 
 @dataclass
@@ -288,7 +290,9 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
         slack = CONFIRMED_ERRORS / np.sqrt(told.min())
         confirmed = bool(np.log(CONFIRMED[0]) - slack <= np.log(ratio) <= np.log(CONFIRMED[1]) + slack)
         errors = CONTRADICTED_ERRORS * np.hypot(1.0 / np.sqrt(told.max()), prior.spread)
-        if abs(measured.mean()) < max(np.log(CONTRADICTED), errors):
+        # tracks follow errors that last, which rays show; what is only usual stands against larger noise alone
+        apart = abs(measured.mean()) if prior.spread < KNOWN_SPREAD else measured.mean()
+        if apart < max(np.log(CONTRADICTED), errors):
             known = np.linalg.inv(prior.spread**2 + BETWEEN_AXES**2 * np.eye(len(noise)))
             noise = noise * np.exp(np.linalg.solve(known + np.diag(pull), pull * measured))
             error = noise * np.sqrt(np.diag(np.linalg.inv(known + np.diag(told))))
