@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 from stereophd import options as declared
 from stereophd.cli.options import ConfigWords, Form, Out, Session, Set, Strict, argument, option
-from stereophd.cli.terminal import exit_if_strict, load, print_report
+from stereophd.cli.terminal import exit_if_strict, load, print_report, progress_bar
 from stereophd.cli.unused_options import refuse
 from stereophd.commands.options import InitOptions, Replacing
 from stereophd.io.interchange.options import ImportOptions
@@ -92,7 +92,8 @@ def init_command(
         refuse(session, ("strict",), "with --log FILE, which is checked, found none")
     from stereophd.commands.init import init
 
-    report = init(folder, log, cameras, overrides or (), options=options)
+    with progress_bar(session, "init"):
+        report = init(folder, log, cameras, overrides or (), options=options)
     print_report(session, report, lambda: _written(report, log))
     exit_if_strict(strict, report)
 

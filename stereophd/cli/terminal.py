@@ -186,7 +186,7 @@ def _lines(report: Mapping[str, Any], prefix: str = "") -> Iterator[str]:
 def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
     """Yield a function (done, total) that moves a bar, with the time left and spent, on stderr if it is a terminal.
 
-    The bar names the stages that the run logs; without a terminal the last of them is a line every `PACE_S`.
+    The bar names each stage that the run logs, and begins anew; without a terminal that is a line every `PACE_S`.
     """
     if session.quiet:
         yield lambda done, total: interrupts.check()
@@ -207,7 +207,11 @@ def progress_bar(session: Session, label: str) -> Iterator[Callable[[float, floa
             interrupts.check()
             bar.update(task, completed=done, total=total)
 
-        with stages_shown(session, lambda stage: bar.update(task, description=f"{label}: {stage}")):
+        def show(stage: str) -> None:
+            bar.tasks[0].total = None
+            bar.update(task, completed=0, description=f"{label}: {stage}")
+
+        with stages_shown(session, show):
             yield advance
 
 
@@ -246,12 +250,12 @@ def stages_shown(session: Session, show: Callable[[str], None] | None = None) ->
 
 @contextlib.contextmanager
 def _lines_of_progress(session: Session, label: str) -> Iterator[Callable[[float, float], None]]:
-    """Print the last stage and the share that is done on stderr every `PACE_S`, also while a step reports nothing."""
+    """Print the last stage and its share that is done on stderr every `PACE_S`, also while a step reports nothing."""
     began, ended, stage, share = time.monotonic(), threading.Event(), "", ""
 
     def show(text: str) -> None:
-        nonlocal stage
-        stage = text
+        nonlocal stage, share
+        stage, share = text, ""
 
     def advance(done: float, total: float) -> None:
         nonlocal share

@@ -28,7 +28,7 @@ from stereophd.pipeline.batch.names import pairs_by_name
 from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.evaluation.inputs import is_truth
-from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 from stereophd.pipeline.workers.places import processes
 from stereophd.wording import LOGGER, counted
@@ -86,7 +86,7 @@ def _values(command: str, report: Report) -> Report:
 @takes(TrackOptions)
 def track_logs(
     loaded: LoadedConfig, logs: Sequence[Path | str], out_dir: Path | str, *, options: TrackOptions,
-    progress: Progress | None = None,
+    progress: Progress = ignore,
 ) -> dict[str, Any]:  # fmt: skip
     """Track the objects of many detection logs (paths, or patterns such as ``day-*/detections.parquet``).
 
@@ -99,7 +99,7 @@ def track_logs(
 @takes(CalibrateOptions)
 def calibrate_logs(
     loaded: LoadedConfig, logs: Sequence[Path | str], out_dir: Path | str, *, options: CalibrateOptions,
-    progress: Progress | None = None,
+    progress: Progress = ignore,
 ) -> dict[str, Any]:  # fmt: skip
     """Calibrate cameras from many detection logs, each separately; the folders are named as by `track_logs`."""
     work = partial(_one_log, calibrate, loaded, replace(options, jobs=1, dask=None))
@@ -110,7 +110,7 @@ def calibrate_logs(
 @takes(EvaluateOptions)
 def evaluate_runs(
     tracks_dir: Path | str, truth_dir: Path | str, out_dir: Path | str, *, options: EvaluateOptions,
-    progress: Progress | None = None,
+    progress: Progress = ignore,
 ) -> dict[str, Any]:  # fmt: skip
     """Score the tracks of many runs, ``NAME/tracks.parquet``, against the truths of the same names.
 
@@ -137,7 +137,7 @@ def evaluate_runs(
 
 def _run(
     command: str, items: Sequence[Item], work: Any, files: Sequence[str], record: Any, out_dir: Path | str,
-    options: TrackOptions | CalibrateOptions | EvaluateOptions, progress: Progress | None,
+    options: TrackOptions | CalibrateOptions | EvaluateOptions, progress: Progress,
 ) -> dict[str, Any]:  # fmt: skip
     """Do the work of a command for all items."""
     columns = {name: kind for name, (kind, _) in COLUMNS[command].items()}
@@ -149,17 +149,16 @@ def _run(
 
 def _one_log(
     command: Callable[..., Report], loaded: LoadedConfig, options: TrackOptions | CalibrateOptions, item: Item,
-    out: Path, progress: Progress | None,
+    out: Path, progress: Progress,
 ) -> Report:  # fmt: skip
     """Track or calibrate from one log."""
     tidy(out)  # of a run that was killed while it moved its files, or before it had kept anything
     return command(loaded, item.paths[0], out, options=options, progress=progress)
 
 
-def _evaluate(options: EvaluateOptions, item: Item, out: Path, progress: Progress | None) -> Report:
+def _evaluate(options: EvaluateOptions, item: Item, out: Path, progress: Progress) -> Report:
     """Score one run."""
-    if progress is not None:
-        progress(0, 1)
+    progress(0, 1)
     tracks, truth = item.paths
     if not truth.exists():
         raise InputError(f"{truth}: there is no such file, and no {truth.parent.name}.parquet beside that folder")

@@ -46,7 +46,7 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.checks.run_figures import check_losses, check_noise, check_tracking
 from stereophd.pipeline.control import points_report
-from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import check_size
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import open_stream
@@ -75,7 +75,7 @@ def calibrate(
     out_dir: Path | str,
     *,
     options: CalibrateOptions,
-    progress: Progress | None = None,
+    progress: Progress = ignore,
 ) -> dict[str, Any]:
     """Calibrate cameras from a detection log (paper section VII), as `stereophd.api.calibrate`.
 

@@ -14,7 +14,7 @@ from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 from stereophd.io.documents import expecting
 from stereophd.io.outputs.atomic import atomic_write
-from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.wording import PROGRESS
 
 CONFIG = "quickstart.yaml"
@@ -23,7 +23,7 @@ STEPS = 4
 CUTOFF_M = 1.0
 
 
-def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = None) -> dict[str, Any]:
+def demo(out_dir: Path | str, force: bool = False, progress: Progress = ignore) -> dict[str, Any]:
     """Run the quickstart in a folder.
 
     The folder gets ``config.yaml``, the folders ``simulated``, ``tracked`` and ``evaluated``, and ``report.html``, for
@@ -38,8 +38,7 @@ def demo(out_dir: Path | str, force: bool = False, progress: Progress | None = N
 
     def begin(step: int, what: str) -> None:
         PROGRESS.info("%s, step %d of %d", what, step + 1, STEPS)
-        if progress is not None:
-            progress(step, STEPS)
+        progress(step, STEPS)
 
     simulated, tracked, evaluated = (folder / name for name in ("simulated", "tracked", "evaluated"))
     folder.mkdir(parents=True, exist_ok=True)

@@ -25,7 +25,7 @@ from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, experimen
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.outputs.locks import output_lock
 from stereophd.options import takes
-from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import check_size, size_of_experiment
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES
 from stereophd.report.installed import can_draw
@@ -37,7 +37,7 @@ FILES = (RUNS_FILE, SUMMARY_FILE, TIMING_FILE, *FIGURE_FILES)
 
 @takes(ExperimentOptions)
 def experiment(
-    loaded: LoadedConfig, out_dir: Path | str, *, options: ExperimentOptions, progress: Progress | None = None
+    loaded: LoadedConfig, out_dir: Path | str, *, options: ExperimentOptions, progress: Progress = ignore
 ) -> Results:
     """Run an experiment, and write ``runs.parquet``, ``summary.parquet``, ``timing.json`` and the figure.
 

@@ -25,7 +25,7 @@ from stereophd.io.streams.messages import Message
 from stereophd.io.tables.schemas import TRUTH
 from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
-from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import check_size, size_of_simulation
 from stereophd.pipeline.simulation import build_scene, simulate_section
 
@@ -43,7 +43,7 @@ PROGRESS_EVERY = 500
 
 @takes(SimulateOptions)
 def simulate(
-    loaded: LoadedConfig, out_dir: Path | str, *, options: SimulateOptions, progress: Progress | None = None
+    loaded: LoadedConfig, out_dir: Path | str, *, options: SimulateOptions, progress: Progress = ignore
 ) -> dict[str, Any]:
     """Simulate the scene of a configuration, and write ``detections.parquet truth.parquet cameras.yaml``.
 
@@ -100,7 +100,7 @@ def check_simulation(loaded: LoadedConfig) -> SimulateConfig:
 
 
 def _simulate_runs(
-    loaded: LoadedConfig, paths: list[dict[str, Path]], jobs: int, progress: Progress | None
+    loaded: LoadedConfig, paths: list[dict[str, Path]], jobs: int, progress: Progress
 ) -> list[dict[str, int]]:
     tasks = [(loaded, run, files) for run, files in enumerate(paths)]
     # Only here: a single run starts without it.
@@ -109,12 +109,11 @@ def _simulate_runs(
     counts = []
     for count in map(_simulate_run, tasks) if jobs == 1 else on_processes(_simulate_run, tasks, jobs):
         counts.append(count)
-        if progress is not None:
-            progress(len(counts), len(paths))
+        progress(len(counts), len(paths))
     return counts
 
 
-def _simulate_run(task: tuple[LoadedConfig, int, dict[str, Path]], progress: Progress | None = None) -> dict[str, int]:
+def _simulate_run(task: tuple[LoadedConfig, int, dict[str, Path]], progress: Progress = ignore) -> dict[str, int]:
     """Write the files of one run of a configuration, and return how many frames, detections and objects they hold."""
     loaded, run, paths = task
     config = loaded.config
@@ -151,7 +150,7 @@ def _write_log(
     seed: np.random.SeedSequence,
     metadata: dict[bytes, bytes],
     object_id: bool,
-    progress: Progress | None,
+    progress: Progress,
 ) -> dict[str, int]:
     counts = {"frames": 0, "detections": 0, "clutter": 0, "objects": len(scene.objects)}
     names, total = [camera.name for camera in scene.cameras], scene.grid.frame_count()
@@ -166,6 +165,6 @@ def _write_log(
             counts["detections"] += len(frame.pixels)
             counts["clutter"] += int(np.count_nonzero(frame.object_id == CLUTTER_ID))
             # often enough for a display
-            if progress is not None and (counts["frames"] % PROGRESS_EVERY == 0 or counts["frames"] == total):
+            if counts["frames"] % PROGRESS_EVERY == 0 or counts["frames"] == total:
                 progress(counts["frames"], total)
     return counts

@@ -32,7 +32,7 @@ from stereophd.pipeline.checks.run_figures import (
     check_tracking,
 )
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
-from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record
@@ -72,7 +72,7 @@ def track(
     out_dir: Path | str,
     *,
     options: TrackOptions,
-    progress: Progress | None = None,
+    progress: Progress = ignore,
 ) -> dict[str, Any]:
     """Track the objects of a detection log, as `stereophd.api.track`, into an output folder: all of it or nothing.
 
@@ -126,7 +126,7 @@ class _Outputs:
     motion: dict[str, Any] | None = None
     plots: bool = False
 
-    def in_pieces(self, options: TrackOptions, progress: Progress | None) -> JoinedPieces:
+    def in_pieces(self, options: TrackOptions, progress: Progress) -> JoinedPieces:
         """Track the log in pieces."""
         # Only here: a run in one piece begins sooner without what joins pieces.
         from stereophd.pipeline.tracking.pieces import JoinedPieces, PieceWork, plan_pieces, track_pieces
@@ -136,7 +136,7 @@ class _Outputs:
         unfinished = UnfinishedRun(Path(os.path.abspath(self.unfinished.out)), self.unfinished.identity)
         work = PieceWork(self.tracking.loaded, self.tracking.cameras, log, unfinished, options.threads)
         ahead = self.tracking.report.smooth is not None
-        pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead, progress)
+        pieces = plan_pieces(self.stream.frames, length_s, overlap_s, ahead)
         track_pieces(work, pieces, options.jobs, options.dask, progress)
         joined = JoinedPieces(work, pieces, length_s, overlap_s, isinstance(self.tracking.estimator, SingleTracker))
         self.stream.not_invertible = joined.not_invertible

@@ -21,7 +21,7 @@ from stereophd.core.numerics.times import SAME_TIME_S
 from stereophd.errors import InputError
 from stereophd.io.logs.checks import bad_rows
 from stereophd.io.logs.reading import Frame, LogReader
-from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.wording import instant
 
 # Events between two calls of `progress`.
@@ -42,7 +42,7 @@ class EventStream:
 
     cameras: tuple[Camera, ...]
     frames: LogReader | Sequence[Frame]
-    progress: Progress | None = None
+    progress: Progress = ignore
     from_s: float = -math.inf
     until_s: float = math.inf
     counted: tuple[float, float] = (-math.inf, math.inf)
@@ -107,7 +107,7 @@ class EventStream:
             )
 
     def _report(self, done: bool = False) -> None:
-        if self.progress is not None and isinstance(self.frames, LogReader):
+        if isinstance(self.frames, LogReader):
             total = self.frames.num_rows
             self.progress(total if done else self.frames.counts["rows"], total)
 
@@ -133,7 +133,7 @@ def covered(cameras: Sequence[Camera], frames: Iterable[Frame], source: str) -> 
 
 
 def open_stream(
-    config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress | None = None
+    config: Config, cameras: Sequence[Camera], path: Path | str, progress: Progress = ignore
 ) -> EventStream:
     """Open a detection log with the settings of a configuration (section ``input``).
 

@@ -15,6 +15,7 @@ import pytest
 import yaml
 
 from stereophd.commands.evaluate import evaluate
+from stereophd.commands.init import init
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config, make_config
@@ -164,6 +165,23 @@ def test_detectors_of_boxes_are_estimated(log: Path, monkeypatch: pytest.MonkeyP
     for entry in found.detectors["cameras"].values():
         assert 0.9 < entry["p_detect"] < 1.0
         assert 0.2 < entry["clutter_per_frame"] < 1.2
+
+
+@pytest.mark.parametrize(("rate", "named"), [(1.0, set()), (1.2, {"southeast"})])
+def test_a_camera_whose_boxes_do_not_agree_is_named(log: Path, tmp_path: Path, rate: float, named: set[str]) -> None:
+    """Rays of boxes miss by too much to tell a wrong clock, which was written as noise without a word."""
+    table = pq.read_table(log).drop_columns("object_id").to_pandas()
+    table.loc[table["camera"] == "southeast", "time_s"] *= rate
+    table.sort_values("time_s", kind="stable").to_parquet(tmp_path / "detections.parquet", index=False)
+    described = yaml.safe_load((log.parent / "cameras.yaml").read_text())
+    for camera in described["cameras"].values():
+        del camera["detector"], camera["frame_rate_hz"]
+    (tmp_path / "cameras.yaml").write_text(yaml.safe_dump(described))
+    report = init(tmp_path / "out", tmp_path / "detections.parquet")
+    assert {one["camera"] for one in report["checks"] if one["cause"] == "boxes_disagree"} == named
+    assert not report["must_be_calibrated"]
+    for detector in report["detectors"].values():
+        np.testing.assert_allclose(detector["box_noise"] or BOX_NOISE, BOX_NOISE, rtol=0.3)
 
 
 def test_bad_boxes_are_bad_rows(log: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 import shlex
 import shutil
 from pathlib import Path
@@ -14,6 +15,7 @@ import pandas as pd
 import pytest
 import yaml
 
+from stereophd.cli import terminal
 from stereophd.cli.app import run
 from stereophd.commands.evaluate import evaluate
 from stereophd.commands.init import init
@@ -64,13 +66,17 @@ def test_track_runs_with_what_init_writes(scene: Path, written: tuple[Path, dict
 def test_the_printed_command_works_as_it_is(
     stand: str, scene: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """From the folder in which the user stands, and with spaces in names."""
+    """From the folder in which the user stands, and with spaces in names; steps are shown meanwhile."""
+    monkeypatch.setattr(terminal, "PACE_S", 0.02)
     (tmp_path / "elsewhere").mkdir()
     shutil.copytree(scene, tmp_path / "my scene")
     monkeypatch.chdir(tmp_path / stand)
     up = "" if stand == "." else "../"
     assert run(["init", f"{up}my study", "--log", f"{up}my scene/detections.parquet"]) == 0
-    name, *words = shlex.split(capsys.readouterr().out.splitlines()[-1])
+    printed = capsys.readouterr()
+    assert re.search(r"init, \d+ s: the acceleration is estimated, step 2 of 6\n", printed.err)
+    assert "cameras are compared by their tracks, step 5 of 6" in printed.err
+    name, *words = shlex.split(printed.out.splitlines()[-1])
     assert name == "stereophd"
     assert run(words) == 0
     assert (tmp_path / "my study" / "tracks" / "tracks.parquet").exists()

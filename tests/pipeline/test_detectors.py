@@ -28,6 +28,8 @@ from stereophd.pipeline.detectors.statistics import BETWEEN_AXES, DetectorSums, 
 from stereophd.pipeline.stream import open_stream
 from tests.commands.test_track import SCENE
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 FromFarAway = Callable[[int], tuple[dict, Path]]
 
 # what the cameras do, and where the estimation starts: far from it
@@ -199,7 +201,7 @@ def test_too_little_to_estimate_from(logs: Path, tmp_path: Path, caplog: pytest.
         assert found[name]["p_detect"] == 0.9
         assert not found[name]["confirmed"]
     assert found["right"]["frames"] == 0
-    assert "tracks do not confirm the estimated noise (no track gave residuals)" in caplog.text
+    assert "tracks do not confirm the estimated noise (0 detections of tracks that two cameras saw)" in caplog.text
 
 
 def test_errors_that_last_are_not_taken_for_noise(
@@ -217,24 +219,25 @@ def test_values_from_sums() -> None:
     present = Detector((2.0, 3.0), 0.9, 1.0)
     sums = DetectorSums(pairs=100.0, detected=75.0, missed=25.0, frames=50, detections=200, attributed=150)
     # shares R / S of 0.8 and 0.4, fifty residuals each, e^2 = 4 S
-    for share in (0.8, 0.4):
-        sums.residuals += 50 * share * 4.0
-        sums.weights += 50 * share
-        sums.squares += 50 * share**2
-        sums.shares += 50 * share * share
+    for share in (np.full(2, 0.8), np.full(2, 0.4)):
+        sums.residuals = sums.residuals + 50 * share * 4.0
+        sums.weights = sums.weights + 50 * share
+        sums.shares = sums.shares + 50 * share * share
     vague = NoisePrior(np.array([1.0, 1.0]), 100.0)
     found = estimate_detector(sums, present, vague)
-    np.testing.assert_allclose(found.detector.sigma, [4.0, 6.0], rtol=1e-4)
-    # standard error of R_new / R: sqrt(2 * 50 * (0.64 + 0.16)) / 60, over the mean share (0.64 + 0.16) / 1.2
-    relative = np.sqrt(2 * 50 * 0.8) / 60 / (0.8 / 1.2) / 2
-    np.testing.assert_allclose(found.noise_error, np.array([4.0, 6.0]) * relative, rtol=1e-4)
+    # measured 4 and 6 px; axes resemble each other: a run moves them with a weight of 2 * 60, as of so much information
+    kept = 120.0 / (120.0 + BETWEEN_AXES**-2)
+    sigma = np.sqrt(24.0) * (2.0 / 3.0) ** (np.array([0.5, -0.5]) * kept)
+    np.testing.assert_allclose(found.detector.sigma, sigma, rtol=1e-4)
+    told = 2 * 50 * (0.64 + 0.16)
+    variance = 0.5 / told + 0.5 / (told + BETWEEN_AXES**-2)
+    np.testing.assert_allclose(found.noise_error, sigma * np.sqrt(variance), rtol=1e-4)
     assert found.residual_ratio == pytest.approx(2.0)
     assert found.detector.p_detect == pytest.approx(79.5 / 105.0)
     assert found.detector.clutter_per_frame == pytest.approx(50.5 / 50.0)
     # a prior of 5 px for both axes takes its share of the logarithm
     sure = estimate_detector(sums, present, NoisePrior(np.array([5.0, 5.0]), 0.0))
-    weight = relative**-2 / (relative**-2 + BETWEEN_AXES**-2)
-    np.testing.assert_allclose(sure.detector.sigma, 5.0 * np.array([0.8, 1.2]) ** weight)
+    np.testing.assert_allclose(sure.detector.sigma, 5.0 * np.array([0.8, 1.2]) ** kept)
     # and all of it where the tracks contradict it
     contradicted = estimate_detector(sums, present, NoisePrior(np.array([1.0, 1.0]), 0.0))
     assert contradicted.detector.sigma.tolist() == [1.0, 1.0]
@@ -252,10 +255,28 @@ def test_values_from_sums() -> None:
 @pytest.mark.parametrize(("ratio", "confirmed"), [(0.12, False), (1.0, True), (24.0, False)])
 def test_tracks_confirm_a_noise_or_not(ratio: float, confirmed: bool) -> None:
     sums = DetectorSums(pairs=400.0)
-    sums.residuals, sums.weights = sums.residuals + 400.0 * ratio**2, sums.weights + 400.0
-    sums.squares, sums.shares = sums.squares + 400.0, sums.shares + 400.0
+    sums.residuals, sums.weights = np.full(2, 400.0 * ratio**2), np.full(2, 400.0)
+    sums.shares = np.full(2, 400.0)
     prior = NoisePrior(np.array([1.0, 1.0]), 0.1)
     assert estimate_detector(sums, Detector((1.0, 1.0), 0.9, 1.0), prior).confirmed == confirmed
+
+
+def test_few_residuals_count_for_as_much_as_they_say() -> None:
+    """Two of them move the noise by a part of what they show, and its error says so."""
+    sums = DetectorSums(np.full(2, 2.0 * 4.0), np.full(2, 2.0), np.full(2, 2.0), pairs=2.0)
+    found = estimate_detector(sums, Detector((1.0, 1.0), 0.9, 1.0), NoisePrior(np.array([1.0, 1.0]), 0.4))
+    assert (found.detector.sigma > 1.2).all()
+    assert (found.detector.sigma < 1.9).all()
+    assert 0.2 < float(found.noise_error[0] / found.noise[0]) < 0.4
+    assert found.confirmed
+
+
+@pytest.mark.parametrize(("known", "factor", "used"), [(0.1, 0.12, 1.0), (0.5, 0.12, 0.12), (0.5, 9.0, 1.0)])
+def test_a_noise_that_is_only_usual_is_no_evidence_against_less(known: float, factor: float, used: float) -> None:
+    """Good detectors of bodies have a fifth of the usual noise; wrong tracks make noise larger, never smaller."""
+    sums = DetectorSums(np.full(2, 400.0 * factor**2), np.full(2, 400.0), np.full(2, 400.0), pairs=400.0)
+    found = estimate_detector(sums, Detector((1.0, 1.0), 0.9, 1.0), NoisePrior(np.array([1.0, 1.0]), known))
+    assert found.noise == pytest.approx([used] * 2, rel=0.05)
 
 
 def test_a_text_that_is_not_estimate(tmp_path: Path) -> None:
@@ -290,8 +311,8 @@ def test_passes_that_make_the_log_less_probable_are_not_kept(tmp_path: Path, mon
             likelihood -= 500.0 * float((np.log(camera.detector.sigma / 2.0) ** 2).mean())
             likelihood -= 100.0 * abs(np.log(camera.detector.clutter_per_frame))
             sums = DetectorSums(pairs=400.0, frames=100, detections=100, attributed=100, detected=90.0, missed=10.0)
-            sums.residuals, sums.weights = sums.residuals + 400.0 * 1.3**2, sums.weights + 400.0
-            sums.squares, sums.shares = sums.squares + 400.0, sums.shares + 400.0
+            sums.residuals, sums.weights = np.full(2, 400.0 * 1.3**2), np.full(2, 400.0)
+            sums.shares = np.full(2, 400.0)
             estimates[camera.name] = estimate_detector(sums, camera.detector, priors[camera.name])
         return passes._Run(cameras, estimates, likelihood, False)
 

@@ -86,14 +86,6 @@ class DisparitySpace:
         """Map states of this space (n, 3) or (n, 6) to the world; infinite where d = 0."""
         return _project(self.inverse_projective_matrix, np.atleast_2d(states))
 
-    def map_to(self, other: DisparitySpace, states: Array) -> Array:
-        """Map states (n, 3) or (n, 6) of a point at one time into another camera's space.
-
-        The map is the projective ``P_d' P_d^-1``: it is smooth through d = 0 for positions, and
-        singular only where the depth before the other camera is 0.
-        """
-        return _project(other.projective_matrix @ self.inverse_projective_matrix, np.atleast_2d(states))
-
     def packed(self) -> Array:
         """Return the space as the flat array (30,) that the compiled kernels read."""
         vertical = float(self.rectification == "vertical")

@@ -5,6 +5,7 @@ static objects has three.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
@@ -97,6 +98,15 @@ def draw_sample_sets(
     map is not linear. The seed is that of the scrambling or of the draws; `max_nonlinearity` is for ``adaptive``. For
     the methods see `SampleSets`.
     """
+    return _sets(method, samples, rows, seed.entropy, seed.spawn_key, max_nonlinearity)
+
+
+@lru_cache(maxsize=8)
+def _sets(
+    method: Method, samples: int, rows: int, entropy: int, spawn_key: tuple[int, ...], max_nonlinearity: float
+) -> SampleSets:
+    """Draw the sets of a seed; filters of a run that differ in their settings alone share them."""
+    seed = np.random.SeedSequence(entropy, spawn_key=spawn_key)
     rngs = [np.random.default_rng(child) for child in seed.spawn(SETS_IN_TURN)]
     large = max(RESERVE_SAMPLES, samples)
     if method == "particle":

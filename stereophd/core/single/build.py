@@ -1,7 +1,6 @@
 """From settings to an estimator."""
 
 from dataclasses import dataclass
-from functools import cache
 
 import numpy as np
 
@@ -10,7 +9,7 @@ from stereophd.core.disparity.events import Rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import SCRAMBLE_SEED
-from stereophd.core.numerics.samples import MAX_NONLINEARITY, Method, MomentsSettings, SampleSets, draw_sample_sets
+from stereophd.core.numerics.samples import MomentsSettings, SampleSets, draw_sample_sets
 from stereophd.core.single.base import AnyEstimator
 from stereophd.core.single.cartesian import CartesianEstimator
 from stereophd.core.single.disparity import DisparityEstimator, RectifiedEstimator
@@ -51,13 +50,13 @@ def build_estimator(
 
 def sample_sets(settings: MomentsSettings, motion: Motion, rng: np.random.Generator) -> SampleSets:
     """Return the samples of an estimator's moves; those of method ``particle`` are drawn from the generator."""
-    rows = motion.sample_rows
+    rows, scramble = motion.sample_rows, np.random.SeedSequence(SCRAMBLE_SEED)
     if settings.method == "particle":
         # the reserve, for tails in view, is a low-discrepancy set
-        rule, sets = _rule("qmc", 64, rows), np.empty((1, rows, settings.samples))
+        rule, sets = draw_sample_sets("qmc", 64, rows, scramble), np.empty((1, rows, settings.samples))
         seed = int(rng.integers(2**63))
         return FreshSamples("particle", sets, rule.reserve, rule.reserve_weights, seed=seed)
-    return _rule(settings.method, settings.samples, rows, settings.max_nonlinearity)
+    return draw_sample_sets(settings.method, settings.samples, rows, scramble, settings.max_nonlinearity)
 
 
 @dataclass(frozen=True)
@@ -73,9 +72,3 @@ class FreshSamples(SampleSets):
     def turn(self, index: int) -> Array:
         """Return the samples (rows, n) of event number `index`."""
         return np.random.default_rng((self.seed, index)).standard_normal(self.sets.shape[1:])
-
-
-@cache
-def _rule(method: Method, samples: int, rows: int, max_nonlinearity: float = MAX_NONLINEARITY) -> SampleSets:
-    """Low-discrepancy sample sets, made once."""
-    return draw_sample_sets(method, samples, rows, np.random.SeedSequence(SCRAMBLE_SEED), max_nonlinearity)

@@ -54,7 +54,7 @@ def execute(
     store: UnfinishedRun,
     jobs: int,
     dask: str | None,
-    progress: Progress | None,
+    progress: Progress,
     see: See,
 ) -> None:
     """Do the wanted runs (numbers of runs of every part) that the store does not hold, and store them.
@@ -91,8 +91,7 @@ def execute(
                 for result in good:
                     see(result.method, result.case, result.series)
                 left -= len(good)
-                if progress is not None:
-                    progress(total - left, total)
+                progress(total - left, total)
                 if failed:
                     again.append(Chunk(chunks[number].part, tuple(result.run for result in failed)))
             chunks = again

@@ -198,7 +198,7 @@ class LogReader:
 
     def _batches(self) -> Iterator[tuple[int, pa.RecordBatch]]:
         """Yield pieces of the file, each with the number of the first row that is read at all."""
-        with open_parquet(self.path, LOG) as parquet:
+        with open_parquet(self.path, LOG, words=("camera",)) as parquet:
             groups, first_row = self._groups(parquet.metadata)
             pieces = parquet.iter_batches(ROW_GROUP_ROWS, groups, columns=self._columns, use_threads=False)
             while True:

@@ -21,6 +21,8 @@ from stereophd.io.tables.writing import TableWriter
 
 REQUIRED = kinds_of(DETECTIONS)
 OPTIONAL = {**dict.fromkeys(("sigma_u_px", "sigma_v_px", "width_px", "height_px"), FLOAT), "object_id": INTEGER}
+# Names of cameras as they are read: Arrow finds the words of a column of text with functions that are costly to load.
+WORDS = pa.dictionary(pa.int32(), REQUIRED["camera"])
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def decode(batch: pa.RecordBatch, start: int, cameras: Mapping[str, int], path: 
     that the log has; `cameras` gives the index of each name. Raises InputError when the name of a camera is not text,
     or a value does not fit the type of its column.
     """
-    kinds = {**REQUIRED, **OPTIONAL}
+    kinds = {**REQUIRED, **OPTIONAL, "camera": WORDS}
     column = {name: cast_column(batch.column(name), name, kinds[name], path, start) for name in batch.schema.names}
     check_texts(column["camera"], "camera", path, start)
     null = {name: _is_null(array) for name, array in column.items()}
@@ -83,11 +85,10 @@ def _two_columns(columns: Mapping[str, pa.Array], first: str, second: str) -> Ar
     return np.stack([values_of(columns[name], np.float64, np.nan) for name in (first, second)], axis=1)
 
 
-def _camera_index(column: pa.Array, cameras: Mapping[str, int]) -> Integers:
+def _camera_index(column: pa.DictionaryArray, cameras: Mapping[str, int]) -> Integers:
     """Return each row's index of the camera, -1 if null or unknown."""
-    encoded = column.dictionary_encode()
-    index = np.array([cameras.get(name, -1) for name in encoded.dictionary.to_pylist()] + [-1])
-    codes = values_of(encoded.indices, np.int32, len(index) - 1)
+    index = np.array([cameras.get(name, -1) for name in column.dictionary.to_pylist()] + [-1])
+    codes = values_of(column.indices, np.int32, len(index) - 1)
     cameras_of_rows: Integers = index[codes]
     return cameras_of_rows
 

@@ -25,9 +25,10 @@ DAMAGED = (pa.ArrowException, OSError, UnicodeDecodeError)
 LARGEST = 1e100
 
 
-def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
+def open_parquet(path: Path | str, what: str = "table", words: Sequence[str] = ()) -> pq.ParquetFile:
     """Open a Parquet file, which should be `what` (``detection log``, say).
 
+    Columns of `words` that hold text are read as dictionaries: each word once, and its number in each row.
     Raises InputError when it is not there, not readable, empty, not Parquet, or cut off.
     """
     file = Path(path)
@@ -48,7 +49,7 @@ def open_parquet(path: Path | str, what: str = "table") -> pq.ParquetFile:
         described = found or "something that is not Parquet"
         raise InputError(f"{file}: expected a {what} (Parquet file), found {described}{remedy(what, found)}")
     try:
-        parquet = pq.ParquetFile(for_arrow(file), memory_map=False)
+        parquet = pq.ParquetFile(for_arrow(file), memory_map=False, read_dictionary=words)
     except DAMAGED as error:
         raise InputError(
             f"{file}: expected a {what} (Parquet file), found one that is truncated or damaged ({_first_line(error)})"

@@ -24,7 +24,7 @@ from stereophd.io.outputs.provenance import to_metadata
 from stereophd.io.tables.schemas import STRING
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.batch.names import expand, folder_names
-from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.workers.places import ATTEMPTS, Workers, complete, open_workers
 from stereophd.wording import LOGGER
 
@@ -53,7 +53,7 @@ def log_items(logs: Sequence[Path | str]) -> list[Item]:
 
 
 # Does one item: called with it, its output folder and a progress function; returns its report.
-Work = Callable[[Item, Path, Progress | None], Mapping[str, Any]]
+Work = Callable[[Item, Path, Progress], Mapping[str, Any]]
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ def run_batch(
     dask: str | None = None,
     force: bool = False,
     resume: bool = False,
-    progress: Progress | None = None,
+    progress: Progress = ignore,
 ) -> dict[str, Any]:
     """Do all items of a batch, into ``NAME/`` for each item and ``summary.parquet``.
 
@@ -128,17 +128,16 @@ def _check_folder(batch: Batch, out: Path, force: bool, resume: bool) -> None:
     (out / SUMMARY_FILE).unlink(missing_ok=True)
 
 
-def _outcomes(batch: Batch, out: Path, workers: Workers, progress: Progress | None) -> list[_Outcome]:
+def _outcomes(batch: Batch, out: Path, workers: Workers, progress: Progress) -> list[_Outcome]:
     """Do the items; return what became of each, in their order."""
     found: dict[int, _Outcome] = {}
     total = len(batch.items)
 
     def tick(done: float = 0, of: float = 0) -> None:
-        if progress is not None:
-            progress(len(found), total)
+        progress(len(found), total)
 
     attempt = partial(
-        _attempt, batch.work, batch.values, out, collect=workers.remote, tick=None if workers.remote else tick
+        _attempt, batch.work, batch.values, out, collect=workers.remote, tick=ignore if workers.remote else tick
     )
     for number, outcome in complete(workers, attempt, batch.items):
         item = batch.items[number]
@@ -160,7 +159,7 @@ def _attempt(
     out: Path,
     item: Item,
     collect: bool,
-    tick: Progress | None,
+    tick: Progress,
 ) -> _Outcome:
     """Do one item; any failure becomes its outcome."""
     with _collected(collect) as logged:

@@ -37,6 +37,7 @@ from stereophd.core.calibration.unknowns.observability import laplace_draws
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
+from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task
 from stereophd.pipeline.calibration.sampled import smc_outcome
 from stereophd.pipeline.workers.places import on_processes
@@ -91,7 +92,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     parameters, adjustment = believed.task.parameters, result.fit.adjustment
     draws = laplace_draws(
         parameters, problem.reference, adjustment.values, adjustment.covariance, LAPLACE_DRAWS,
-        np.random.default_rng(POSTERIOR_DRAWS.seed(run.seed)),
+        np.random.default_rng(POSTERIOR_DRAWS.seed(run.loaded.config.seed)),
     )  # fmt: skip
     weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
     return Outcome(
@@ -131,8 +132,8 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
     any has, the one that explains most. They are kept under a name while the run is unfinished.
     """
     count, agreeing = task.most_starts, task.settings.agreeing_starts
-    values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.seed), count)
-    seeds = CALIBRATION_PAIRING.seed(run.seed).spawn(count)
+    values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.loaded.config.seed), count)
+    seeds = CALIBRATION_PAIRING.seed(run.loaded.config.seed).spawn(count)
     starts: list[Start] = run.unfinished.read(kept, list[Start], {Motion: task.filter.motion}) or []
 
     def is_done() -> bool:
@@ -156,7 +157,7 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
             starts[place : place + 1] = [start]
             if not run.limit.is_over:  # one that the time has cut short is done again
                 run.unfinished.keep(kept, list(starts))
-            run.report_progress(len(starts), count)
+            run.progress(len(starts), count)
             if is_done() or (not again and failed()):
                 break
     loose = [start for start in starts if start.looser]
@@ -194,8 +195,8 @@ def _start_report(task: Task, start: Start, best: Start | None) -> dict[str, Any
         "best": start is best,
         "passes": len(start.passes),
         "explained": start.explained,
-        "log_evidence": _number(start.log_evidence),
-        "log_prior": _number(start.log_prior),
+        "log_evidence": finite_or_none(start.log_evidence),
+        "log_prior": finite_or_none(start.log_prior),
         "values": dict(zip(task.parameters.names, values, strict=False)),
     }
 
@@ -251,7 +252,3 @@ def _fit_report(best: Start, fit: Fit) -> dict[str, Any]:
         "log_prior": best.log_prior,
         "converged": fit.adjustment.converged,
     }
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None

@@ -36,7 +36,7 @@ from stereophd.errors import InputError, unknown_camera
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
 from stereophd.pipeline.control import read_control
-from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import Size
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import covered, open_stream
@@ -73,23 +73,13 @@ class CalibrationRun:
     problem: CalibrationProblem
     unfinished: UnfinishedRun
     jobs: int = 1  # Processes, or threads of particles
-    progress: Progress | None = None  # Called with (done, total)
+    progress: Progress = ignore
     limit: TimeLimit = ENDLESS
 
     @property
     def section(self) -> CalibrationConfig:
         """The ``calibration`` section."""
         return calibration_section(self.loaded)
-
-    @property
-    def seed(self) -> int:
-        """Seed of the configuration."""
-        return self.loaded.config.seed
-
-    def report_progress(self, done: int, total: int) -> None:
-        """Tell how much is done."""
-        if self.progress is not None:
-            self.progress(done, total)
 
 
 @dataclass(frozen=True)

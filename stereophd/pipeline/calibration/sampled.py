@@ -32,12 +32,12 @@ def sequential_outcome(run: CalibrationRun) -> Outcome:
     if settings.moves == "none":
         return _plain_outcome(run)
     path = BlockPath(_evidence(run, settings.likelihood, problem.scale, samples=settings.samples), settings)
-    seed = SEQUENTIAL_PARTICLES.seed(run.seed)
+    seed = SEQUENTIAL_PARTICLES.seed(run.loaded.config.seed)
     sampler = BridgeSampler(path, settings.resample_below, settings.moves_per_step, seed)
 
     def after(state: BridgeState, steps: Any) -> None:
         run.unfinished.keep("sequential", (state, list(steps)))
-        run.report_progress(int(1000 * (state.stage + state.temperature)), 1000 * len(path.stages))
+        run.progress(int(1000 * (state.stage + state.temperature)), 1000 * len(path.stages))
 
     result = bridging.run(sampler, run.unfinished.read("sequential", BRIDGE), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)
@@ -69,14 +69,14 @@ def _plain_outcome(run: CalibrationRun) -> Outcome:
 
     def after(number: int, state: Any, history: Any) -> None:
         run.unfinished.keep("sequential", (state, list(history)))
-        run.report_progress(number, len(events))
+        run.progress(number, len(events))
 
     state, infos = sequential.run(
         parameters,
         events,
         FilterBatch(_template(run, settings.likelihood, settings.samples), run.jobs),
         settings,
-        SEQUENTIAL_PARTICLES.seed(run.seed),
+        SEQUENTIAL_PARTICLES.seed(run.loaded.config.seed),
         run.unfinished.read("sequential", tuple[SequentialState, list[SequentialInfo]]),
         after,
         walk if walk.any() else None,
@@ -120,11 +120,12 @@ def smc_outcome(
     """Full posterior by tempered particles about the modes found."""
     settings, parameters = run.section.smc, run.problem.parameters
     path = TemperedPath(parameters, _evidence(run, settings.evidence, scale, settings.max_events), modes, settings)
-    sampler = BridgeSampler(path, settings.resample_below, settings.moves, TEMPERED_PARTICLES.seed(run.seed))
+    seed = TEMPERED_PARTICLES.seed(run.loaded.config.seed)
+    sampler = BridgeSampler(path, settings.resample_below, settings.moves, seed)
 
     def after(state: BridgeState, steps: Any) -> None:
         run.unfinished.keep("smc", (state, list(steps)))
-        run.report_progress(int(1000 * state.temperature), 1000)
+        run.progress(int(1000 * state.temperature), 1000)
 
     result = bridging.run(sampler, run.unfinished.read("smc", BRIDGE), after)
     mean, covariance = weighted_mean_covariance(result.values, result.log_weights)

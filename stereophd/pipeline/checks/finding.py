@@ -35,6 +35,14 @@ def warnings_of(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     return tuple(finding for finding in findings if finding.status == "warning")
 
 
+def is_overstated(found: Finding) -> bool:
+    """Whether a finding warns of a noise that is stated larger than it was measured."""
+    stated, measured = found.value, found.expected
+    if (found.name, found.status) != ("detector.sigma", "warning"):
+        return False
+    return isinstance(stated, float) and isinstance(measured, float) and stated > measured
+
+
 def count_warnings(report: Mapping[str, Any]) -> int:
     """Return how many checks of a report (its ``checks``, as JSON) warn."""
     return sum(found["status"] == "warning" for found in report["checks"])

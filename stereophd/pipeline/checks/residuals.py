@@ -68,7 +68,7 @@ def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
         if lasts and pair.track_count >= POSE_TRACKS and not ignored:
             yield Finding(
                 "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
-                "alone explains it",
+                "alone explains it, or the errors of detections last, as those of smoothed labels do",
                 round(spread, 3), 1.0, None, CHECK_CAMERAS, DO_NOT_MEET,
             )  # fmt: skip
         else:

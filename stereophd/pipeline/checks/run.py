@@ -8,7 +8,7 @@ import numpy as np
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
-from stereophd.pipeline.checks.finding import Finding, warnings_of
+from stereophd.pipeline.checks.finding import Finding, is_overstated, warnings_of
 from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
@@ -51,24 +51,26 @@ def check_log(
     # a quick check precedes a run, which states what it drops
     rows = (*check_rows(reader.counts), *check_rows(looked_at)) if thorough else ()
     findings = [*rows, *_of_files(loaded, samples, whole)]
-    contradicted = {found.camera for found in warnings_of(tuple(findings)) if found.name == "detector.sigma"}
-    samples = [one.with_measured_noise if one.camera.name in contradicted else one for one in samples]
+    if any(found.name == "detector.sigma" for found in warnings_of(tuple(findings))):
+        samples = [one.with_measured_noise for one in samples]
     if any(found.cause == "pixels_normalised" for found in findings):
         return tuple(findings)
     if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
         why = f"geometry and settings are checked only for cameras that stand still; moving: {', '.join(moving)}"
         return (*findings, Finding("geometry.rays", "not checked", why))
     geometry = measure(samples, expected_depths(config, samples), thorough)
-    findings += check_geometry(geometry, thorough)
-    blamed = {found.name for found in warnings_of(tuple(findings))}
-    if "geometry.cause" not in blamed:
-        if config.object.shape == "point":
-            # the middle of a box is not the image of the middle of a body
-            findings += check_residuals(samples)
-        # speeds and accelerations follow from the times
-        if "log.frame_rate" not in blamed:
-            findings += check_settings(config, measure_scene(geometry), samples, whole)
-    return tuple(findings)
+    rays = [*check_geometry(geometry, thorough)]
+    blamed = {found.name for found in warnings_of((*findings, *rays))}
+    if "geometry.cause" not in blamed and config.object.shape == "point":
+        # the middle of a box is not the image of the middle of a body
+        rays += check_residuals(samples)
+    if warnings_of(tuple(rays)):
+        # more noise than about one-camera tracks may be what keeps these rays together: less would only part them
+        findings = [one for one in findings if not is_overstated(one)]
+    # speeds and accelerations follow from the times
+    if not {"geometry.cause", "log.frame_rate"} & blamed:
+        rays += check_settings(config, measure_scene(geometry), samples, whole)
+    return (*findings, *rays)
 
 
 def check_log_alone(loaded: LoadedConfig, log_path: Path | str) -> tuple[Finding, ...]:

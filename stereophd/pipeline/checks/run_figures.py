@@ -7,7 +7,7 @@ import numpy as np
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.checks import REMEDIES, bad_rows
-from stereophd.pipeline.checks.finding import Finding, warnings_of
+from stereophd.pipeline.checks.finding import Finding, is_overstated, warnings_of
 from stereophd.wording import instant, percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
@@ -102,7 +102,7 @@ def check_knocks(summary: Mapping[str, Any], before: tuple[Finding, ...]) -> Ite
     """
     alike = [
         one for one in warnings_of(before)
-        if one.name in LIKE_KNOCKS and one.cause != "pose_inaccurate" and not _is_overstated(one)
+        if one.name in LIKE_KNOCKS and one.cause != "pose_inaccurate" and not is_overstated(one)
     ]  # fmt: skip
     for knock in summary["knocks"]:
         doubts = [one.name for one in alike if one.camera in (None, knock["camera"], *knock["others"])]
@@ -115,19 +115,13 @@ def check_knocks(summary: Mapping[str, Any], before: tuple[Finding, ...]) -> Ite
             "tracking.knocked", "warning",
             f"{name}{others}: from {instant(knock['since_s'])} s on its detections lie where a camera would see the "
             f"tracks that is turned by about {knock['turn_deg']:.2g} degrees (noticed at {instant(knock['time_s'])} "
-            "s): it was knocked, or moved; tracks after that are doubtful",
+            "s): it was knocked, or moved, or its times jump, as where frames were lost; tracks after that are "
+            "doubtful",
             round(knock["since_s"], 3), None, name,
-            f"calibrate cameras.{name} anew from the part of the log after that, and give it as poses with from_s",
+            f"calibrate cameras.{name} anew from the part of the log after that, and give it as poses with from_s; if "
+            "frames were lost, import with the times of the frames",
             "knocked",
         )  # fmt: skip
-
-
-def _is_overstated(found: Finding) -> bool:
-    """Whether a finding is about a noise that is stated larger than it was measured, which hides knocks."""
-    stated, measured = found.value, found.expected
-    if found.name != "detector.sigma" or not isinstance(stated, float) or not isinstance(measured, float):
-        return False
-    return stated > measured
 
 
 def check_noise(
@@ -257,24 +251,20 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
             continue
         key, unit = ("sigma_px", " px") if points else ("box_noise", "")
         noise = " x ".join(f"{value:.3g}" for value in estimate[key]) + unit
+        error = float(max(np.divide(estimate[f"{key}_standard_error"], estimate[key])))
+        factor = f"known to a factor of {np.exp(2.0 * error):.1f} only"
+        seen = f"{estimate['residuals']:.0f} detections of tracks that two cameras saw"
         if not estimate["confirmed"]:
-            ratio, count = estimate["residual_ratio"], estimate["residuals"]
-            seen = (
-                "no track gave residuals"
-                if ratio is None
-                else f"{count:.0f} residuals of tracks are {ratio:.2g} times it"
-            )
+            ratio = estimate["residual_ratio"]
+            seen += "" if ratio is None else f", whose residuals are {ratio:.2g} times it"
             text = (
-                f"{name}: tracks do not confirm the estimated noise ({seen}): it stays at {noise}, what the rays and "
-                "the usual noise of detectors say"
+                f"{name}: tracks do not confirm the estimated noise ({seen}): it stays at {noise}, what was known "
+                f"before them, {factor}"
             )
             remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
             yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")
-        elif (error := float(max(np.divide(estimate[f"{key}_standard_error"], estimate[key])))) > UNSURE:
-            text = (
-                f"{name}: the estimated noise of {noise} is known to a factor of {np.exp(2.0 * error):.1f} only, from "
-                f"{estimate['residuals']:.0f} detections of tracks that two cameras saw"
-            )
+        elif error > UNSURE:
+            text = f"{name}: the estimated noise of {noise} is {factor}, from {seen}"
             remedy = f"state cameras.{name}.detector.{key} if you know it, or take a longer log"
             yield Finding(
                 "detector.estimate", "warning", text, round(error, 2), UNSURE, name, remedy, "too_few_detections"

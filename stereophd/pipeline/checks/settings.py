@@ -169,17 +169,20 @@ def expected_depths(config: Config | None, samples: list[CameraSample]) -> tuple
     return 0.5 * size, 20.0 * size
 
 
-def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSample], whole: bool) -> Iterator[Finding]:
-    """Yield findings about births, motion and region; objects are too slow for these only in a `whole` log."""
+def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSample], whole: bool) -> list[Finding]:
+    """Return findings about births, motion and region; objects are too slow for these only in a `whole` log."""
     settings, unit = config.filter, config.units.length
     if settings is None or isinstance(settings, SingleSettings) or scene.depths is None:
-        return
+        return []
+    held = np.mean([_held(sample) for sample in samples]) >= LEAST_HELD
+    found = list(_speeds(config, scene, bool(whole and held)))
     if config.object.shape == "point":
         # boxes tell the depth of bodies
-        yield from _depths(config, scene, samples, unit)
-        yield from _region(config, scene, unit)
-    held = np.mean([_held(sample) for sample in samples]) >= LEAST_HELD
-    yield from _speeds(config, scene, bool(whole and held))
+        found = [*_depths(config, scene, samples, unit), *_region(config, scene, unit), *found]
+    if {"depth_range", "velocity_std"} <= {one.cause for one in found} or "length_unit" in {one.cause for one in found}:
+        # a unit is wrong, and settings that are adapted to it would hide that
+        found = [replace(one, change=None) for one in found]
+    return found
 
 
 def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], unit: str) -> Iterator[Finding]:

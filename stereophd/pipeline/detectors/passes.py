@@ -24,6 +24,7 @@ from stereophd.pipeline.detectors.statistics import (
     observe,
 )
 from stereophd.pipeline.stream import EventStream
+from stereophd.pipeline.tracking.knocked import NO_TEST
 from stereophd.pipeline.tracking.loop import FORGET_EVERY, Estimator, RunState, run_estimator
 
 # Frames of a log that are looked at, stretches of it that a filter runs over, events and detections of them all: more
@@ -35,7 +36,6 @@ LEAST_FRAMES = 10
 LEAST_GAIN, MOST_RUNS = 0.5, 100
 # Detections of a tentative object that chance gives.
 CHANCE_PAIR = 2
-
 
 LOGGER = logging.getLogger("stereophd")
 
@@ -171,7 +171,7 @@ def _run(
     watched, likelihood = _Watched(build_filter(cameras)), 0.0
     sums = {camera.name: own for camera, own in zip(cameras, watched.sums, strict=True)}
     for part in parts:
-        run = RunState(watched.init())
+        run = RunState(watched.init(), knocks=NO_TEST)
         for record in run_estimator(watched, part.with_cameras(cameras), run=run):
             likelihood += record.info.log_likelihood
             sums[record.camera].frames += 1

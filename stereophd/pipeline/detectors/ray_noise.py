@@ -119,12 +119,12 @@ def _draws(likelihoods: dict[tuple[int, int], Array], links: Sequence[Array]) ->
     rng, logs, usual = np.random.default_rng(RAY_NOISE_SEED), np.log(NOISES), float(np.log(USUAL_NOISE_PX))
     of_either = likelihoods | {(b, a): table.T for (a, b), table in likelihoods.items()}
     state, draws, pairs = np.full(count, int(np.abs(logs - usual).argmin())), [], pairs_of(count)
+    precision = NOISE_SPREAD**-2 + (count - 2) * BETWEEN_CAMERAS**-2
+    inverse = np.linalg.inv(np.full((2, 2), 1.0 / precision) + BETWEEN_CAMERAS**2 * np.eye(2))
     for _ in range(max(LEAST_DRAWS, DRAWS // len(pairs))):
         for a, b in pairs:
             rest = [k for k in range(count) if k not in (a, b)]
-            precision = NOISE_SPREAD**-2 + len(rest) * BETWEEN_CAMERAS**-2
             mean = (usual * NOISE_SPREAD**-2 + logs[state[rest]].sum() * BETWEEN_CAMERAS**-2) / precision
-            inverse = np.linalg.inv(np.full((2, 2), 1.0 / precision) + BETWEEN_CAMERAS**2 * np.eye(2))
             apart = logs - mean
             total = likelihoods.get((a, b), 0.0) - inverse[0, 1] * apart[:, None] * apart
             for camera, axis in ((a, 1), (b, 0)):

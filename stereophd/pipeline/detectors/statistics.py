@@ -7,15 +7,16 @@ confirmed track ever claimed are clutter. Sums for all three accumulate, event b
 filter runs with the present values. A new run starts from the new values until they agree (a fixed point: at the true
 values every expectation below holds).
 
-Noise. Filter covariances scale nearly as the noise does, so S is taken as proportional to R between two runs:
-with residuals e and weights w = p R / S (the probability p of the pair, and the information that it has on R),
+Noise. With residuals e and weights w = p R / S (the probability p of the pair, and the share of R in S), the derivative
+of the log-likelihood by log R is sum(w (e^2 / S - 1)) / 2 per axis of the distorted image, with C known. A run moves R
+towards
 
     R_new / R = sum(w e^2 / S) / sum(w),
 
-per axis of the distorted image. Its standard error treats C as known, which is on the safe side:
-sqrt(2 sum(w^2)) / sum(w) for R_new / R, divided by the mean of R / S. Few residuals say little: the estimate is joined
-with what rays and displacements say (`stereophd.pipeline.detectors.ray_noise`), so that it cannot run away from pass to
-pass.
+which is right where C scales with R, with a weight of 2 sum(w) of log(sigma) against the prior: what rays and
+displacements say (`stereophd.pipeline.detectors.ray_noise`), of both axes together. Where the runs end, the derivatives
+of both cancel, whatever the part of C is. The standard error is that of the prior and of the information of the
+residuals, 2 sum(w R / S) of log(sigma).
 
 Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of
 the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last
@@ -61,22 +62,22 @@ LEAST_PART, MOST_LASTING = 1e-3, 0.9
 # Spread of the logarithm of the noise between the axes of a camera, or the values of a box, and between the cameras of
 # one log.
 BETWEEN_AXES, BETWEEN_CAMERAS = 0.25, 0.4
-# Residuals over stated noise between which tracks confirm it (to within so many standard errors), the fewest of them
-# that can, and the spread of what is known from the rays from which it needs no more of them.
-CONFIRMED, CONFIRMED_ERRORS, FEWEST_TO_CONFIRM, KNOWN_SPREAD = (0.7, 1.4), 2.0, 8.0, 0.25
+# Residuals over stated noise between which tracks confirm it (to within so many standard errors).
+CONFIRMED, CONFIRMED_ERRORS = (0.7, 1.4), 2.0
 # Tracks that contradict the rays by this factor, and beyond three standard errors, are those of another error.
 CONTRADICTED, CONTRADICTED_ERRORS = 1.5, 3.0
+# Spread of what rays show; beyond it is what is only usual.
+KNOWN_SPREAD = 0.25
 
 
 @dataclass
 class DetectorSums:
     """Running sums of one camera, over events."""
 
-    # `residuals`, `weights`, `squares`, `shares`: arrays (k,): Sums of w e^2 / S, of w, of w^2 and of w R / S along u
-    # and v, or of the four values of a box.
+    # `residuals`, `weights`, `shares`: arrays (k,): Sums of w e^2 / S, of w and of w R / S along u and v, or of the
+    # values of a box.
     residuals: Array = field(default_factory=lambda: np.zeros(1))
     weights: Array = field(default_factory=lambda: np.zeros(1))
-    squares: Array = field(default_factory=lambda: np.zeros(1))
     shares: Array = field(default_factory=lambda: np.zeros(1))
     pairs: float = 0.0  # Expected number of detections behind them
     # `detected`, `missed`: Sums of D and M.
@@ -105,7 +106,6 @@ class DetectorSums:
         weights = share[:, None] * noise / total
         self.residuals = self.residuals + (weights * residuals**2 / total).sum(axis=0)
         self.weights = self.weights + weights.sum(axis=0)
-        self.squares = self.squares + (weights**2).sum(axis=0)
         self.shares = self.shares + (weights * noise / total).sum(axis=0)
         self.pairs += float(share.sum())
         for pair in np.flatnonzero(share > LIKELY):
@@ -119,7 +119,7 @@ class DetectorSums:
 
     def with_noise_of(self, others: Sequence[DetectorSums]) -> DetectorSums:
         """Return the sums with those of all the others in place of what tells the noise."""
-        names = "residuals", "weights", "squares", "shares", "pairs", "products", "norms", "successions"
+        names = "residuals", "weights", "shares", "pairs", "products", "norms", "successions"
         return replace(self, **{name: sum(getattr(each, name) for each in others) for name in names})
 
 
@@ -277,30 +277,27 @@ def _add_residuals(
 def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) -> DetectorEstimate:
     """Return the detector estimated from the sums of a run with the `present` one, and from what was known before.
 
-    The noise is the mean of its logarithm after both: of the prior, and of the residuals, weighted with their squared
-    standard errors. Without residuals it is the prior's, and where they contradict it: wrong tracks would otherwise
-    make the noise larger, which makes more of them wrong.
+    Runs from one estimate to the next end at the most probable noise after both, prior and residuals. Without residuals
+    it is the prior's, and where they contradict it: wrong tracks would otherwise make the noise larger, which makes
+    more of them wrong.
     """
-    noise, ratio = np.asarray(prior.noise), None
+    noise, ratio, confirmed = np.asarray(prior.noise), None, False
     error = noise * np.hypot(prior.spread, BETWEEN_AXES)
-    confirmed = prior.spread < KNOWN_SPREAD
     if sums.pairs > 0.0 and (sums.residuals > 0.0).all() and (sums.weights > 0.0).all():
-        measured = prior.of(present) * np.sqrt(sums.residuals / sums.weights)
-        relative = np.sqrt(2.0 * sums.squares) / sums.weights / (sums.shares / sums.weights) / 2.0
-        spread = np.hypot(prior.spread, BETWEEN_AXES)
-        weight = relative**-2 / (relative**-2 + spread**-2)
-        noise = np.exp((1.0 - weight) * np.log(prior.noise) + weight * np.log(measured))
-        error = noise * np.sqrt(weight) * relative
-        ratio = float(np.sqrt((sums.residuals / sums.weights).mean()))
-        apart = abs(float(np.log(measured / prior.noise).mean()))
-        most = max(np.log(CONTRADICTED), CONTRADICTED_ERRORS * float(np.hypot(relative.min(), prior.spread)))
-        agrees = apart < most
-        if not agrees:
-            noise, error = np.asarray(prior.noise), np.asarray(prior.noise) * spread
-            ratio = float(np.exp(np.log(measured / prior.noise).mean()))
-        slack = CONFIRMED_ERRORS * float(relative.max())
-        low, high = np.log(CONFIRMED[0]) - slack, np.log(CONFIRMED[1]) + slack
-        confirmed = bool(agrees and low <= np.log(ratio) <= high) and (confirmed or sums.pairs >= FEWEST_TO_CONFIRM)
+        ratios = np.sqrt(sums.residuals / sums.weights)
+        measured, ratio = np.log(prior.of(present) * ratios / noise), float(np.sqrt((ratios**2).mean()))
+        pull, told = 2.0 * sums.weights, 2.0 * sums.shares
+        slack = CONFIRMED_ERRORS / np.sqrt(told.min())
+        confirmed = bool(np.log(CONFIRMED[0]) - slack <= np.log(ratio) <= np.log(CONFIRMED[1]) + slack)
+        errors = CONTRADICTED_ERRORS * np.hypot(1.0 / np.sqrt(told.max()), prior.spread)
+        # tracks follow errors that last, which rays show; what is only usual stands against larger noise alone
+        apart = abs(measured.mean()) if prior.spread < KNOWN_SPREAD else measured.mean()
+        if apart < max(np.log(CONTRADICTED), errors):
+            known = np.linalg.inv(prior.spread**2 + BETWEEN_AXES**2 * np.eye(len(noise)))
+            noise = noise * np.exp(np.linalg.solve(known + np.diag(pull), pull * measured))
+            error = noise * np.sqrt(np.diag(np.linalg.inv(known + np.diag(told))))
+        else:
+            ratio, confirmed = float(np.exp(measured.mean())), False
     in_view = sums.detected + sums.missed
     p_detect = (sums.detected + USUAL_P_DETECT * PRIOR_FRAMES) / (in_view + PRIOR_FRAMES)
     p_error = float(np.sqrt(p_detect * (1.0 - p_detect) / (in_view + PRIOR_FRAMES)))

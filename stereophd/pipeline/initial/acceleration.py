@@ -27,7 +27,6 @@ from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.detectors.passes import stretches
 from stereophd.pipeline.initial.template import rounded
 from stereophd.pipeline.stream import open_stream
-from stereophd.pipeline.tracking.loop import run_estimator
 from stereophd.wording import LOGGER
 
 # Fewest events that show an acceleration.
@@ -107,8 +106,13 @@ def log_likelihoods(
 ) -> Array:
     """Return the log-likelihood of every event of stretches of a log, with the cameras of a configuration or these."""
     estimator = build_labelled_filter(loaded.config, cameras or loaded.build_cameras(), loaded.path, 1)
-    records = (record for part in parts for record in run_estimator(estimator, part))
-    return np.array([record.info.log_likelihood for record in records])
+    found = []
+    for part in parts:
+        state = estimator.init()
+        for event in part:
+            state, info, _ = estimator.step(state, event.within(estimator.rig))
+            found.append(info.log_likelihood)
+    return np.array(found)
 
 
 def _of_windows(found: dict[float, Array]) -> float:

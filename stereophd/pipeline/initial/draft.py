@@ -5,7 +5,7 @@ with (`stereophd.pipeline.checks`). Then the filter runs over stretches of the l
 acceleration, its tracks give depths, speeds and births, and its residuals the detectors that are unknown.
 """
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filte
 from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
 from stereophd.pipeline.tracking.run import with_detectors
-from stereophd.wording import counted, number
+from stereophd.wording import PROGRESS, counted, number
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.
 MEETING_SCORE = 2.5
@@ -47,6 +47,8 @@ REGION_NEARER, REGION_FARTHER = 0.4, 2.5
 # Largest standard deviation of a reported position, and the cutoff of scores, over the middle depth.
 UNCERTAIN, CUTOFF = 0.1, 0.1
 CAUSES_OF_DETECTORS = ("clutter", "sigma")
+# Steps that a run shows; the check of the log is the last of them.
+STEPS = 6
 # Figures of a filter that concern points only.
 UNUSED_BY_BODIES = {"region.depth", "report.max_position_std", "evaluation.cutoff"}
 
@@ -57,6 +59,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     The given draft has the cameras of the log, and the usual values of a kind of object. Raises InputError if the log
     is not usable, or is one of other cameras.
     """
+    begin(1, "detections of one camera and rays of several are compared")
     bare = loaded_draft(draft, str(log_path))
     cameras = tuple(camera.build(name) for name, camera in draft.cameras.items())
     reader = open_log(bare.config.input, cameras, log_path)
@@ -104,14 +107,25 @@ def _with_tracks(
         return draft, "no two cameras have a view in common" if is_compared else None
     parts = stretches(open_stream(loaded_draft(draft, name).config, [sample.camera for sample in samples], log_path))
     found = _with_filter(draft.with_choices(rough), draft, priors, parts, name)
+    begin(5, "cameras are compared by their tracks")
     loaded = loaded_draft(found, name)
     events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
-    gain = float(log_likelihoods(loaded, events).sum())
-    for index, camera in enumerate(loaded.build_cameras()):
-        own = [[replace(event, camera=0) for event in part if event.camera == index] for part in events]
-        gain -= float(log_likelihoods(loaded, own, (camera,)).sum())
+    every = range(len(samples))
+    gain = _log_likelihood(loaded, events, every) - sum(_log_likelihood(loaded, events, [k]) for k in every)
     why = f"the log is more probable (by {-gain:,.0f} of the logarithm) if each sees objects of its own"
     return found, why if is_compared and gain <= -BELIEVED else None
+
+
+def _log_likelihood(loaded: LoadedConfig, parts: list[list[Event]], group: Sequence[int]) -> float:
+    """Return the log-likelihood of what these cameras alone detect, given by their numbers."""
+    cameras = loaded.build_cameras()
+    own = [[replace(one, camera=group.index(one.camera)) for one in part if one.camera in group] for part in parts]
+    return float(log_likelihoods(loaded, own, tuple(cameras[k] for k in group)).sum())
+
+
+def begin(step: int, what: str) -> None:
+    """Tell which step begins."""
+    PROGRESS.info("%s, step %d of %d", what, step, STEPS)
 
 
 def _mistake(samples: list[CameraSample]) -> Finding | None:
@@ -147,18 +161,37 @@ def _with_bodies(
         draft = draft.with_choices(bodies.choices(draft.unit))
         bodies = refine_bodies(bodies, loaded_draft(draft, name), cameras, events)
         draft = draft.with_choices(bodies.choices(draft.unit))
-    if priors:
+    begin(2, "the boxes of cameras are compared")
+    strangers = tuple(_strangers(loaded_draft(draft, name), events))
+    if priors and not strangers:  # whose noise would be that of their clocks or poses
         draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
         noisy = point_noise(loaded_draft(draft, name).build_cameras(), events)
         draft = _with_cameras(draft, noisy, unknown)
         events = [list(part.with_cameras(noisy)) for part in parts]
-    draft = _with_acceleration(draft, events, name)
+    draft = _with_acceleration(replace(draft, findings=(*draft.findings, *strangers)), events, name, 4)
     figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
         return draft
     # bodies are where their region says, and their boxes tell their depth
     final = _final(figures, usual, draft.unit)
     return draft.with_choices({key: choice for key, choice in final.items() if key not in UNUSED_BY_BODIES})
+
+
+def _strangers(loaded: LoadedConfig, parts: list[list[Event]]) -> Iterator[Finding]:
+    """Yield a warning of each camera whose boxes are more probably of objects of its own than of those of the others.
+
+    The rays of boxes miss by too much to tell wrong clocks, and a noise that is estimated from boxes that do not agree
+    would hide them: the cameras have the usual one.
+    """
+    every = range(len(loaded.cameras))
+    together = _log_likelihood(loaded, parts, every)
+    for k, name in enumerate(loaded.cameras):
+        others = [other for other in every if other != k]
+        gain = together - _log_likelihood(loaded, parts, [k]) - _log_likelihood(loaded, parts, others)
+        if gain <= -BELIEVED:
+            text = f"{name}: its boxes are more probably (by {-gain:,.0f} of the logarithm) of objects of its own"
+            remedy = "check its frame rate, clock and pose"
+            yield Finding("geometry.boxes", "warning", text, round(gain, 1), 0.0, name, remedy, "boxes_disagree")
 
 
 def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str], estimate: bool = False) -> Draft:
@@ -250,12 +283,12 @@ def _with_filter(
     events = [list(part) for part in parts]
     if sum(map(len, events)) < LEAST_FRAMES:
         return draft
-    draft = _with_acceleration(draft, events, name)
+    draft = _with_acceleration(draft, events, name, 2)
     if priors:
         draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
         cameras = loaded_draft(draft, name).build_cameras()
         events = [list(part.with_cameras(cameras)) for part in parts]
-        draft = _with_acceleration(draft, events, name)
+        draft = _with_acceleration(draft, events, name, 4)
     figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
         return draft
@@ -263,8 +296,9 @@ def _with_filter(
     return _with_damping(draft, figures.speed_std, events, name)
 
 
-def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str) -> Draft:
+def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str, step: int) -> Draft:
     """Return the draft with the acceleration that the log shows, from that of the draft on, unless it is given."""
+    begin(step, "the acceleration is estimated")
     if draft.is_given("motion.acceleration_std"):
         return draft
     start = float(draft.choices["motion.acceleration_std"].value)
@@ -298,6 +332,7 @@ def _with_detectors(
     draft: Draft, loaded: LoadedConfig, priors: Mapping[str, NoisePrior], parts: Sequence[EventStream]
 ) -> Draft:
     """Estimate the detectors that are unknown."""
+    begin(3, "the detectors are estimated")
     config, path = loaded.config, loaded.path
     cameras, report = estimate_detectors(
         parts[0].cameras, priors, lambda used: build_labelled_filter(config, used, path, 1), parts
@@ -305,8 +340,8 @@ def _with_detectors(
     notes = dict(draft.camera_notes)
     for name, entry in report["cameras"].items():
         notes[name] = (*notes.get(name, ()), _source_of_detector(entry))
-    findings = tuple(check_estimated_detectors(report))
-    return replace(_with_cameras(draft, cameras, priors), camera_notes=notes, findings=findings)
+    draft = replace(draft, camera_notes=notes, findings=tuple(check_estimated_detectors(report)))
+    return _with_cameras(draft, cameras, priors)
 
 
 def _source_of_detector(entry: Mapping[str, Any]) -> str:
@@ -321,8 +356,9 @@ def _source_of_detector(entry: Mapping[str, Any]) -> str:
     if entry["residual_correlation"] is not None and max(entry["residual_correlation"]) > LASTING:
         text += "; their errors last from frame to frame, as those of pose, clock or lens do"
     if (error := entry["clutter_per_frame_standard_error"]) is not None:
-        errors = entry["p_detect_standard_error"], error
-        text += "; standard errors: p_detect {:.2g}, clutter_per_frame {:.2g}".format(*errors)
+        share = float(np.divide(entry["sigma_px_standard_error"], entry["sigma_px"]).max())
+        errors = 100.0 * share, entry["p_detect_standard_error"], error
+        text += "; standard errors: noise {:.0f} %, p_detect {:.2g}, clutter_per_frame {:.2g}".format(*errors)
     return text
 
 

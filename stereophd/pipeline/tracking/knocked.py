@@ -127,6 +127,10 @@ class KnockTest:
     is_over: bool = False
 
 
+# After a knock, and of a run that is asked for none.
+NO_TEST = KnockTest(is_over=True)
+
+
 def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: float, before: Estimates
          ) -> tuple[KnockTest, Knock | None]:  # fmt: skip
     """Test an event's camera against the objects `before` it, which are those at `since_s`."""
@@ -164,7 +168,7 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
         change = _change(responses, event.camera, known)
         if change is not None:
             if known.blocks > BLOCKS and change.evidence > _least_evidence(len(cameras)):
-                return KnockTest(is_over=True), _changed(test.cameras, responses, cameras, event.time_s)
+                return NO_TEST, _changed(test.cameras, responses, cameras, event.time_s)
             if change.misfit is not None:
                 blocks = known.blocks + 1
                 scatter = known.scatter + (change.misfit - known.scatter) / min(blocks, REMEMBERED)
@@ -195,7 +199,7 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     )  # fmt: skip
     test = KnockTest({**test.cameras, name: looks}, responses)
     knock = _turned(test.cameras, cameras, event.camera, event.time_s)
-    return (test, None) if knock is None else (KnockTest(is_over=True), knock)
+    return (test, None) if knock is None else (NO_TEST, knock)
 
 
 def _turned(looks: dict[str, CameraLooks], cameras: tuple[Camera, ...], index: int, time_s: float) -> Knock | None:

@@ -23,7 +23,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.trajectories.joins import PROBABLE, join_probabilities
 from stereophd.errors import InputError, StereophdError
 from stereophd.io.logs.reading import Frame
-from stereophd.pipeline.runs.progress import Progress
+from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_log
 from stereophd.pipeline.tracking.loop import Record, RunState
@@ -41,9 +41,6 @@ OVERLAP_S = 60.0
 
 # More pieces than this are an error.
 MOST_PIECES = 100_000
-
-# Frames between two calls of `progress` while a log is read.
-TICK_EVERY = 5000
 
 
 @dataclass(frozen=True)
@@ -76,13 +73,11 @@ def overlap_of(length_s: float, overlap_s: float | None) -> float:
     return overlap_s
 
 
-def plan_pieces(
-    frames: Iterable[Frame], length_s: float, overlap_s: float, ahead: bool, progress: Progress | None = None
-) -> tuple[LogPiece, ...]:
+def plan_pieces(frames: Iterable[Frame], length_s: float, overlap_s: float, ahead: bool) -> tuple[LogPiece, ...]:
     """Cut a log into pieces of one length; the last one is longer by up to the overlap, or shorter.
 
     Spans without a frame have no piece: a pause of the recording costs nothing. The frames of the log are read once,
-    with all its checks, and `progress` is called now and then. With `ahead` pieces continue beyond their spans too.
+    with all its checks. With `ahead` pieces continue beyond their spans too.
     """
     first_s, last_s = math.nan, math.nan
     # Number of a span of the length, from the first frame on -> events before what is tracked with it.
@@ -103,8 +98,6 @@ def plan_pieces(
                 f"{instant(frame.time_s)} s: choose longer pieces, or cut the log"
             )
         last_s = frame.time_s
-        if progress is not None and number % TICK_EVERY == 0:
-            progress(0, 1)
     if not spans:
         return (LogPiece(0, -math.inf, math.inf, -math.inf, math.inf, 0),)
     last = max(0, math.floor((last_s - overlap_s - first_s) / length_s))
@@ -142,9 +135,7 @@ class PieceDone:
     not_invertible: int
 
 
-def track_pieces(
-    work: PieceWork, pieces: Sequence[LogPiece], jobs: int, dask: str | None, progress: Progress | None
-) -> None:
+def track_pieces(work: PieceWork, pieces: Sequence[LogPiece], jobs: int, dask: str | None, progress: Progress) -> None:
     """Track the pieces that are not finished.
 
     Raises InputError if the log is at fault, or no scheduler answers; StereophdError if the worker of a piece dies
@@ -154,11 +145,10 @@ def track_pieces(
     finished = len(pieces) - len(todo)
 
     def tick(done: float = 0, of: float = 0) -> None:
-        if progress is not None:
-            progress(finished, len(pieces))
+        progress(finished, len(pieces))
 
     with open_workers(jobs, dask) as workers:
-        track = partial(track_piece, work, tick=None if workers.remote else tick)
+        track = partial(track_piece, work, tick=ignore if workers.remote else tick)
         for number, result in complete(workers, track, todo):
             if result is None:
                 raise StereophdError(
@@ -169,7 +159,7 @@ def track_pieces(
             tick()
 
 
-def track_piece(work: PieceWork, piece: LogPiece, tick: Progress | None = None) -> int:
+def track_piece(work: PieceWork, piece: LogPiece, tick: Progress = ignore) -> int:
     """Track one piece, and write its records; return their number."""
     tracking = build_tracking(work.loaded, work.threads, work.cameras)
     config = work.loaded.config

@@ -24,7 +24,7 @@ COUNT, AGREEING = 8, 2
 def start(number: int, place: float | None, noise: float = 1.0) -> Start:
     """A start that ended at a place at a noise, or failed and can be judged at larger noise."""
     values = np.full(3, place or 0.0)
-    adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(3), 0.0, np.full(4, 2.0), 1, True)
+    adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(3), 0.0, np.full(4, 2.0), True)
     fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
     outcome = "it failed" if place is None else SUCCEEDED
     made = Start(number, outcome, values, np.empty((0, 3)), fit, -100.0, 0.0, 1.0, "pairing 0", noise)
@@ -72,8 +72,8 @@ def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[list[Start],
         task = SimpleNamespace(most_starts=COUNT, settings=settings, parameters=None, filter=motion)
         unfinished = SimpleNamespace(read=lambda *_: kept, keep=keep)
         of_run = SimpleNamespace(
-            seed=1, jobs=1, limit=Limit(begun, last), unfinished=unfinished, report_progress=lambda *_: None,
-            section=SimpleNamespace(posterior=posterior),
+            loaded=SimpleNamespace(config=SimpleNamespace(seed=1)), jobs=1, limit=Limit(begun, last),
+            unfinished=unfinished, progress=lambda *_: None, section=SimpleNamespace(posterior=posterior),
         )  # fmt: skip
         return annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task)), judged
 

@@ -15,7 +15,14 @@ from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import LogWriter
 from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL, alternatives
-from stereophd.pipeline.checks.geometry.causes import LEAST_CLOCK_FRAMES, RATES, Trial, _clock_trials, _trial
+from stereophd.pipeline.checks.geometry.causes import (
+    LEAST_CLOCK_FRAMES,
+    RATES,
+    Trial,
+    _best_shift,
+    _clock_trials,
+    _trial,
+)
 from stereophd.pipeline.checks.geometry.findings import check_geometry, left_out
 from stereophd.pipeline.checks.geometry.rays import (
     MOST_PAIRS,
@@ -194,6 +201,14 @@ def test_a_clock_offset_is_measured() -> None:
     assert "0.7" in named.message
 
 
+@pytest.mark.parametrize("late_s", [0.1, 0.3, -0.7, 1.0])
+@pytest.mark.parametrize("steps", [40, 160])
+def test_a_clock_offset_between_the_steps_of_the_first_grid_is_found(late_s: float, steps: int) -> None:
+    """In ten seconds the first steps are 0.12 s, by which rays miss each other by more than the noise."""
+    geometry = measure(sample_log(_frames(CAMERAS, late_s, count=100, pace=2.0), CAMERAS), DEPTHS)
+    assert _best_shift(geometry, [0], 1, steps) == pytest.approx(-late_s, abs=0.03)
+
+
 @pytest.mark.parametrize(("shift", "causes"), [(0.0, []), (0.7, ["clock_offset"])])
 def test_a_clock_by_which_slow_objects_still_meet_roughly(shift: float, causes: list[str]) -> None:
     """At a wide tolerance their rays meet as often with the wrong clock as with the right one."""
@@ -241,6 +256,17 @@ def test_objects_faster_than_sound_doubt_the_unit(samples: list[CameraSample], f
     placed = _with(samples, *cameras)
     found = check_settings(config, measure_scene(measure(placed, (3.0 * factor, 15.0 * factor))), placed, True)
     assert ("length_unit" in {one.cause for one in found if one.status == "warning"}) == warned
+
+
+@pytest.mark.parametrize(("speed", "adapted"), [(100.0, True), (1.0, False)])
+def test_settings_are_not_adapted_to_a_wrong_unit(samples: list[CameraSample], speed: float, adapted: bool) -> None:
+    """Cameras in centimetres taken for metres: where depths and speeds agree, a change of either would hide it."""
+    config = make_config({"filter": {"kind": "pmb", "birth": {"depth_range": [3.0, 15.0], "velocity_std": speed,
+                          "per_s": 1.0}}, "motion": {"acceleration_std": speed}}).config  # fmt: skip
+    placed = _with(samples, *[_turned(camera, camera.pose.rotation, 100.0 * camera.pose.center) for camera in CAMERAS])
+    found = check_settings(config, measure_scene(measure(placed, (300.0, 1500.0))), placed, True)
+    assert "depth_range" in {one.cause for one in found}
+    assert any(one.change for one in found) == adapted
 
 
 def test_births_are_asked_where_objects_begin(samples: list[CameraSample]) -> None:
@@ -506,6 +532,23 @@ def test_a_contradicted_noise_is_no_mistake_of_poses_and_clocks(thorough: bool, 
     geometry = [one for one in found if one.name.startswith("geometry.")]
     assert {one.status for one in geometry} == {"ok"}
     assert [one.value for one in geometry if one.name == "geometry.residuals"] == [pytest.approx(1.0, abs=0.3)]
+
+
+@pytest.mark.parametrize(("lasting_px", "named"), [(0.0, {"detector.sigma"}), (8.0, {"geometry.residuals"})])
+def test_less_noise_is_proposed_only_where_rays_then_meet(lasting_px: float, named: set[str], tmp_path: Path) -> None:
+    """Where the errors of detections last, as of smoothed labels, one-camera tracks show only a part of them."""
+    loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml")
+    log, large, rng = tmp_path / "log.parquet", Detector([8.0, 8.0], 0.95, 1.0), np.random.default_rng(8)
+    errors = np.zeros(2)
+    with LogWriter(log) as table:
+        for frame in _frames(CAMERAS, count=300, pace=0.3):
+            errors[frame.camera] = 0.95 * errors[frame.camera] + 0.31 * rng.normal(0.0, lasting_px)
+            pixels = frame.pixels + [0.0, errors[frame.camera]]
+            pixels = pixels[CAMERAS[frame.camera].contains(pixels)]
+            table.write(frame.time_s, CAMERAS[frame.camera].name, frame.frame, pixels)
+    found = check_log(loaded, log, cameras=tuple(replace(camera, detector=large) for camera in CAMERAS))
+    names = {one.name for one in found if one.status == "warning"}
+    assert names & {"detector.sigma", "geometry.residuals", "geometry.cause"} == named
 
 
 def test_a_check_that_cannot_be_made_is_listed(samples: list[CameraSample]) -> None:

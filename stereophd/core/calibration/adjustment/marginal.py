@@ -46,14 +46,15 @@ the gradient from other bends of the valley, and took four times as many steps.
 **Covariance.** The normal equations lack second derivatives of the residuals, too. Where objects turn within the time
 in which they move by some noises of their detections, other velocities compensate for a later clock: by residuals
 times the change of the knots' weights with time. The normal equations believe the velocities that the noise has bent,
-and state clocks up to four times too sure. `exact_covariance` differentiates the gradient of the objective instead.
+and state clocks up to four times too sure. `exact_covariance` differentiates the gradient of the objective instead. A
+step along the tangent of a valley leaves it by the square of the step, and the objective rises by the fourth power of
+it: where that matters, the ends of the difference follow the valley.
 """
 
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import islice
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
@@ -91,11 +92,11 @@ DECREASE = 1e-4
 LEFT_OUT = 50.0
 # Most times that the weights of detections are taken anew, and their change at which they are the same.
 MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
-# Step of differences of the gradient, in standard deviations by the normal equations.
-CURVATURE_STEP = 0.3
+# Step of differences of the gradient, in standard deviations.
+DIFFERENCE = 0.1
 # Directions of the posterior beyond this part of the prior are loose. Draws of these, beside which the bend of the
-# others is looked at, and their length in parts of theirs.
-LOOSE, BENDS, BEND_STEP = 0.1, 12, 0.5
+# others is looked at.
+LOOSE, BENDS = 0.1, 12
 # Step of differences by the knots, in standard deviations of all together; part of the residual at which equations of
 # their second derivatives are solved, and most products with these.
 KNOT_DIFFERENCE, KNOTS_SOLVED, MOST_PRODUCTS = 0.1, 1e-3, 12
@@ -141,27 +142,34 @@ def marginal_optimum(problem: Problem, found: Adjustment, noise: Array = STATED)
 def exact_covariance(problem: Problem, adjustment: Adjustment, noise: Array, threads: int = 1) -> Array:
     """Covariance (m, m) of the values by the second derivatives of the objective at its minimum.
 
-    They are differences of the gradient along each column of a root of the covariance by the normal equations; those of
-    the volume, which is small and costs most, to one side only. Raises LinAlgError where an end of such a difference
-    has no normal equations that are positive definite.
+    They are differences of the gradient along each column of a root of the covariance by the normal equations. Raises
+    LinAlgError where an end of such a difference has no normal equations that are positive definite.
     """
     posterior, at = at_answer(problem, adjustment, noise)
-    root, size, volume = posterior.root(at), len(adjustment.values), posterior.gradient_of_volume(at)
+    root, size, gradient = posterior.root(at), len(adjustment.values), posterior.gradient(at)
 
     def curvature(step: Array) -> Array:
-        ends = _ends(posterior, at, step)
-        if len(ends) < 2:
-            raise LinAlgError("no normal equations beside the optimum")
-        (ahead, beyond), (behind, before) = ends
-        change = (posterior.gradient_of_cost(beyond) - posterior.gradient_of_cost(before)) / (ahead + behind)
-        change += (posterior.gradient_of_volume(beyond) - volume) / ahead
-        return np.asarray(root.T @ change / CURVATURE_STEP)
+        along, second = _differences(posterior, at, gradient, step)
+        bend = root.T @ second
+        if np.linalg.norm(bend) > 1.0:
+            along, _ = _differences(posterior, at, gradient, step, -root @ bend)
+        return np.asarray(root.T @ along)
 
-    curvatures: Array = np.column_stack(in_threads(curvature, CURVATURE_STEP * root.T, threads))
+    curvatures: Array = np.column_stack(in_threads(curvature, root.T, threads))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
     covariance = within_prior(inverse.T @ curvatures @ inverse, posterior.prior_std)
-    bends = _bends(posterior, at, covariance, np.random.default_rng(BENDS_SEED), threads)
-    return (covariance + bends.T @ bends / max(len(bends) - 1, 1))[:size, :size]
+    # beside draws of the loose directions the others move by their covariance times what is of second order
+    std = posterior.prior_std
+    variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
+    directions, is_loose = std[:, None] * vectors * np.sqrt(np.maximum(variances, 0.0)), variances > LOOSE**2
+    loose, known = directions[:, is_loose], directions[:, ~is_loose]
+
+    def bend(draw: Array) -> Array:
+        return np.asarray(-known @ (known.T @ _differences(posterior, at, gradient, draw)[1]))
+
+    draws = np.random.default_rng(BENDS_SEED).standard_normal((BENDS * int(is_loose.any()), loose.shape[1])) @ loose.T
+    bends = np.array(in_threads(bend, draws, threads)).reshape(-1, len(std))
+    return np.asarray((covariance + bends.T @ bends / BENDS)[:size, :size])
 
 
 @dataclass(frozen=True)
@@ -258,15 +266,6 @@ class MarginalPosterior:
 
     def gradient(self, at: Point) -> Array:
         """Gradient (size,) of the objective."""
-        return self.gradient_of_cost(at) + self.gradient_of_volume(at)
-
-    def gradient_of_cost(self, at: Point) -> Array:
-        """Gradient (size,) of J / 2; the knots are at the minimum but for a trace, whose effect is removed."""
-        left = cho_solve_banded((at.factor, True), at.equations.state_vector, check_finite=False)
-        return np.asarray(at.equations.coupling.T @ left - at.equations.value_vector)
-
-    def gradient_of_volume(self, at: Point) -> Array:
-        """Gradient (size,) of the other terms."""
         linearisation, equations = self.linearisation, at.equations
         problem, (values, _) = linearisation.problem, self.parted(at.unknowns)
         slopes = self.slopes(at)
@@ -279,7 +278,10 @@ class MarginalPosterior:
         step = _short(equations.bands, across)
         moved = step * across.reshape(at.states.shape)
         ahead, behind = (self.equations(at.unknowns, at.states + sign * moved).value_vector for sign in (1.0, -1.0))
-        return np.asarray(direct + (ahead - behind) / (2.0 * step))
+        # the knots are at the minimum but for a trace, whose effect is removed to first order
+        left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
+        followed = (ahead - behind) / (2.0 * step)
+        return np.asarray(direct + followed + equations.coupling.T @ left - equations.value_vector)
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
@@ -343,35 +345,24 @@ def at_answer(problem: Problem, adjustment: Adjustment, noise: Array) -> tuple[M
     The optimum is an adjustment, at a noise of the motion (6,) beside what is stated; the problem has the stated one.
     """
     posterior = MarginalPosterior(Linearisation.of(problem.weighted(problem.weights(adjustment.distances))))
-    return posterior, posterior.at(
-        np.append(adjustment.values, noise[: posterior.size - len(adjustment.values)]), adjustment.states
-    )
+    unknowns = np.append(adjustment.values, noise[: posterior.size - len(adjustment.values)])
+    return posterior, posterior.at(unknowns, adjustment.states)
 
 
-def _ends(posterior: MarginalPosterior, at: Point, step: Array) -> list[tuple[float, Point]]:
-    """Return the points after a step and its opposite, or the first share of each that is regular, with the shares."""
-    return [end for sign in (1.0, -1.0) for end in islice(_tried(posterior, at, sign * step), 1)]
+def _differences(
+    posterior: MarginalPosterior, at: Point, gradient: Array, step: Array, bend: Array | float = 0.0
+) -> tuple[Array, Array]:
+    """Return the first derivative of the gradient along a step, and half the second one; LinAlgError if there is none.
 
-
-def _bends(posterior: MarginalPosterior, at: Point, covariance: Array, rng: np.random.Generator, threads: int) -> Array:
-    """Moves (d, u) of what is well known beside draws of what is loosely known, to second order.
-
-    A step of the loose directions and its opposite leave gradients whose mean, but for that at the minimum, is of
-    second order; the others move by their covariance times that.
+    The ends of the difference follow a valley that leaves its tangent by `bend` times the square of the step.
     """
-    std = posterior.prior_std
-    variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
-    root, loose = std[:, None] * vectors * np.sqrt(np.maximum(variances, 0.0)), variances > LOOSE**2
-    gradient, steps = posterior.gradient(at), rng.standard_normal((BENDS, int(loose.sum()))) @ root[:, loose].T
-
-    def bend(step: Array) -> list[Array]:
-        ends = _ends(posterior, at, step)
-        if len(ends) < 2 or ends[0][0] != ends[1][0]:
-            return []
-        mean = sum(posterior.gradient(point) for _, point in ends) / 2.0 - gradient
-        return [-root[:, ~loose] @ (root[:, ~loose].T @ mean) / (BEND_STEP * ends[0][0]) ** 2]
-
-    return np.array([np.zeros(len(std)), *(b for found in in_threads(bend, BEND_STEP * steps, threads) for b in found)])
+    ahead, behind = DIFFERENCE * (DIFFERENCE * bend + step), DIFFERENCE * (DIFFERENCE * bend - step)
+    found = next(_tried(posterior, at, ahead, behind), None)
+    if found is None:
+        raise LinAlgError("no normal equations beside the optimum")
+    share, points = DIFFERENCE * found[0], found[1]
+    one, other = (posterior.gradient(point) for point in points)
+    return (one - other) / (2.0 * share), ((one + other) / 2.0 - gradient) / share**2
 
 
 def _short(bands: Array, direction: Array) -> float:
@@ -393,7 +384,7 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
         step = taken / length * root @ downhill
         slope = float(gradient @ step)
         tried = _tried(posterior, at, step)
-        found = next(((s, p) for s, p in tried if p.objective <= at.objective + DECREASE * s * slope), None)
+        found = next(((s, p) for s, (p,) in tried if p.objective <= at.objective + DECREASE * s * slope), None)
         if found is None:
             break
         share, at = found
@@ -404,14 +395,15 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
     return at, length
 
 
-def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tuple[float, Point]]:
-    """Points after a step and shorter and shorter shares of it, where the normal equations are regular.
+def _tried(posterior: MarginalPosterior, at: Point, *steps: Array) -> Iterator[tuple[float, list[Point]]]:
+    """Points after steps and shorter and shorter shares of them, where the normal equations are regular.
 
     The knots begin where they follow the step to first order, near their minimum.
     """
-    following = at.eliminated.followed(step).reshape(at.states.shape)
+    following = [at.eliminated.followed(step).reshape(at.states.shape) for step in steps]
     share = 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):
-            yield share, posterior.at(at.unknowns + share * step, at.states + share * following)
+            moved = zip(steps, following, strict=True)
+            yield share, [posterior.at(at.unknowns + share * u, at.states + share * x) for u, x in moved]
         share *= 0.5

@@ -56,7 +56,6 @@ class Adjustment:
     covariance: Array  # (m, m): Covariance of the values, trajectories integrated out
     cost: float  # Twice the negative logarithm of the posterior density, without its constant
     distances: Array  # (n,): Squared Mahalanobis distances of the detections
-    iterations: int
     converged: bool
 
 
@@ -198,7 +197,7 @@ def adjust(
         longest = (LONGER if share == whole else 1.0) * share * length
         (values, states, current), damping = tried, damping / DAMPING_FACTOR
     covariance = posterior_covariance(current, problem.parameters.prior_std)
-    return Adjustment(values, states, covariance, current.cost, current.distances, iteration, converged)
+    return Adjustment(values, states, covariance, current.cost, current.distances, converged)
 
 
 def _followed(

@@ -23,6 +23,7 @@ from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import OF_ALL, motion_links
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.unknowns.scale import log_scale
+from stereophd.core.numerics.covariance_factors import covariance_factor
 
 # Stretches of a log; how many of them are joined, one after the other; part of the largest eigenvalue of chance from
 # which a direction is widened.
@@ -39,7 +40,11 @@ def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, noise: A
     covariance, prior_std = posterior.covariance(point), posterior.prior_std
     scores = _scores(posterior.linearisation, point, noise, posterior.slopes(point))
     determined = max(float((1.0 - np.diag(covariance) / prior_std**2).sum()), 1.0)
-    root = np.linalg.cholesky(covariance)
+    # no detection tells the scale: what a stretch seems to say of it depends on how its knots are counted
+    _, by_scale = log_scale(problem.parameters, problem.reference, adjustment.values)
+    with_scale = covariance[:, :size] @ by_scale
+    of_scale = max(float(by_scale @ with_scale[:size]), 1e-300)
+    root = covariance_factor(covariance - np.outer(with_scale, with_scale) / of_scale)
     widened = widening((scores - scores.mean(axis=0)) @ root, determined)
     more = root @ (widened @ widened.T - np.eye(len(root))) @ root.T
     return np.asarray((more + more.T)[:size, :size] / 2.0, dtype=np.float64), float(np.linalg.norm(widened, 2))

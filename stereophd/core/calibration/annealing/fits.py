@@ -39,7 +39,8 @@ ANNEALED_LOSS = Loss(normal_equations.CAUCHY, 2.0)
 FITTED_LOSS = Loss(normal_equations.FLOOR, 1e-3)
 # Spread of the draws about clock offsets that motion shows, in parts of the prior's.
 SEARCHED_PART = 0.1
-# Iterations of an adjustment, of one that others follow, and of one for the history where more than poses is unknown.
+# Iterations of an adjustment, of one that others follow or that is for the history, and of one for the history where
+# more than poses is unknown.
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 25
@@ -167,8 +168,9 @@ def fit_from(task: Task, values: Array) -> Fit | None:
 
 def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
     """Adjust to the detections until a time only, with the association of the whole run; None without any."""
-    # with many unknowns the optimum of a part of the log is flat: the history need not end at its last digit
-    most = MOST_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
+    # the optimum of the first parts of the log is flat, and of all with many unknowns: the history need not end at its
+    # last digit
+    most = ANNEALED_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
     return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), most)
 
 

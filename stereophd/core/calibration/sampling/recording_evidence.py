@@ -31,7 +31,6 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
-from stereophd.core.numerics.samples import SampleSets
 
 # False detections a frame below which a lens that cannot be inverted would make the recording impossible.
 LEAST_CLUTTER = 1e-6
@@ -91,7 +90,9 @@ class RecordingEvidence:
     ) -> list[float]:
         template = self.template
         rig = make_rig(cameras, template.rig.baseline, template.rig.rectification, template.rig.region)
-        conditional = replace(template, rig=rig, sets=self._sets, settings=self._settings)
+        # a rule that gives way to samples at a threshold would make the likelihood jump
+        sets = replace(template.sets, method="particle")
+        conditional = replace(template, rig=rig, sets=sets, settings=self._settings)
         state, total, totals = conditional.init(), 0.0, []
         for number, event in enumerate(Scans.of(self.recording, cameras, frames).events):
             totals += [total] * list(counts).count(number)
@@ -101,11 +102,6 @@ class RecordingEvidence:
             state, info = conditional.update(state, conditional.predict(state, event, births), event)
             total += info.log_likelihood + _log_density_of_lost(event, cameras[event.camera])
         return totals + [total] * list(counts).count(len(frames))
-
-    @cached_property
-    def _sets(self) -> SampleSets:
-        # a rule that gives way to samples at a threshold would make the likelihood jump
-        return replace(self.template.sets, method="particle")
 
     @cached_property
     def _settings(self) -> FilterSettings:

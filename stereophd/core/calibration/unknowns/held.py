@@ -98,9 +98,9 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
             groups.append(HeldGroup(quantity, together, places, odds, is_unmeasured))
     unmeasured = [group for each in by_quantity.values() for group in each if group.is_unmeasured]
     if len({group.quantity for group in unmeasured}) > 1:
-        names = tuple(name for group in unmeasured for name in group.names)
+        together = tuple(name for group in unmeasured for name in group.names)
         places = np.concatenate([group.places for group in unmeasured])
-        groups.append(HeldGroup("unmeasured", names, places, min(group.odds for group in unmeasured), True))
+        groups.append(HeldGroup("unmeasured", together, places, min(group.odds for group in unmeasured), True))
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
 
 

@@ -8,15 +8,15 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.calibration.unknowns.quantities.base import LENGTH, LENGTH_PER_SECOND
+from stereophd.core.calibration.unknowns.quantities.base import LENGTH, LENGTH_PER_SECOND, MOVES
 from stereophd.core.calibration.unknowns.quantities.pose import CENTER, ROTATION
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.covariance_factors import covariance_factor
 
 # A direction whose posterior standard deviation is above this part of the prior's is not determined by the data.
 UNDETERMINED_RATIO = 0.7
-# An undetermined direction of lenses, images or shutters is forgiven if one posterior standard deviation of it moves
-# tracks by less than this part of their distance.
+# An undetermined direction of lenses, images, clocks or shutters is forgiven if one posterior standard deviation of it
+# moves tracks by less than this part of their distance.
 HARMLESS_MOVE = 0.02
 # Draws of the posterior have at least this part of the optimum's scale.
 LEAST_SCALE = 0.05
@@ -67,16 +67,14 @@ def observability(
     allowed = 0
     _, gradient = log_scale(parameters, reference, values)
     if gradient.any():
-        prior = float((gradient**2 * std**2).sum())
-        scale_ratio = float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0) / prior))
+        # the data know the shape of the cameras: what the prior says of each centre is of the one scale then
+        prior = float(gradient @ gradient) ** 2 / float((gradient**2 / std**2).sum())
+        scale_ratio = min(float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0) / prior)), 1.0)
         allowed = int(scale_ratio > UNDETERMINED_RATIO)
-    # of lenses and shutters the prior may be all that is known; poses and clocks must come from the data
-    frame = np.array([parameter.quantity.of_the_frame for parameter in parameters.parameters])
-    needed = (
-        ratios
-        if frame.all() or not frame.any()
-        else np.sqrt(np.maximum(np.linalg.eigvalsh(whitened[np.ix_(frame, frame)]), 0.0))
-    )
+    # of lenses, clocks and shutters the prior may be all that is known; poses must come from the data
+    posed = np.array([p.quantity.of_the_frame and p.quantity.affects == MOVES for p in parameters.parameters])
+    posed |= ~posed.any()
+    needed = np.sqrt(np.maximum(np.linalg.eigvalsh(whitened[np.ix_(posed, posed)]), 0.0))
     open_directions = int((needed > UNDETERMINED_RATIO).sum())
     status = PARTLY if open_directions <= len(needed) // 2 else UNDETERMINED
     open_moves = np.zeros(len(ratios))

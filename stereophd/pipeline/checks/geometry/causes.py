@@ -14,6 +14,7 @@ from stereophd.pipeline.checks.finding import DO_NOT_MEET
 from stereophd.pipeline.checks.geometry.alternatives import Alternative, alternatives
 from stereophd.pipeline.checks.geometry.rays import (
     LEAST_SCORE,
+    SHARP,
     TOLERANCES,
     Candidates,
     Geometry,
@@ -38,6 +39,8 @@ RATES = (24 / 25, 25 / 24, 0.8, 1.25, 25 / 30, 1.2, 0.6, 5 / 3, 0.5, 2.0, 1.001,
 SHIFT_DETECTIONS = 120
 # Offsets that are computed together: more would take much memory where frames have many detections.
 SHIFTS_AT_ONCE = 40
+# By how much finer the steps become about the best offset.
+FINER = 4.0
 # Clocks that are tried, and pairs of cameras for each: each is a search through many offsets.
 MOST_CLOCKS, MOST_CLOCK_PAIRS = 12, 6
 # Frames with detections below which no clock offset or rate can be told.
@@ -109,9 +112,12 @@ class Trial:
     change: str | None = None  # As that of a `Finding`
 
     def explain(self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES) -> Explanation | None:
-        """Return how much the change explains of the pairs concerned; None if it concerns none."""
+        """Return how much the change explains of the pairs concerned; None if it concerns none.
+
+        Rays as stated are held to the tolerance at which those with the change meet best: at another one fewer meet.
+        """
         after, before, changed = [], [], []
-        for k, (pair, given) in enumerate(zip(geometry.pairs, geometry.given, strict=True)):
+        for k, pair in enumerate(geometry.pairs):
             if pair.a not in self.scope and pair.b not in self.scope:
                 continue
             found: Candidates | None = pair
@@ -125,6 +131,7 @@ class Trial:
                 known = None if pair.a in self.scope else rays_a, None if pair.b in self.scope else rays_b
             if found is not None:
                 met = meeting(found, self.views[pair.a], self.views[pair.b], tolerances, known)
+                given = geometry.given_at(k, met.tolerance)
                 after.append(met)
                 before.append(given)
                 change = met.meets.astype(float) - given.meets[np.isin(pair.detections, found.detections)]
@@ -247,20 +254,31 @@ def _with_times(geometry: Geometry, camera: int, times: Array) -> list[CameraSam
 
 
 def _best_shift(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> float | None:
-    """Return the clock offset, s, of a camera at which most rays meet; None if it is next to none."""
-    largest = min(LARGEST_SHIFT_S, 0.25 * float(np.ptp(geometry.samples[camera].times)))
-    step = max(geometry.samples[camera].interval_s / 4.0, 2.0 * largest / steps)
-    shifts = np.arange(-largest, largest + 0.5 * step, step)
-    total = np.zeros(len(shifts))
-    for k in concerned:
-        pair = geometry.pairs[k]
-        few = pair.thinned(_affordable(pair, SHIFT_DETECTIONS, -(-len(shifts) // 10)), 0)
-        first, second = Reading(geometry.samples[pair.a].camera), Reading(geometry.samples[pair.b].camera)
-        for block in np.array_split(np.arange(len(shifts)), -(-len(shifts) // SHIFTS_AT_ONCE)):
-            # moving A's clock by s means looking at B at t + s
-            at = few.times + (1.0 if camera == pair.a else -1.0) * shifts[block, None]
-            seen = pixels_at(geometry.samples[pair.b], at.ravel())
-            there = replace(few, pixels_b=seen.reshape(*at.shape, *seen.shape[1:]))
-            total[block] += (distances(there, first, second)[0].min(axis=2) <= TOLERANCES[0]).mean(axis=1)
-    best = int(np.argmax(total))
-    return None if abs(shifts[best]) < 0.5 * step else float(shifts[best])
+    """Return the clock offset, s, of a camera at which most rays meet; None if it is next to none.
+
+    The steps become finer about the best offset: at a wide tolerance rays meet between the steps of a coarse grid.
+    """
+    interval = geometry.samples[camera].interval_s
+    span = min(LARGEST_SHIFT_S, 0.25 * float(np.ptp(geometry.samples[camera].times)))
+    best, step, finest = 0.0, max(interval / 4.0, 2.0 * span / steps), interval / 4.0
+    while True:
+        shifts = best + np.arange(-span, span + 0.5 * step, step)
+        best = float(shifts[int(np.argmax(sum(_met_at(geometry, k, camera, shifts) for k in concerned)))])
+        if step <= finest:
+            return None if abs(best) < 0.5 * finest else best
+        span, step = step, max(finest, step / FINER)
+
+
+def _met_at(geometry: Geometry, k: int, camera: int, shifts: Array) -> Array:
+    """Return the shares (n,) of rays of pair k that meet with these shifts of a clock, s, summed over tolerances."""
+    pair, met = geometry.pairs[k], np.zeros(len(shifts))
+    few = pair.thinned(_affordable(pair, SHIFT_DETECTIONS, -(-len(shifts) // 10)), 0)
+    first, second = Reading(geometry.samples[pair.a].camera), Reading(geometry.samples[pair.b].camera)
+    for block in np.array_split(np.arange(len(shifts)), -(-len(shifts) // SHIFTS_AT_ONCE)):
+        # moving A's clock by s means looking at B at t + s
+        at = few.times + (1.0 if camera == pair.a else -1.0) * shifts[block, None]
+        seen = pixels_at(geometry.samples[pair.b], at.ravel())
+        there = replace(few, pixels_b=seen.reshape(*at.shape, *seen.shape[1:]))
+        least = distances(there, first, second)[0].min(axis=2)
+        met[block] = (least <= np.array((*SHARP, *TOLERANCES))[:, None, None]).mean(axis=2).sum(axis=0)
+    return met

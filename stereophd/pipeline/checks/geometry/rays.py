@@ -287,6 +287,18 @@ class Geometry:
         views = self.views
         return [rays_of(pair, views[pair.a], views[pair.b]) for pair in self.pairs]
 
+    def given_at(self, k: int, tolerance: float) -> Meeting:
+        """Return how well rays of pair k meet at one tolerance, with the cameras as stated."""
+        pair, views = self.pairs[k], self.views
+        if (k, tolerance) not in self._given_at:
+            met = meeting(pair, views[pair.a], views[pair.b], (tolerance,), self.rays[k])
+            self._given_at[k, tolerance] = met
+        return self._given_at[k, tolerance]
+
+    @cached_property
+    def _given_at(self) -> dict[tuple[int, float], Meeting]:
+        return {}
+
     def is_suspicious(self, k: int) -> bool:
         """Whether fewer rays of pair k meet than the configuration promises, or no more than by chance.
 
@@ -301,12 +313,8 @@ class Geometry:
 
     def is_blurred(self) -> bool:
         """Whether rays meet, but by less than the noise of the detections allows: lens, clock or pose slightly off."""
-        views = self.views
-        pairs = [p for p, given in zip(self.pairs, self.given, strict=True) if given.score >= LEAST_SCORE]
-        tight, wide = (
-            [meeting(pair, views[pair.a], views[pair.b], (tolerance,)).excess for pair in pairs]
-            for tolerance in (SHARP[0], TOLERANCES[0])
-        )
+        met = [k for k, given in enumerate(self.given) if given.score >= LEAST_SCORE]
+        tight, wide = ([self.given_at(k, tolerance).excess for k in met] for tolerance in (SHARP[0], TOLERANCES[0]))
         return any(t < SHARP_SHARE * w for t, w in zip(tight, wide, strict=True))
 
 

@@ -22,6 +22,7 @@ from stereophd.core.calibration.adjustment.trajectories import MotionNoise
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, marginal_fit
 from stereophd.core.calibration.annealing.task import Fit
 from stereophd.core.calibration.unknowns.quantities.pose import CENTER
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.motion.ballistic import Ballistic
 from stereophd.core.motion.base import Motion
 from stereophd.core.motion.constant_velocity import ConstantVelocity
@@ -78,6 +79,30 @@ def test_the_exact_covariance_is_that_of_the_objective_where_velocities_follow_t
     assert ahead + behind - 2.0 * at.objective == pytest.approx(1.0, abs=0.02)
     in_threads = exact_covariance(problem, found.adjustment, found.motion_noise, threads=2)
     np.testing.assert_array_equal(in_threads, covariance)
+
+
+def test_the_exact_covariance_follows_a_valley_that_bends(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A known distance keeps the other camera on a sphere, in a direction that 15 px of noise hardly show.
+
+    Ends of differences that are not on the sphere state the direction too well, by a quarter at a step of 0.3.
+    """
+    cameras = rig()[:2]
+    true = unknowns(cameras, ("center", "rotation"))
+    observations, _, points = observe(cameras, 1, 1, 2.5)
+    errors = 30.0 * SIGMA * np.random.default_rng(1).standard_normal((len(observations), 2))
+    observations = replace(
+        observations, points=observations.points + errors, precisions=observations.precisions / 30.0**2
+    )
+    problem, states = problem_of(true, observations, points)
+    distance = float(np.linalg.norm(cameras[1].pose.center - cameras[0].pose.center))
+    problem = replace(problem, scale=ScaleMeasurement("baseline", distance, 3e-4 * distance, (0, 1)))
+    found = marginal_optimum(problem, adjust(problem, np.zeros(true.size), states))
+    stds = []
+    for step in (3.0 * marginal.DIFFERENCE, marginal.DIFFERENCE, 0.1 * marginal.DIFFERENCE):
+        monkeypatch.setattr(marginal, "DIFFERENCE", step)
+        stds.append(np.sqrt(np.diag(exact_covariance(problem, found.adjustment, found.motion_noise))))
+    np.testing.assert_allclose(stds[0][1:] / stds[2][1:], 1.0, atol=0.1)
+    np.testing.assert_allclose(stds[1][1:] / stds[2][1:], 1.0, atol=0.02)
 
 
 def test_the_gradient_minimises_the_knots_where_one_camera_alone_sees_an_object_for_long() -> None:

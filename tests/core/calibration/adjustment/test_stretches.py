@@ -11,7 +11,7 @@ from stereophd.core.calibration.adjustment.marginal import marginal_optimum
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches, widening
 from stereophd.core.geometry.lens import Lens
-from tests.core.calibration.problems_of_unknowns import observe, problem_of, rig, some_problem, unknowns
+from tests.core.calibration.problems_of_unknowns import STDS, observe, problem_of, rig, some_problem, unknowns
 
 
 def test_scores_of_the_stated_information_widen_nothing() -> None:
@@ -37,8 +37,10 @@ def test_what_trajectories_pull_at_neighbours_in_opposite_directions_widens_noth
     np.testing.assert_array_equal(widening(scores, 6.0), np.eye(6))
 
 
-@pytest.mark.parametrize("seed", [0, 1])
-def test_stretches_of_a_right_model_agree(seed: int) -> None:
+@pytest.mark.parametrize(("seed", "center_std"), [(0, 0.3), (1, 0.3), (1, 1.5), (2, 1.5), (3, 1.5)])
+def test_stretches_of_a_right_model_agree(seed: int, center_std: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """No stretch tells the scale, however little the prior says of it."""
+    monkeypatch.setitem(STDS, "center", center_std)
     problem, states, drawn = some_problem(("center", "rotation", "focal"), seed)
     marginal = marginal_optimum(problem, adjust(problem, drawn, states))
     more, factor = disagreement_of_stretches(problem, marginal.adjustment, marginal.motion_noise)

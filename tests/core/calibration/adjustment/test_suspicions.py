@@ -70,7 +70,7 @@ def test_the_evidence_is_that_of_a_gaussian_model() -> None:
     optimum = np.append(np.linalg.solve(precision[:2, :2], matrix[:, :2].T @ data), 0.0)
     gradient = precision @ optimum - matrix.T @ data
     names = ParameterSet(rig()[:1], unknowns(rig(), ("principal_point", "focal")).parameters[:3])
-    enlarged = EnlargedSet(names, (HeldGroup("focal", ("cam0.focal",), np.array([2]), 1e-3),))
+    enlarged = EnlargedSet(names, (HeldGroup("focal", ("cam0.focal",), np.array([2]), 1e-3, is_unmeasured=False),))
     tracks = TrackMoves(np.ones((1, 3)), np.zeros((1, 3, 3)), np.zeros(3))
     (suspicion,) = suspect(QuadraticPosterior(gradient, precision, tracks), enlarged, np.array([0, 1]))
     assert suspicion.log_evidence == pytest.approx(free - held)

@@ -20,7 +20,7 @@ FAILED = "residuals are 3.0 times the detector's noise"
 def start(number: int, place: float | None, evidence: float = -100.0, squared: float = 2.0, std: float = 1.0) -> Start:
     """A start that ended at a place, which it knows to `std`, or failed; its squared residuals are 2 by their noise."""
     values = np.full(SIZE, place or 0.0)
-    adjustment = Adjustment(values, np.empty((0, 2, 3)), std**2 * np.eye(SIZE), 0.0, np.full(4, squared), 1, True)
+    adjustment = Adjustment(values, np.empty((0, 2, 3)), std**2 * np.eye(SIZE), 0.0, np.full(4, squared), True)
     fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
     outcome = FAILED if place is None else SUCCEEDED
     return Start(number, outcome, values, np.empty((0, SIZE)), fit, evidence, 0.0, 1.0, "pairing 0")

@@ -56,13 +56,20 @@ def test_straight_tracks_show_a_clock_where_they_fit_to_their_noise(seed: int) -
     assert largest_error_deg(discovery, true) < 3.0
 
 
-def test_a_clock_that_is_seconds_off() -> None:
-    true = cameras((0.0, 2.7, 0.0))[:2]
-    discovery = found(true, [curved(np.random.default_rng(1))], clocks=True)
-    rig = discovery.rig
+def found_seconds_off() -> Discovery:
+    return found(cameras((0.0, 2.7, 0.0))[:2], [curved(np.random.default_rng(1))], clocks=True)
+
+
+@pytest.fixture(scope="module")
+def seconds_off() -> Discovery:
+    return found_seconds_off()
+
+
+def test_a_clock_that_is_seconds_off(seconds_off: Discovery) -> None:
+    true, rig = cameras((0.0, 2.7, 0.0))[:2], seconds_off.rig
     assert not rig.doubts
     assert rig.cameras[1].clock.offset_s == pytest.approx(2.7, abs=0.02)
-    assert largest_error_deg(discovery, true) < 3.0
+    assert largest_error_deg(seconds_off, true) < 3.0
 
 
 def test_three_cameras_have_one_scale() -> None:
@@ -107,9 +114,8 @@ def test_no_common_times() -> None:
     assert "no tracks of cam1 agree with those of cam0" in discovery.reason
 
 
-def test_the_same_tracks_give_the_same_cameras() -> None:
-    paths = [curved(np.random.default_rng(7)) for _ in range(2)]
-    one, other = (found(cameras((0.0, 1.0, 0.0))[:2], paths, clocks=True).rig.cameras[1] for _ in range(2))
+def test_the_same_tracks_give_the_same_cameras(seconds_off: Discovery) -> None:
+    one, other = seconds_off.rig.cameras[1], found_seconds_off().rig.cameras[1]
     np.testing.assert_array_equal(one.pose.rotation, other.pose.rotation)
     assert one.clock == other.clock
     assert isinstance(one.clock, Clock)

@@ -42,6 +42,19 @@ def test_what_the_data_leave_as_the_prior_has_it_is_undetermined(parameters: Par
     assert observability(parameters, 0, nothing, np.diag((yaw * STDS) ** 2)).status == PARTLY
 
 
+def test_the_scale_is_that_of_the_prior_where_one_centre_is_known_best() -> None:
+    """The data know the shape of three cameras, and the prior the distance of one of them: that is the scale."""
+    cameras = tuple(build_camera(f"cam{k}", (20.0 * k, 0.0, 0.0), (0.0, 0.0, 0.0)) for k in range(3))
+    chosen = [(f"cam{k}", name, std) for k, std in ((1, 0.5), (2, 10.0)) for name in CENTER]
+    parameters = ParameterSet(cameras, tuple(Parameter(name, camera, 0.0, std) for camera, name, std in chosen))
+    covariance = np.diag(np.full(6, 1e-6))
+    # each centre lies on its ray; the prior knows the logarithm of the scale to 0.5 / 20 and to 10 / 40
+    offsets = np.array([20.0, 0.0, 0.0, 40.0, 0.0, 0.0])
+    covariance += np.outer(offsets, offsets) / ((20.0 / 0.5) ** 2 + (40.0 / 10.0) ** 2)
+    found = observability(parameters, 0, np.zeros(6), covariance)
+    assert (found.status, found.scale_ratio) == (DETERMINED, pytest.approx(1.0, abs=1e-3))
+
+
 def test_draws_at_a_larger_scale_are_spread_wider(parameters: ParameterSet) -> None:
     stds = np.array([12.0, 0.2, 0.4, 0.001, 0.002, 0.001])
     covariance = np.diag(stds**2)
