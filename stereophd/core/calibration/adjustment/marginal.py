@@ -5,7 +5,7 @@ trajectories add many values that the detections constrain only weakly, and the 
 that stretch the scene: rotations about the vertical, focal lengths. Integrating out the knots (Laplace's method) adds
 the terms of the volume,
 
-    -2 log p(v, n | detections) = J(v, n) + log det A(v, n) + 12 k (log s(v) + u) + |n / std|^2 + constant,
+    -2 log p(v, n | detections) = J(v, n) + log det A(v, n) + 12 k log s(v) + 12 l u + |n / std|^2 + constant,
 
 with the matrix A of the knots in the normal equations, the number k of knots, the number l of links between successive
 ones, and the scale s of the scene (`calibration.unknowns.scale`).
@@ -20,9 +20,9 @@ rotations, focal lengths and principal points with it: 8 standard deviations for
 
 **Normalisation.** The motion model is a density of the l differences between successive knots, 6 numbers each, of
 standard deviations proportional to s e^u: its normalisation is 12 l (log s + u). The first position and velocity of
-each of the k - l trajectories have a flat density in units of that noise, 12 (k - l) (log s + u): scaling cameras and
-knots together then changes nothing, so that the data stay flat along the scale, and a scene that is stretched along one
-axis gains nothing by its larger volume.
+each of the k - l trajectories have a flat density in units of the scene, 12 (k - l) log s: scaling cameras and knots
+together then changes nothing, so that the data stay flat along the scale. In units of that noise it would pull the
+noise of trajectories that hardly show it to nothing.
 
 **Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it at
 the joint optimum, in the cost and in the volume. With the loss itself, a step that leaves detections out makes the
@@ -246,7 +246,7 @@ class MarginalPosterior:
     def _volume(self, unknowns: Array, factor: Array) -> float:
         problem, (values, noise) = self.linearisation.problem, self.parted(unknowns)
         scale, _ = log_scale(problem.parameters, problem.reference, values)
-        return float(np.log(factor[0]).sum()) + self._flat * (scale + float(noise[0]))
+        return float(np.log(factor[0]).sum()) + self._flat * scale + 6.0 * self.links * float(noise[0])
 
     def at(self, unknowns: Array, states: Array) -> Point:
         """Return the point of unknowns, its knots minimised from the given ones.
@@ -272,7 +272,7 @@ class MarginalPosterior:
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
         by_noise = slopes.by_noise.sum(axis=0)
         direct = linearisation.of_values(slopes.by_value) + (self._flat + float(by_noise[0])) * by_scale
-        by_noise[0] += self._flat
+        by_noise[0] += 6.0 * self.links
         direct = np.append(direct, by_noise[: self.size - len(values)])
         across = self._knots_against(at, linearisation.of_states(slopes.path, slopes.by_point))
         step = _short(equations.bands, across)
