@@ -56,6 +56,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     task = _task(run)
     starts = _all_starts(run, task)
     if best_of(starts) is None and (unmeasured := _unmeasured(run)).size > stated and not run.limit.is_over:
+        run.limit.begin("no start agrees: starts begin anew with what nobody may have measured unknown")
         problem = replace(problem, parameters=unmeasured)
         run = replace(run, problem=problem)
         task = _task(run)
@@ -78,11 +79,10 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     result = calibrated(task, starts, replace(choices_of(section), control=problem.control))
     believed = result.believed
     details |= _result_report(result, best, stated)
-    remarks = result.remarks
     if problem.parameters.size > stated:
         names = ", ".join(problem.parameters.names[stated:])
         text = f"no start agrees with cameras as stated: {names} were estimated (calibration.model: as_stated forbids)"
-        remarks = (Remark("model", text, is_reservation=True), *remarks)
+        result = replace(result, remarks=(Remark("model", text, is_reservation=True), *result.remarks))
     if section.posterior == "smc":
         scale = believed.task.scale
         found = distinct(starts)
@@ -97,7 +97,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
     return Outcome(
         parameters, adjustment.values, adjustment.covariance, draws, weights, result.history, "", result.doubt,
-        result.fit, remarks, result.moves, result.world, details,
+        result.fit, result.remarks, result.moves, result.world, details,
         1.0 if problem.noise_in_log else believed.contradicted_noise,
     )  # fmt: skip
 

@@ -257,10 +257,7 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
         if not estimate["confirmed"]:
             ratio = estimate["residual_ratio"]
             seen += "" if ratio is None else f", whose residuals are {ratio:.2g} times it"
-            text = (
-                f"{name}: tracks do not confirm the estimated noise ({seen}): it stays at {noise}, what was known "
-                f"before them, {factor}"
-            )
+            text = f"{name}: tracks do not confirm the estimated noise ({seen}): it is {noise}, {factor}"
             remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
             yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")
         elif error > UNSURE:

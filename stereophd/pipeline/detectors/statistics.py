@@ -15,8 +15,8 @@ towards
 
 which is right where C scales with R, with a weight of 2 sum(w) of log(sigma) against the prior: what rays and
 displacements say (`stereophd.pipeline.detectors.ray_noise`), of both axes together. Where the runs end, the derivatives
-of both cancel, whatever the part of C is. The standard error is that of the prior and of the information of the
-residuals, 2 sum(w R / S) of log(sigma).
+of both cancel to first order, whatever the part of C is. The standard error is that of the prior and of the information
+of the residuals, 2 sum(w R / S) of log(sigma).
 
 Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of
 the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last

@@ -5,10 +5,11 @@ trajectories add many values that the detections constrain only weakly, and the 
 that stretch the scene: rotations about the vertical, focal lengths. Integrating out the knots (Laplace's method) adds
 the terms of the volume,
 
-    -2 log p(v, n | detections) = J(v, n) + log det A(v, n) + 12 k log s(v) + 12 l u + |n / std|^2 + constant,
+    -2 log p(v, n | detections) = J(v, n) + log det A(v, n) + 12 l (log s(v) + u) + N log det(P V) + |n / std|^2,
 
-with the matrix A of the knots in the normal equations, the number k of knots, the number l of links between successive
-ones, and the scale s of the scene (`calibration.unknowns.scale`).
+but for a constant, with the matrix A of the knots in the normal equations, the number l of links between successive
+knots, the scale s of the scene (`calibration.unknowns.scale`), the number N of trajectories, and the covariances P of
+the positions of all knots about their mean and V of their velocities about zero.
 
 **Noise of the motion.** It is stated in lengths, and the cost uses it in units of the scene: noise_std * s(v), s = 1 at
 the size that the prior expects. A scene that is truly larger by a factor f has objects that accelerate 1 / f times as
@@ -20,9 +21,10 @@ rotations, focal lengths and principal points with it: 8 standard deviations for
 
 **Normalisation.** The motion model is a density of the l differences between successive knots, 6 numbers each, of
 standard deviations proportional to s e^u: its normalisation is 12 l (log s + u). The first position and velocity of
-each of the k - l trajectories have a flat density in units of the scene, 12 (k - l) log s: scaling cameras and knots
-together then changes nothing, so that the data stay flat along the scale. In units of that noise it would pull the
-noise of trajectories that hardly show it to nothing.
+each trajectory have a density as wide as those of all: N log det(P V). Scaling cameras and knots together then changes
+nothing, so that the data stay flat along the scale, and a scene that is stretched in depth gains nothing by its larger
+volume. In units of the scene each trajectory would stretch it; in units of its noise each would pull the noise of the
+motion, where that hardly shows, to nothing.
 
 **Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it at
 the joint optimum, in the cost and in the volume. With the loss itself, a step that leaves detections out makes the
@@ -80,6 +82,8 @@ from stereophd.core.numerics.threads import in_threads
 # Prior standard deviations of the logarithm of the noise of the motion over what is stated, beside that of the scale,
 # and of what tells its axes apart.
 NOISE_STD, UNLIKE_STD = 0.5, 0.25
+# Part of the variance of a scene that it has in every direction, even if all objects are in a plane or on a line.
+LEAST_SPREAD = 0.01
 # Length at which the steps settle, longest step, and longest step left of a search that has converged, all in posterior
 # standard deviations; most steps.
 SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS = 0.05, 20.0, 1.0, 200
@@ -216,6 +220,7 @@ class MarginalPosterior:
         _, gradient = log_scale(problem.parameters, problem.reference, problem.parameters.prior_mean)
         of_noise = np.full(self.size - len(std), UNLIKE_STD)
         of_noise[:1] = np.sqrt(NOISE_STD**2 + float(gradient**2 @ std**2))
+        of_noise[3:] *= np.sqrt(2.0)  # for the same prior whatever the axes
         return np.append(std, of_noise)
 
     def equations(self, unknowns: Array, states: Array) -> NormalEquations:
@@ -237,16 +242,23 @@ class MarginalPosterior:
             value_vector=np.append(found.value_vector, vector - noise / std**2),
         )
 
-    @property
-    def _flat(self) -> float:
-        """Half the power of the scene's scale in the density of the knots; what stands still has no velocity."""
-        knots = self.linearisation.problem.knots
-        return (6.0 if knots.motion.moves else 3.0) * len(knots.times)
-
     def _volume(self, unknowns: Array, factor: Array) -> float:
         problem, (values, noise) = self.linearisation.problem, self.parted(unknowns)
         scale, _ = log_scale(problem.parameters, problem.reference, values)
-        return float(np.log(factor[0]).sum()) + self._flat * scale + 6.0 * self.links * float(noise[0])
+        return float(np.log(factor[0]).sum()) + 6.0 * self.links * (scale + float(noise[0]))
+
+    def _first_states(self, states: Array) -> tuple[float, Array]:
+        """Half of N log det(P V) at knots (k, 2, 3), and its derivatives by them; what stands still has no velocity."""
+        knots, total, slopes = self.linearisation.problem.knots, 0.0, np.zeros_like(states)
+        for part, middle in ((0, states[:, 0].mean(axis=0)), (1, np.zeros(3)))[: 1 + knots.motion.moves]:
+            offsets = states[:, part] - middle
+            spread = offsets.T @ offsets / len(states)
+            spread += (LEAST_SPREAD * np.trace(spread) + np.finfo(np.float64).tiny) * np.eye(3)
+            total += 0.5 * knots.count * float(np.linalg.slogdet(spread)[1])
+            inverse = np.linalg.inv(spread)
+            inverse += LEAST_SPREAD * np.trace(inverse) * np.eye(3)  # the least spread follows, too
+            slopes[:, part] = knots.count / len(states) * offsets @ inverse
+        return total, slopes.ravel()
 
     def at(self, unknowns: Array, states: Array) -> Point:
         """Return the point of unknowns, its knots minimised from the given ones.
@@ -257,7 +269,8 @@ class MarginalPosterior:
         states = settled_knots(self.linearisation, values, states, noise)
         equations = self.equations(unknowns, states)
         factor = factor_knots(equations.bands)
-        return Point(unknowns, states, equations, factor, 0.5 * equations.cost + self._volume(unknowns, factor))
+        volume = self._volume(unknowns, factor) + self._first_states(states)[0]
+        return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume)
 
     def parted(self, unknowns: Array) -> tuple[Array, Array]:
         """Return values (m,), and the unknowns (6,) of the noise of the motion."""
@@ -271,10 +284,11 @@ class MarginalPosterior:
         slopes = self.slopes(at)
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
         by_noise = slopes.by_noise.sum(axis=0)
-        direct = linearisation.of_values(slopes.by_value) + (self._flat + float(by_noise[0])) * by_scale
+        direct = linearisation.of_values(slopes.by_value) + (6.0 * self.links + float(by_noise[0])) * by_scale
         by_noise[0] += 6.0 * self.links
         direct = np.append(direct, by_noise[: self.size - len(values)])
-        across = self._knots_against(at, linearisation.of_states(slopes.path, slopes.by_point))
+        by_states = linearisation.of_states(slopes.path, slopes.by_point) + self._first_states(at.states)[1]
+        across = self._knots_against(at, by_states)
         step = _short(equations.bands, across)
         moved = step * across.reshape(at.states.shape)
         ahead, behind = (self.equations(at.unknowns, at.states + sign * moved).value_vector for sign in (1.0, -1.0))
@@ -375,7 +389,10 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
     """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
     length, longest, objectives = 0.0, LONGEST_STEP, [at.objective]
     for _ in range(MOST_STEPS):
-        root, gradient = posterior.root(at), posterior.gradient(at)
+        try:
+            root, gradient = posterior.root(at), posterior.gradient(at)
+        except LinAlgError:
+            return at, np.inf
         downhill = -root.T @ gradient
         length = float(np.linalg.norm(downhill))
         if length <= SETTLED:

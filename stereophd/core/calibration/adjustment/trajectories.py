@@ -3,7 +3,7 @@
 A knot is a position and a velocity. Between two knots the position is the mean of the motion model given both
 (`Motion.between`; of white acceleration a cubic), an affine function of the two (T. D. Barfoot, C. H. Tong and
 S. Sarkka, "Batch continuous-time trajectory estimation as exactly sparse Gaussian process regression", RSS 2014).
-Knots are at times of detections, all that a Markov process needs: those between two knots are so few
+Knots are at times of detections, all that a Markov process needs. Detections between two knots are so near to them
 (`Motion.knot_spacing`) that the motion strays from the mean by well less than the noise of a detection. Between
 detections it may stray further (`straying`). Without noise of the motion a trajectory is one knot; of a static object
 the velocity is held at zero.
@@ -34,8 +34,6 @@ LEAST_AXIS = 1e-3
 SOON = 0.1
 # Weight of a unit velocity of a static object, against positions in pixels: it stays zero.
 STATIC_WEIGHT = 1e6
-
-
 # Axes of `MotionNoise` that are regressed, and those that they are regressed on; how unlike axes are, orthogonal.
 REGRESSED = (np.array([1, 2, 2]), np.array([0, 0, 1]))
 UNLIKE = np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 2.0]]) / np.sqrt([2.0, 6.0])
@@ -43,7 +41,6 @@ UNLIKE = np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 2.0]]) / np.sqrt([2.0, 6.0])
 STATED = np.zeros(6)
 # The unknown of all axes together, which the logarithm of a scale adds to.
 OF_ALL = np.eye(6)[0]
-
 # In place of a spacing of 0, of objects that cameras at one place put into themselves.
 SMALLEST = float(np.finfo(np.float64).tiny)
 
@@ -80,8 +77,8 @@ class Knots:
 def place_knots(detected: Sequence[Array], spacing: float, motion: Motion) -> Knots:
     """Place knots at some of the times (n,) of the detections of each trajectory; one for motion without noise.
 
-    A knot is followed by one at the last detection within `spacing`, or else at the next one, so that none lies between
-    knots further apart.
+    A knot is followed by one at the last detection within `spacing`, or else at the next one beyond. Detections that
+    follow a knot by less than the part `SOON` of the spacing have none of their own.
     """
     spans = np.array([(times.min(), times.max()) for times in detected], dtype=np.float64).reshape(-1, 2)
     pieces = []
@@ -230,6 +227,7 @@ class MotionPrior:
     bands: Array
     pull: Array  # (2 k, 3)
     energy: Array  # (3, 3)
+    moves: bool  # Whether objects have a velocity; if not, it is held at zero.
 
     @staticmethod
     def of(knots: Knots) -> MotionPrior:
@@ -240,9 +238,7 @@ class MotionPrior:
             np.add.at(pull, 2 * links.knot + row, links.pull[:, row])
             for column in range(row + 1):
                 np.add.at(bands[row - column], 2 * links.knot + column, links.precisions[:, row, column])
-        if not knots.motion.moves:
-            bands[0, 1::2] += STATIC_WEIGHT
-        return MotionPrior(bands, pull, links.energy.sum(axis=0))
+        return MotionPrior(bands, pull, links.energy.sum(axis=0), knots.motion.moves)
 
     def with_axes(self, precision: Array) -> Array:
         """Return the matrix of all unknowns, lower banded (12, 6 k), at a precision (3, 3) of the noise."""
@@ -250,6 +246,8 @@ class MotionPrior:
         for (below, unit), i, j in product(enumerate(self.bands), range(3), range(3)):
             if 3 * below + i >= j:
                 out[3 * below + i - j, j::3] += precision[i, j] * unit
+        if not self.moves:
+            out[0].reshape(-1, 2, 3)[:, 1] += STATIC_WEIGHT
         return out
 
     def pulls(self, states: Array) -> tuple[Array, Array]:
@@ -272,6 +270,7 @@ class MotionNoise:
 
     whitening: Array  # (3, 3): Of differences in lengths
     slopes: Array  # (6, 3, 3): Its derivatives by the unknowns
+    stated: Array  # (3,): Standard deviations beside which the unknowns are; 0 without noise
 
     @staticmethod
     def of(unknowns: Array, noise_std: Array) -> MotionNoise:
@@ -283,7 +282,7 @@ class MotionNoise:
         scales = np.exp(-along @ unknowns[:3])[:, None]
         inverse = 1.0 / np.where(noise_std > 0.0, noise_std, 1.0)  # without noise there are no differences
         slopes = np.concatenate([-along.T[:, :, None] * mixed, unit])
-        return MotionNoise(scales * mixed * inverse, scales * slopes * inverse)
+        return MotionNoise(scales * mixed * inverse, scales * slopes * inverse, noise_std)
 
     @property
     def precision(self) -> Array:
@@ -293,7 +292,7 @@ class MotionNoise:
     @property
     def std(self) -> Array:
         """Standard deviations (3,) along the axes, length/s^2."""
-        return np.asarray(np.sqrt(np.diag(np.linalg.inv(self.precision))))
+        return np.where(self.stated > 0.0, np.sqrt(np.diag(np.linalg.inv(self.precision))), 0.0)
 
     def by_unknowns(self, products: Array) -> Array:
         """Derivatives (..., 6) of half of tr(precision products), (..., 3, 3), by the unknowns."""

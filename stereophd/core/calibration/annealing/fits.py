@@ -256,7 +256,7 @@ def problem_of(task: Task, fit: Fit) -> Problem:
 
 
 def marginal_fit(task: Task, fit: Fit, noise: Array = STATED) -> tuple[Fit, Array]:
-    """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion that was found.
+    """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion along each axis.
 
     Nothing is held. Also returns the unknowns (6,) of the noise of the motion beside that of the fit; they are looked
     for from those given.

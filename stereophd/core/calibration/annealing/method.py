@@ -61,8 +61,8 @@ IF_NONE_AGREES = (
     "`check` compares clocks and noise with the log; a pose that is far off needs wider priors, or `pose: unknown`; "
     "where cameras share hardly any object, record more that two of them see"
 )
-# Largest number of refits under a better model.
-MOST_ROUNDS = 12
+# Largest number of refits under a better model, and how many of them at least know of errors that detections share.
+MOST_ROUNDS, ROUNDS_OF_SHARED = 12, 3
 # Factor on a noise that hides itself.
 LOOSENED = 4.0
 # A refit with other noise or other unknowns keeps at least this part of the detections, or the association stays.
@@ -273,6 +273,8 @@ def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -
             answer = answer or Answer(fit, STATED)
             held, remarks = [], (Remark("time", text, is_reservation=True),)
             break
+        if number >= MOST_ROUNDS - ROUNDS_OF_SHARED:
+            radius = task.settings.shared_error_px
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         if answer is None:
             answer = Answer(*marginal_fit(task, fit))
@@ -439,7 +441,8 @@ def statement_remarks(believed: Believed, is_doubted: bool) -> tuple[Remark, ...
         can_tell = is_shown(contradicted, believed.task.parameters)
         remedy = "measure it: two cameras do not show it"
         if can_tell:
-            remedy = "state it, give it a prior, or let it be estimated (calibration.model: free)"
+            model = "lenses" if contradicted.group.is_unmeasured else "free"
+            remedy = f"state it, give it a prior, or let it be estimated (calibration.model: {model})"
         text = f"the data contradict what is stated: {fitting(contradicted, is_doubted or not can_tell)} fits; {remedy}"
         remarks.append(Remark("model", text, is_reservation=True))
     largest = max(believed.held, key=lambda s: s.expected_move, default=None)

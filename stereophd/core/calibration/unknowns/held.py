@@ -30,7 +30,7 @@ IMAGE, MIDDLE_PX = ("distortion", "focal", "principal_point"), 0.5
 
 @dataclass(frozen=True)
 class HeldGroup:
-    """Unknowns that explain one kind of contradiction: a quantity of one camera, or of all cameras that hold it."""
+    """Unknowns that explain a kind of contradiction: a quantity of one camera or of all, or all that is unmeasured."""
 
     quantity: str
     names: tuple[str, ...]  # Of its values.

@@ -101,7 +101,7 @@ def test_the_exact_covariance_follows_a_valley_that_bends(monkeypatch: pytest.Mo
     for step in (3.0 * marginal.DIFFERENCE, marginal.DIFFERENCE, 0.1 * marginal.DIFFERENCE):
         monkeypatch.setattr(marginal, "DIFFERENCE", step)
         stds.append(np.sqrt(np.diag(exact_covariance(problem, found.adjustment, found.motion_noise))))
-    np.testing.assert_allclose(stds[0][1:] / stds[2][1:], 1.0, atol=0.1)
+    np.testing.assert_allclose(stds[0][1:] / stds[2][1:], 1.0, atol=0.15)
     np.testing.assert_allclose(stds[1][1:] / stds[2][1:], 1.0, atol=0.02)
 
 
@@ -283,3 +283,30 @@ def test_objects_that_accelerate_along_a_slanted_line_leave_the_cameras_where_th
     error = found.adjustment.values
     assert error @ np.linalg.solve(found.adjustment.covariance, error) < true.size + 4.0 * np.sqrt(2.0 * true.size)
     assert found.motion_noise[5] < -0.5
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_many_short_trajectories_neither_stretch_the_scene_nor_still_the_motion(
+    monkeypatch: pytest.MonkeyPatch, seed: int
+) -> None:
+    """Each of them has a first state, whose density must not prefer a larger scene or a smaller noise."""
+    monkeypatch.setattr(problems_of_unknowns, "ACCELERATION", 0.02)
+    monkeypatch.setattr(problems_of_unknowns, "MOTION", ConstantVelocity([0.02] * 3))
+    true = unknowns(rig()[:2], ("center", "rotation", "focal"))
+    observations, _, points = observe(true.cameras, seed, 20, 2.0)
+    problem, states = problem_of(true, observations, points)
+    found = marginal_optimum(problem, adjust(problem, np.zeros(true.size), states))
+    error = found.adjustment.values
+    assert found.adjustment.converged
+    assert abs(found.motion_noise[0]) < 0.3
+    assert error @ np.linalg.solve(found.adjustment.covariance, error) < true.size + 3.0 * np.sqrt(2.0 * true.size)
+
+
+def test_the_gradient_of_objects_that_stand_still() -> None:
+    problem, joint = solve(make_problem(3, objects=8, still=True), Static())
+    posterior = MarginalPosterior(Linearisation.of(problem))
+    at = posterior.at(joint.values, joint.states)
+    gradient, root = posterior.gradient(at), posterior.root(at)
+    for step in 0.02 * root.T:
+        ahead, behind = (posterior.at(at.unknowns + sign * step, at.states).objective for sign in (1.0, -1.0))
+        assert ahead - behind == pytest.approx(2.0 * float(gradient @ step), rel=0.02, abs=1e-4)
