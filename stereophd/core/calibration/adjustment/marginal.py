@@ -343,7 +343,8 @@ class MarginalPosterior:
         if not self.links:
             return covariance
         axes = slice(self.size - len(STATED), self.size - len(STATED) + 3)
-        known = at.eliminated.schur[axes, axes] - np.diag(self.prior_std[axes] ** -2)
+        eigenvalues, vectors = np.linalg.eigh(at.eliminated.schur[axes, axes] - np.diag(self.prior_std[axes] ** -2))
+        known = (vectors * np.maximum(eigenvalues, 0.0)) @ vectors.T  # rounding may make it negative
         with_noise = covariance[:, axes]
         taken = np.linalg.solve(np.eye(3) + known @ with_noise[axes], known @ with_noise.T)
         return np.asarray(covariance - with_noise @ taken)
