@@ -179,7 +179,8 @@ def check_settings(config: Config, scene: MeasuredScene, samples: list[CameraSam
     if config.object.shape == "point":
         # boxes tell the depth of bodies
         found = [*_depths(config, scene, samples, unit), *_region(config, scene, unit), *found]
-    if {"depth_range", "velocity_std"} <= {one.cause for one in found} or "length_unit" in {one.cause for one in found}:
+    causes = {one.cause for one in found}
+    if {"depth_range", "velocity_std"} <= causes or "length_unit" in causes:
         # a unit is wrong, and settings that are adapted to it would hide that
         found = [replace(one, change=None) for one in found]
     return found

@@ -34,6 +34,13 @@ class NoiseEquations(NamedTuple):
     matrix: Array  # (6, 6)
     vector: Array  # (6,)
 
+    @staticmethod
+    def of(noise: MotionNoise, pulls: Array, products: Array) -> NoiseEquations:
+        """Return those of a noise, from what `MotionPrior.pulls` returns."""
+        coupling = np.einsum("na,jba,bc->ncj", pulls, noise.slopes, noise.whitening, optimize=True)
+        matrix = np.einsum("iab,bc,jac->ij", noise.slopes, products, noise.slopes)
+        return NoiseEquations(coupling.reshape(-1, len(STATED)), matrix, -noise.by_unknowns(products))
+
 
 @dataclass(frozen=True)
 class NormalEquations:
@@ -93,7 +100,9 @@ class Linearisation:
         sums = self.summed(*self.residuals(values, states, by_values=is_free))
         coupling, matrix, value_vector = sums.coupling, sums.matrix, sums.value_vector
         # motion model, its noise in units of the scene's scale
-        energy, by_noise = self._add_motion(sums, states, self.noise_at(values, noise))
+        motion = self.noise_at(values, noise)
+        energy, pulls, products = self._add_motion(sums, states, motion)
+        by_noise = NoiseEquations.of(motion, pulls, products)
         # a larger scale is a larger noise along every axis
         _, gradient = log_scale(parameters, problem.reference, values)
         scales = np.flatnonzero(gradient)
@@ -143,15 +152,12 @@ class Linearisation:
         )  # fmt: skip
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances)
 
-    def _add_motion(self, sums: NormalEquations, states: Array, noise: MotionNoise) -> tuple[float, NoiseEquations]:
-        """Add the motion model to the sums of the knots: its part of the cost, and the equations of its noise."""
+    def _add_motion(self, sums: NormalEquations, states: Array, noise: MotionNoise) -> tuple[float, Array, Array]:
+        """Add the motion model to the sums of the knots; return its part of the cost, and `MotionPrior.pulls`."""
         precision, (pulls, products) = noise.precision, self.motion.pulls(states)
         sums.bands[:] += self.motion.with_axes(precision)
         sums.state_vector[:] -= (pulls @ precision).ravel()
-        coupling = np.einsum("na,jba,bc->ncj", pulls, noise.slopes, noise.whitening, optimize=True)
-        matrix = np.einsum("iab,bc,jac->ij", noise.slopes, products, noise.slopes)
-        by_noise = NoiseEquations(coupling.reshape(-1, len(STATED)), matrix, -noise.by_unknowns(products))
-        return float((precision * products).sum()), by_noise
+        return float((precision * products).sum()), pulls, products
 
     def noise_at(self, values: Array, noise: Array = STATED) -> MotionNoise:
         """Return the noise of the motion of values (m,) and unknowns (6,): that of the knots is stated."""
@@ -167,7 +173,7 @@ class Linearisation:
         """
         placement = placement or self.placed(values, by_values=False)
         sums = self.summed(*self.residuals(values, states, placement, by_values=False))
-        energy, _ = self._add_motion(sums, states, self.noise_at(values, noise))
+        energy, _, _ = self._add_motion(sums, states, self.noise_at(values, noise))
         return sums.cost + energy, sums.bands, sums.state_vector
 
     def placed(self, values: Array, by_values: bool = True) -> Placement:

@@ -40,7 +40,7 @@ def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, noise: A
     covariance, prior_std = posterior.covariance(point), posterior.prior_std
     scores = _scores(posterior.linearisation, point, noise, posterior.slopes(point))
     determined = max(float((1.0 - np.diag(covariance) / prior_std**2).sum()), 1.0)
-    # no detection tells the scale: what a stretch seems to say of it depends on how its knots are counted
+    # detections do not show the scale: the score of a stretch along it depends only on how its knots are counted
     _, by_scale = log_scale(problem.parameters, problem.reference, adjustment.values)
     with_scale = covariance[:, :size] @ by_scale
     of_scale = max(float(by_scale @ with_scale[:size]), 1e-300)

@@ -244,7 +244,7 @@ class MotionPrior:
         """Return the matrix of all unknowns, lower banded (12, 6 k), at a precision (3, 3) of the noise."""
         out = np.zeros((12, 3 * self.bands.shape[1]))
         for (below, unit), i, j in product(enumerate(self.bands), range(3), range(3)):
-            if 3 * below + i >= j:
+            if 3 * below + i >= j and precision[i, j] != 0.0:  # axes that are independent have no products
                 out[3 * below + i - j, j::3] += precision[i, j] * unit
         if not self.moves:
             out[0].reshape(-1, 2, 3)[:, 1] += STATIC_WEIGHT

@@ -67,7 +67,7 @@ def observability(
     allowed = 0
     _, gradient = log_scale(parameters, reference, values)
     if gradient.any():
-        # the data know the shape of the cameras: what the prior says of each centre is of the one scale then
+        # the data determine the shape of the cameras, so that the prior of each centre is one of the common scale
         prior = float(gradient @ gradient) ** 2 / float((gradient**2 / std**2).sum())
         scale_ratio = min(float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0) / prior)), 1.0)
         allowed = int(scale_ratio > UNDETERMINED_RATIO)
