@@ -22,7 +22,6 @@ from stereophd.core.calibration.annealing.method import (
 )
 from stereophd.core.calibration.annealing.starts import (
     agreeing_with_best,
-    at_larger_noise,
     best_of,
     distinct,
     enough,
@@ -126,44 +125,22 @@ def choices_of(section: CalibrationConfig) -> Choices:
 
 
 def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[Start]:
-    """Run starts until enough agree; where too few do, those that have failed are judged at larger noise.
-
-    That is where all were run, or where none of as many as are to agree then has succeeded; if the time is over before
-    any has, the one that explains most. They are kept under a name while the run is unfinished.
-    """
+    """Run starts until enough agree; they are kept under a name while the run is unfinished."""
     count, agreeing = task.most_starts, task.settings.agreeing_starts
     values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.loaded.config.seed), count)
     seeds = CALIBRATION_PAIRING.seed(run.loaded.config.seed).spawn(count)
     starts: list[Start] = run.unfinished.read(kept, list[Start], {Motion: task.filter.motion}) or []
-
-    def is_done() -> bool:
-        return enough(starts, agreeing) or (bool(starts) and run.limit.is_over)
-
-    def failed() -> list[int]:
-        """Places of the starts that are to be judged at larger noise now."""
-        none_succeeded = not any(start.succeeded and start.noise == 1.0 for start in starts)
-        is_time = len(starts) == count or (len(starts) == 2 * agreeing and none_succeeded)
-        is_time &= run.section.posterior != "smc"  # particles are weighed at the stated noise
-        return [place for place, start in enumerate(starts) if is_time and start.looser]
-
-    while not is_done() and (len(starts) < count or failed()):
-        again, new = failed(), range(len(starts), count)
-        jobs = min(run.jobs, len(again or new))
-        if again:
-            found = _each((partial(at_larger_noise, task, starts[place]) for place in again), jobs)
-        else:
-            found = _each((partial(run_start, task, place, values[place], seeds[place]) for place in new), jobs)
-        for place, start in zip(again or new, found, strict=False):
-            starts[place : place + 1] = [start]
-            if not run.limit.is_over:  # one that the time has cut short is done again
-                run.unfinished.keep(kept, list(starts))
-            run.progress(len(starts), count)
-            if is_done() or (not again and failed()):
-                break
-    loose = [start for start in starts if start.looser]
-    if run.limit.is_over and loose and best_of(starts) is None:
-        likeliest = max(loose, key=lambda start: start.explained)
-        starts[likeliest.number] = at_larger_noise(task, likeliest)
+    new = range(len(starts), count)
+    if enough(starts, agreeing):
+        return starts
+    jobs = min(run.jobs, len(new))
+    for start in _each((partial(run_start, task, place, values[place], seeds[place]) for place in new), jobs):
+        starts.append(start)
+        if not run.limit.is_over:  # one that the time has cut short is done again
+            run.unfinished.keep(kept, list(starts))
+        run.progress(len(starts), count)
+        if enough(starts, agreeing) or run.limit.is_over:
+            break
     return starts
 
 
@@ -190,7 +167,6 @@ def _start_report(task: Task, start: Start, best: Start | None) -> dict[str, Any
     return {
         "start": start.number,
         "began_from": start.origin,
-        "noise": start.noise,
         "outcome": start.outcome,
         "best": start is best,
         "passes": len(start.passes),

@@ -1,4 +1,4 @@
-"""Which starts are run, and which of them are judged at larger noise."""
+"""Which starts are run, and with what unknown."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -21,14 +21,13 @@ from tests.scenes import build_camera
 COUNT, AGREEING = 8, 2
 
 
-def start(number: int, place: float | None, noise: float = 1.0) -> Start:
-    """A start that ended at a place at a noise, or failed and can be judged at larger noise."""
+def start(number: int, place: float | None) -> Start:
+    """A start that ended at a place, or failed."""
     values = np.full(3, place or 0.0)
     adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(3), 0.0, np.full(4, 2.0), True)
     fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
     outcome = "it failed" if place is None else SUCCEEDED
-    made = Start(number, outcome, values, np.empty((0, 3)), fit, -100.0, 0.0, 1.0, "pairing 0", noise)
-    return replace(made, looser=(made,)) if place is None else made
+    return Start(number, outcome, values, np.empty((0, 3)), fit, -100.0, 0.0, 1.0, "pairing 0")
 
 
 @dataclass
@@ -44,22 +43,16 @@ class Limit:
 
 
 @pytest.fixture
-def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[list[Start], list[int]]]:
-    """A function of where starts end, and from which kept ones to go on; also which were judged at larger noise."""
+def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Start]]:
+    """A function of where starts end, and from which kept ones to go on."""
 
     def run(
         places: list[float | None],
-        loose: float | None,
         kept: list[Start] | None = None,
         keep: Callable[[str, list[Start]], None] = lambda *_: None,
         last: int = COUNT + 1,
-        posterior: str = "laplace",
     ) -> Any:
-        judged, begun = list[int](), list[int]()
-
-        def judge(task: Task, failed: Start) -> Start:
-            judged.append(failed.number)
-            return replace(start(failed.number, loose, 2.0), looser=())
+        begun = list[int]()
 
         def begin(task: Task, number: int, *_: Any) -> Start:
             begun.append(number)
@@ -67,66 +60,37 @@ def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., tuple[list[Start],
 
         monkeypatch.setattr(annealed, "start_values", lambda *_: np.zeros((COUNT, 3)))
         monkeypatch.setattr(annealed, "run_start", begin)
-        monkeypatch.setattr(annealed, "at_larger_noise", judge)
         settings, motion = SimpleNamespace(agreeing_starts=AGREEING), SimpleNamespace(motion=None)
         task = SimpleNamespace(most_starts=COUNT, settings=settings, parameters=None, filter=motion)
         unfinished = SimpleNamespace(read=lambda *_: kept, keep=keep)
         of_run = SimpleNamespace(
             loaded=SimpleNamespace(config=SimpleNamespace(seed=1)), jobs=1, limit=Limit(begun, last),
-            unfinished=unfinished, progress=lambda *_: None, section=SimpleNamespace(posterior=posterior),
+            unfinished=unfinished, progress=lambda *_: None,
         )  # fmt: skip
-        return annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task)), judged
+        return annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task))
 
     return run
 
 
-def test_where_enough_starts_agree_none_is_judged_at_larger_noise(run_all: Any) -> None:
-    starts, judged = run_all([None, 5.0, None, None, None, 5.0, 5.0, 5.0], 7.0)
+def test_no_more_starts_are_run_than_are_to_agree(run_all: Any) -> None:
+    starts = run_all([None, 5.0, None, None, None, 5.0, 5.0, 5.0])
     assert [one.number for one in starts] == [0, 1, 2, 3, 4, 5]
-    assert judged == []
+    assert len(run_all([5.0, *[None] * 7])) == COUNT
 
 
-def test_where_none_of_the_first_succeeds_they_are_judged_at_larger_noise_at_once(run_all: Any) -> None:
-    starts, judged = run_all([None] * COUNT, 7.0)
-    assert judged == [0, 1, 2, 3]  # twice as many as at the stated noise are to agree
-    assert [one.noise for one in starts] == [2.0] * 4
-    starts, judged = run_all([None] * 4 + [5.0] * 4, None)
-    assert judged == [0, 1, 2, 3]
-    assert [one.number for one in starts] == [0, 1, 2, 3, 4, 5]
-
-
-def test_where_all_starts_do_not_agree_those_that_failed_are_judged_at_larger_noise(run_all: Any) -> None:
-    starts, judged = run_all([5.0, *[None] * 7], 7.0)
-    assert len(starts) == COUNT
-    assert judged == list(range(1, 8))
-
-
-def test_a_run_that_is_continued_judges_the_same_starts(run_all: Any) -> None:
-    first = [replace(start(0, 7.0, 2.0), looser=()), *(start(number, None) for number in (1, 2, 3))]
-    starts, judged = run_all([None] * COUNT, 7.0, first)
-    assert judged == [1, 2, 3]
-    assert len(starts) == 4
+def test_a_run_that_is_continued_goes_on_after_the_starts_that_are_kept(run_all: Any) -> None:
+    first = [start(0, 5.0), start(1, None)]
+    assert [one.number for one in run_all([5.0, None, None, 5.0, *[None] * 4], first)] == [0, 1, 2, 3]
+    agreeing = [start(0, 5.0), start(1, 5.0)]
+    assert run_all([None] * COUNT, agreeing) == agreeing
 
 
 def test_what_the_time_has_cut_short_is_not_kept(run_all: Any) -> None:
     """What is kept may be written later, after an interrupt, and must not change until then."""
     kept: dict[str, list[Start]] = {}
-    starts, _ = run_all([5.0, 9.0, 13.0, *[None] * 5], 7.0, keep=kept.__setitem__, last=3)
+    starts = run_all([5.0, 9.0, 13.0, *[None] * 5], keep=kept.__setitem__, last=3)
     assert [one.number for one in starts] == [0, 1, 2]
     assert [one.number for one in kept["starts"]] == [0, 1]
-
-
-def test_where_the_time_is_over_before_a_start_has_succeeded_one_is_judged_at_larger_noise(run_all: Any) -> None:
-    kept: dict[str, list[Start]] = {}
-    starts, judged = run_all([None] * COUNT, 7.0, keep=kept.__setitem__, last=2)
-    assert judged == [0]
-    assert [one.noise for one in starts] == [2.0, 1.0]
-    assert all(one.looser for one in kept["starts"])
-
-
-def test_particles_need_no_starts_at_larger_noise(run_all: Any) -> None:
-    starts, judged = run_all([None] * COUNT, 7.0, posterior="smc")
-    assert (len(starts), judged) == (COUNT, [])
 
 
 @dataclass(frozen=True)

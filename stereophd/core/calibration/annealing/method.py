@@ -42,10 +42,8 @@ from stereophd.core.calibration.annealing.starts import (
     NOISE_AS_STATED,
     agreeing_with_best,
     best_of,
-    disagreement,
     rival_of,
     squared_residuals,
-    wanted,
 )
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
 from stereophd.core.calibration.unknowns.held import FOCAL_STD, EnlargedSet, enlarge
@@ -161,9 +159,9 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     assert best is not None
     assert best.fit is not None
     doubt, remarks = doubt_of_starts(task, starts, best, choices.is_sampled)
-    task, fit, remark = at_known_scale(task.with_noise(best.noise), best.fit, choices.known)
+    task, fit, remark = at_known_scale(task, best.fit, choices.known)
     remarks += remark
-    believed = believe(task, fit, choices, best.noise)
+    believed = believe(task, fit, choices)
     task, answer = believed.task, believed.answer
     remarks += (*motion_remarks(answer), *believed.remarks)
     if not choices.is_sampled:
@@ -181,9 +179,6 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     values = fit.adjustment.values
     early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
     doubt = doubt or early
-    if best.noise > 1.0:  # the start was not held to the noise that is stated: its answer is
-        noise = float(np.sqrt((believed.noise**2).mean()))
-        doubt = doubt or disagreement(task, answer.fit, noise=noise) or ""
     if (against := task.parameters.prior_disagreement(values)) is not None:
         by = known.kind if known is not None else "baseline" if task.scale is not None else ""
         doubt = f"with the known {by} {against}" if by else against
@@ -201,7 +196,7 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
     although others were run may be a wrong one that happens to explain the log. With further unknowns optima are flat,
     and this is a remark only. The full posterior decides by itself.
     """
-    agreeing, least = agreeing_with_best(starts), wanted(starts, task.settings.agreeing_starts)
+    agreeing, least = agreeing_with_best(starts), task.settings.agreeing_starts
     doubt, remarks = "", tuple[Remark, ...]()
     if agreeing < min(least, task.most_starts):
         why = f"only {agreeing} of {len(starts)} starts found these cameras, of {least} wanted: others may be right"
@@ -212,8 +207,8 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
                 Remark("starts", f"{why}; narrower priors or more starts (calibration.annealed.starts) show it"),
             )
     assert best.fit is not None
-    squares = best.noise**2 * float(squared_residuals(best.fit).mean())
-    if best.noise > 1.0 or squares > NOISE_AS_STATED:
+    squares = float(squared_residuals(best.fit).mean())
+    if squares > NOISE_AS_STATED:
         text = (
             f"residuals were {np.sqrt(squares):.1f} times the stated noise before it was estimated: detector.sigma_px "
             "is too small, or lenses, clocks or motion do not fit"
@@ -253,18 +248,17 @@ def chosen_anew(task: Task, fit: Fit, still: bool = False) -> Fit:
     return fit if chosen is None or len(chosen.detections) < LEAST_KEPT * len(fit.detections) else chosen
 
 
-def believe(task: Task, fit: Fit, choices: Choices, noise_of_fit: float = 1.0) -> Believed:
+def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict.
 
     Trajectories of an answer choose their detections and show the noise, and the search goes on from the answer. Once
     the noise stays, what is held is tested: first with errors that are independent, then with those that detections
-    share. Other unknowns, and a search that did not end, begin at the joint optimum again. `noise_of_fit` is the noise
-    of the task over what is stated.
+    share. Other unknowns, and a search that did not end, begin at the joint optimum again.
     """
     count = len(task.parameters.cameras)
-    noise, shared = np.full(count, noise_of_fit), np.zeros(count)
+    noise, shared = np.ones(count), np.zeros(count)
     given_up, held = list[Suspicion](), list[Suspicion]()
-    from_above, remarks = np.full(count, noise_of_fit > 1.0), tuple[Remark, ...]()
+    from_above, remarks = np.zeros(count, dtype=np.bool_), tuple[Remark, ...]()
     answer: Answer | None = None
     radius = 0.0  # Within which detections share errors.
     for number in range(MOST_ROUNDS):

@@ -5,9 +5,8 @@ noise, so that detections of one object are associated although the cameras are 
 trajectories to those detections, which improves the cameras. The inflation falls from pass to pass; in the last passes
 the fitted trajectories choose their detections themselves. See docs/explanation/calibration.md.
 
-A start succeeds only if the trajectories that two cameras share explain the detections, at the stated noise or, where
-too few starts do, at a larger one. The best start has the greatest sum of evidence (PMB filter at the noise of the
-start) and log-prior.
+A start succeeds only if the trajectories that two cameras share explain the detections. The best start has the greatest
+sum of evidence (PMB filter at the true noise) and log-prior.
 """
 
 from dataclasses import replace
@@ -56,72 +55,44 @@ def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequen
     """Follow one start through all passes: from the pairings found, the best first, then from its own values (m,).
 
     A pairing nearly as good as the best is followed too, and the one of the greater evidence counts. Further pairings,
-    and the start's own values at the widest noise, are tried only where none has succeeded so far. A start that fails
-    can be judged at larger noise (`at_larger_noise`). The number is for the record; the seed is that of the further
-    draws among which one-camera tracks are paired.
+    and the start's own values at the widest noise, are tried only where none has succeeded so far. The number is for
+    the record; the seed is that of the further draws among which one-camera tracks are paired.
     """
     tried: list[Start] = []
-    passes: list[list[Start]] = []
     is_timely = task.limit.begin(f"start {number + 1} of at most {task.most_starts}: one-camera tracks are paired")
     pairings = pairings_of(task, values, seed)[:MOST_PAIRINGS] if is_timely else []
     for place, pairing in enumerate(pairings):
         if best_of(tried) is not None and pairing.gain < AMBIGUOUS * pairings[0].gain:
             break
-        passes.append(_follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing)))
-        tried.append(passes[-1][-1])
+        tried.append(_follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing)))
     if best_of(tried) is None:
-        passes.append(_follow(task, number, WIDE, values, None))
-        tried.append(passes[-1][-1])
-    if (best := best_of(tried)) is not None or task.limit.is_over:
-        return best or max(tried, key=lambda one: one.explained)
-    *tracked, judged = max(passes, key=lambda one: one[-1].explained)
-    return replace(judged, looser=tuple(begun for begun in tracked if 1.0 < begun.noise <= PAIRED_INFLATION))
+        tried.append(_follow(task, number, WIDE, values, None))
+    return best_of(tried) or max(tried, key=lambda one: one.explained)
 
 
-def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> list[Start]:
-    """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes.
-
-    Returns it after each pass with the filter, at the noise of that, and last as it is judged.
-    """
+def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> Start:
+    """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes."""
     begun = Start(number, "", start, np.empty((0, len(start))), None, np.nan, np.nan, 0.0, origin)
     values, inflations = start, task.settings.inflation
     if fit is not None:
         begun, values = begun.with_pass(fit), fit.adjustment.values
         inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
-    out: list[Start] = []
     for number_of_pass, inflation in enumerate(inflations):
         step = f"pass {number_of_pass + 1} of {len(inflations)}, {inflation:g} times the noise"
         if not task.limit.begin(f"{_name_of(task, begun)}: {step}"):
-            return [*out, replace(begun, fit=None, outcome=TIME_OVER)]
+            return replace(begun, fit=None, outcome=TIME_OVER)
         ratio = 1.0 if fit is None else depth_ratio(task, fit, KEPT_WITHIN)
         fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio)
         if fit is None:
             why = f"no track is shared by two cameras at {inflation:g} times the noise"
-            return [*out, replace(begun, fit=None, outcome=why)]
+            return replace(begun, fit=None, outcome=why)
         begun, values = begun.with_pass(fit), fit.adjustment.values
-        out.append(replace(begun, noise=inflation))
-    return [*out, _judged(task, begun)]
-
-
-def at_larger_noise(task: Task, start: Start) -> Start:
-    """Judge a start that disagrees with the data at the stated noise at that of its passes, the largest first.
-
-    The noise may be stated too small, or a lens or a clock wrong: the answer, which is doubted, shows which. The
-    smallest noise counts down to which the start agrees; a start that does not at the largest is as it was judged.
-    """
-    judged = replace(start, looser=())
-    for begun in start.looser:
-        again = _judged(task.with_noise(begun.noise), begun)
-        if not again.succeeded:
-            break
-        judged = again
-    return judged
+    return _judged(task, begun)
 
 
 def _name_of(task: Task, start: Start) -> str:
     """Return what progress calls a start."""
-    at = f" at {start.noise:g} times the noise" if start.noise > 1.0 else ""
-    return f"start {start.number + 1} of at most {task.most_starts}, from {start.origin}{at}"
+    return f"start {start.number + 1} of at most {task.most_starts}, from {start.origin}"
 
 
 def _judged(task: Task, start: Start) -> Start:
@@ -189,15 +160,12 @@ def squared_residuals(fit: Fit) -> Array:
     return np.asarray(np.minimum(fit.adjustment.distances, LEFT_OUT) / 2.0)
 
 
-def disagreement(task: Task, fit: Fit, most_residual: float = MOST_RESIDUAL, noise: float = 1.0) -> str | None:
-    """Why a fit does not agree with the data or the prior; None if it does.
-
-    `noise` is the noise of the task over that to which the residuals are compared.
-    """
+def disagreement(task: Task, fit: Fit, most_residual: float = MOST_RESIDUAL) -> str | None:
+    """Why a fit does not agree with the data or the prior; None if it does."""
     part = explained(task, fit)
     if part < task.settings.min_tracked:
         return f"shared tracks explain only {percent(part)} of the detections that are not expected to be false"
-    residual = noise**2 * float(squared_residuals(fit).mean())
+    residual = float(squared_residuals(fit).mean())
     if residual > most_residual:
         return f"residuals are {np.sqrt(residual):.1f} times the detector's noise"
     values = fit.adjustment.values
@@ -224,13 +192,7 @@ def best_of(starts: list[Start]) -> Start | None:
 
 def enough(starts: list[Start], agreeing: int) -> bool:
     """Whether enough starts agree with the best one."""
-    return agreeing_with_best(starts) >= wanted(starts, agreeing)
-
-
-def wanted(starts: list[Start], agreeing: int) -> int:
-    """How many starts are to agree with the best: twice as many where it agrees with the data at larger noise alone."""
-    best = best_of(starts)
-    return agreeing if best is None or best.noise == 1.0 else 2 * agreeing
+    return agreeing_with_best(starts) >= agreeing
 
 
 def agreeing_with_best(starts: list[Start]) -> int:

@@ -156,9 +156,6 @@ class Start:
     log_prior: float
     explained: float  # Detections of shared trajectories, in parts of those not expected to be false
     origin: str  # Where the passes began: `PAIRING` and its number, or `WIDE`
-    noise: float = 1.0  # Noise of the detections at which it agrees with the data, over what is stated
-    # Of one that has failed at the stated noise: itself after passes at larger noise, to be judged at their noise.
-    looser: tuple[Start, ...] = ()
 
     @property
     def succeeded(self) -> bool:

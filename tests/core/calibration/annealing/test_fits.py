@@ -30,7 +30,6 @@ from stereophd.core.calibration.annealing.method import (
 )
 from stereophd.core.calibration.annealing.starts import (
     NOISE_AS_STATED,
-    at_larger_noise,
     disagreement,
     evidence,
     explained,
@@ -196,23 +195,6 @@ def test_a_noise_that_is_stated_too_small_lets_a_start_succeed(made: MadeUp, tas
     assert disagreement(small, fit) is None
     # the evidence is that at the noise of the residuals
     assert evidence(small, fit) == pytest.approx(evidence(task, fit), abs=30.0)
-
-
-def test_a_start_that_fails_at_the_stated_noise_is_judged_at_a_larger_one(made: MadeUp, task: Task) -> None:
-    small = task.with_noise(0.2)
-    failed = run_start(small, 0, task.parameters.prior_mean, np.random.SeedSequence(1))
-    assert not failed.succeeded
-    start = at_larger_noise(small, failed)
-    assert start.succeeded
-    assert not start.looser
-    assert start.noise > 5.0 / 3.0  # residuals of three times the noise are no agreement, and these are five
-    assert start.fit is not None
-    assert start.log_evidence == evidence(small.with_noise(start.noise), start.fit)
-    # the answer is found, and held to what is stated
-    result = calibrated(replace(small, settings=AnnealedSettings(starts=1)), [start], Choices())
-    check_near_truth(made, result.fit)
-    np.testing.assert_allclose(result.believed.noise, 5.0, rtol=0.2)
-    assert result.doubt.endswith("times the detector's noise")
 
 
 def test_noise_that_is_stated_wrong_is_replaced(made: MadeUp, task: Task) -> None:
