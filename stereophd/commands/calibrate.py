@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from stereophd.commands.options import CalibrateOptions
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.alignment.to_points import ControlPoints
-from stereophd.core.calibration.annealing.method import SAID_FACTOR
+from stereophd.core.calibration.annealing.method import SAID_FACTOR, Remark
 from stereophd.core.calibration.time_limit import TimeLimit
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty
 from stereophd.core.calibration.unknowns.observability import DETERMINED, PARTLY, UNDETERMINED
@@ -61,9 +61,7 @@ FILES = (CAMERAS_FILE, POSTERIOR_FILE, HISTORY_FILE, TRACKS_FILE, SCANS_FILE, AS
 # Requirement -> the statuses of a report that meet it.
 ACCEPTED = {None: (DETERMINED, PARTLY, UNDETERMINED), "partly": (DETERMINED, PARTLY), "determined": (DETERMINED,)}
 
-NOISE_NOTE = (
-    f"sigma_px is what the residuals show where what was stated is wrong by more than a factor of {SAID_FACTOR}."
-)
+NOISE_NOTE = f"sigma_px is what the data show where what was stated is wrong by more than a factor of {SAID_FACTOR}."
 # Checks that need the calibrated cameras; the checks of the log alone come first.
 WITH_CAMERAS = ("geometry.", "settings.")
 
@@ -109,7 +107,8 @@ def calibrate(
     drawn = whether_to_draw(options.plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
-        LOGGER.warning("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
+        text = "%s: of detectors calibrate estimates the noise alone: detection and clutter are taken as they are"
+        LOGGER.warning(text, loaded.path)
     findings = report_findings(check_log_alone(loaded, log_path))
     with contextlib.ExitStack() as held:
         held.enter_context(output_lock(out_dir))
@@ -129,14 +128,15 @@ def calibrate(
                 if isinstance(problem.control.known, ControlPoints):
                     report["control"] |= points_report(problem.control.known, cameras, str(control))
                 uncertainty = uncertainty_in_world(uncertainty, found.registration, found.center, world.covariance)
+            is_other_noise = bool(problem.remarks) or not np.all(outcome.noise == 1.0)
             write_cameras(
                 out.path(CAMERAS_FILE), with_quantities(loaded.cameras, cameras), loaded.config.units.length, record,
-                rows_of(uncertainty), "" if np.all(outcome.noise == 1.0) else NOISE_NOTE,
+                rows_of(uncertainty), NOISE_NOTE if is_other_noise else "",
             )  # fmt: skip
             limit.begin("tracks are made with the cameras")
             report["tracking"], further = _track(loaded, uncertainty, log_path, out, to_metadata(record))
             findings += report_findings(further)
-        report["checks"] = findings + _findings_of(report, outcome)
+        report["checks"] = findings + _findings_of(report, (*problem.remarks, *outcome.remarks))
         report["provenance"] = record
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
@@ -148,15 +148,15 @@ def calibrate(
     return _accepted(report, options.require, log_path)
 
 
-def _findings_of(report: dict[str, Any], outcome: Outcome) -> list[dict[str, Any]]:
+def _findings_of(report: dict[str, Any], remarks: tuple[Remark, ...]) -> list[dict[str, Any]]:
     """Return the findings about the result: what the data leave open, and what they contradict."""
     found = []
     if report["status"] != DETERMINED:
         text = f"{report['status']}: {report['reason']}"
         # logged at the end, after the outputs
         found.append(Finding("calibration.status", "warning", text, cause=report["status"].replace(" ", "_")).as_dict())
-    remarks = [Finding(f"calibration.{remark.topic}", "warning", remark.text) for remark in outcome.remarks]
-    return found + report_findings(tuple(remarks))
+    said = tuple(Finding(f"calibration.{remark.topic}", "warning", remark.text) for remark in remarks)
+    return found + report_findings(said)
 
 
 def _outcome(run: CalibrationRun) -> Outcome:

@@ -22,6 +22,7 @@ from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.core.calibration.adjustment import marginal
 from stereophd.errors import GateError, InputError
+from stereophd.pipeline.calibration.problem import read_problem
 from stereophd.report.summaries import summary_text
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "paper" / "calibration.yaml"
@@ -248,11 +249,28 @@ def test_the_noise_of_the_residuals_is_that_of_cameras_and_tracks(scene: Path, t
         loaded(tmp_path, (*QUICK, *ONE_START)), scene / "detections.parquet", tmp_path / "out", plots=False
     )
     text = (tmp_path / "out" / "cameras.yaml").read_text()
-    assert "# sigma_px is what the residuals show" in text
+    assert "# sigma_px is what the data show" in text
     for name, camera in yaml.safe_load(text)["cameras"].items():
         assert camera["detector"]["sigma_px"] == pytest.approx([4.2 * report["noise_factors"][name]] * 2)
         assert camera["detector"]["sigma_px"] == pytest.approx([2.0**0.5] * 2, rel=0.2)
     assert {one["status"] for one in report["checks"] if one["name"] == "tracking.noise"} == {"ok"}
+
+
+@pytest.mark.parametrize(
+    ("stated", "detector", "found", "topics"),
+    [("1.2", "given", [1.2] * 2, []), ("0.2", "given", [2.0**0.5] * 2, ["noise"] * 2),
+     ("1.2", "estimate", [2.0**0.5] * 2, []), ("30.0", "estimate", [2.0**0.5] * 2, [])],
+)  # fmt: skip
+def test_a_noise_far_below_that_of_one_camera_tracks_is_replaced(
+    scene: Path, stated: str, detector: str, found: list[float], topics: list[str]
+) -> None:
+    overrides = [f"cameras.{name}.detector.sigma_px=[{stated}, {stated}]" for name in ("left", "right")]
+    configuration = load_config(CONFIG, [*QUICK, f"detector={detector}", *overrides], cameras_path=scene / "guess.yaml")
+    problem = read_problem(configuration, scene / "detections.parquet")
+    sigma = [float(camera.detector.sigma.mean()) for camera in problem.parameters.cameras]
+    assert sigma == pytest.approx(found, rel=1e-9 if found[0] == 1.2 else 0.2)
+    assert [remark.topic for remark in problem.remarks] == topics
+    assert problem.recording.sigma.mean() == pytest.approx(np.mean(sigma), rel=0.01)
 
 
 def cut(scene: Path, out: Path, keep: Callable[[dict[str, np.ndarray]], np.ndarray]) -> Path:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves
 from stereophd.core.calibration.annealing.control import World, WorldControl
 from stereophd.core.calibration.annealing.fits import HistoryRow
-from stereophd.core.calibration.annealing.method import Remark
+from stereophd.core.calibration.annealing.method import SAID_FACTOR, Remark
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -35,6 +35,8 @@ from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError, unknown_camera
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
+from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
+from stereophd.pipeline.checks.run import QUICK_FRAMES
 from stereophd.pipeline.control import read_control
 from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import Size
@@ -53,6 +55,7 @@ class CalibrationProblem:
     recording: Recording  # The log
     scale: ScaleMeasurement | None  # A known baseline
     counts: dict[str, int]  # Counts of the log, as in ``report.json``
+    remarks: tuple[Remark, ...] = ()  # What of the configuration the log replaces
     control: WorldControl | None = None
     noise_in_log: bool = False  # Whether the log states the noise of every detection
 
@@ -135,21 +138,44 @@ def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurem
 def read_problem(loaded: LoadedConfig, log_path: Path | str, is_placed: bool = True) -> CalibrationProblem:
     """Read a log, and check that it can constrain the unknown cameras, if poses and clocks of all are known or found.
 
+    The noise of a camera is what its tracks show, where that is far more than the configuration states.
+
     Raises InputError as `build_parameters` does, and when the log is not usable, or an unknown camera saw nothing, or
     not while another did.
     """
     parameters, reference = build_parameters(loaded)
     scale = build_scale(loaded, parameters)
     stream = open_stream(loaded.config, parameters.cameras, log_path)
-    frames = covered(parameters.cameras, stream.frames, stream.source)
+    frames = list(covered(parameters.cameras, stream.frames, stream.source))
+    cameras, remarks = parameters.cameras, tuple[Remark, ...]()
+    if not stream.has_noise:
+        cameras, remarks = _with_shown_noise(loaded, sample_log(frames, cameras, QUICK_FRAMES))
+    parameters = replace(parameters, cameras=cameras)
     recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
     if is_placed:
         _check_overlap(parameters, recording, log_path)
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
     _check_method(loaded, parameters)
     return CalibrationProblem(
-        parameters, reference, recording, scale, counts, build_control(loaded, parameters.cameras), stream.has_noise
+        parameters, reference, recording, scale, counts, remarks, build_control(loaded, cameras), stream.has_noise
     )
+
+
+def _with_shown_noise(
+    loaded: LoadedConfig, samples: list[CameraSample]
+) -> tuple[tuple[Camera, ...], tuple[Remark, ...]]:
+    """Return the cameras with the noise that their tracks show beyond doubt, or is to be estimated, and what to say."""
+    cameras, remarks = [], []
+    for sample in samples:
+        camera, noise, stated = sample.camera, sample.measured_noise_px, float(sample.camera.detector.sigma.mean())
+        is_far = sample.least_noise_px > SAID_FACTOR * stated
+        if noise is not None and (is_far or camera.name in loaded.estimated_cameras):
+            camera = camera.with_noise(noise)
+        if is_far:
+            text = f"{camera.name}: detections scatter by {noise:.2g} px about one-camera tracks: it was used in place"
+            remarks.append(Remark("noise", f"{text} of a sigma_px of {stated:g}"))
+        cameras.append(camera)
+    return tuple(cameras), tuple(remarks)
 
 
 def control_path(loaded: LoadedConfig) -> Path | None:
