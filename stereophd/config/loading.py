@@ -71,19 +71,18 @@ class LoadedConfig:
         """The record of this configuration for the provenance of an output."""
         return ConfigRecord(self.resolved, self.sha256, self.inputs, self.config.seed, self.config.units.length)
 
-    def build_cameras(self) -> tuple[Camera, ...]:
-        """Return the geometric cameras in order.
+    def build_cameras(self, to_calibrate: bool = False) -> tuple[Camera, ...]:
+        """Return the geometric cameras in order; those `to_calibrate` may have unknown focal lengths.
 
         Raises
         ------
         InputError
-            The configuration names no cameras.
+            The configuration names no cameras, or a value of a camera is unknown.
         """
         if not self.cameras:
             raise InputError(f"{self.path}: cameras: expected cameras (here or by `cameras_path`), found none")
         for name, camera in self.cameras.items():
-            if camera.must_be_found:
-                key = "pose" if camera.pose.unknown else "clock.offset_s"
+            if (key := camera.unknown_key) is not None and not (to_calibrate and key == "intrinsics.focal"):
                 raise InputError(
                     f"{self.path}: cameras.{name}.{key}: expected a value, found unknown: run `calibrate` first; it "
                     "writes a cameras.yaml with this value"

@@ -57,6 +57,20 @@ def test_one_offset_is_that_of_all_cameras(call: Call, tmp_path: Path) -> None:
     assert {name: row["first_s"] for name, row in json.loads(done.out)["cameras"].items()} == {"left": 0.5, "right": 2}
 
 
+def test_only_a_rate_that_somebody_states_is_written(call: Call, tmp_path: Path) -> None:
+    """A rate that follows from the times agrees with any times, so that no check would find them wrong."""
+    table, calibration = write_table(tmp_path / "points.csv"), write_calibration(tmp_path / "calibration.json")
+    for column, *words in (("time_s",), ("frame", "--fps", "1")):
+        out, is_stated = tmp_path / column, bool(words)
+        words += ["--column", f"{column}=n", "--out", out]
+        done = call("import", "csv", table, "--cameras", calibration, *words)
+        assert done.code == 0, done.err
+        assert ("frame_rate_hz: 1.0" in (out / "cameras.yaml").read_text()) == is_stated
+        # camera left has frames 0 and 2
+        assert ("camera right: times are whole numbers, 1 s apart" in done.err) != is_stated
+        assert "camera left: times are whole" not in done.err
+
+
 def test_wrong_words_are_named(call: Call, tmp_path: Path) -> None:
     table = write_table(tmp_path / "points.csv")
     for words, part in (

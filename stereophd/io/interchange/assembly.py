@@ -157,7 +157,7 @@ def write_native_log(
     spools = spool_pieces(recording, folder)
     try:
         if not spools:
-            raise InputError("expected detections in the source, found none")
+            raise InputError(f"{next(iter(recording.files), 'the source')}: expected detections, found none")
         extra = extra_columns(spools)
         if "score" in extra and options.least_score is None:
             recording.assumed.append("scores (likelihoods) are not used: `least_score` leaves out what has a lower one")
