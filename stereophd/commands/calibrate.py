@@ -108,8 +108,6 @@ def calibrate(
     )
     drawn = whether_to_draw(options.plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
-    if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
-        LOGGER.info("%s: detectors are estimated by track only: their values are taken as they are", loaded.path)
     findings = report_findings(check_log_alone(loaded, log_path))
     with contextlib.ExitStack() as held:
         held.enter_context(output_lock(out_dir))

@@ -29,12 +29,6 @@ UNKNOWN_FOCAL_STD = 0.47
 # Sections in the order of the file.
 SECTIONS = ("object", "motion", "region", "filter", "report", "evaluation")
 
-SMOOTHING = (
-    "  # the whole log improves every position, and tracks begin at their first detection; it is then held in memory.",
-    "  # null: no smoothing; {max_gap_s: 1.0}: over the whole log, across gaps of up to 1 s",
-    "  smooth: null",
-)
-
 
 def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> str:
     """Return the text of a draft.
@@ -55,15 +49,12 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
     lines += _comment(["Images do not show the unit: is it that of the centres of the cameras?"], 0)
     lines += [f"units: {{length: {draft.unit}}}", f"seed: {values.pop('seed', 0)}", ""]
     lines += _cameras(draft, cameras_file)
-    values.setdefault("report", {})
     others = [section for section in values if section not in (*SECTIONS, "units")]
     for section in (*SECTIONS, *others):
         if section in draft.choices:  # a plain value, or a section given whole
             lines += [f"{section}: {scalar(values[section])}", ""]
         elif section in values:
-            lines += [f"{section}:", *_entries(draft, values[section], section, 1)]
-            smoothing = section == "report" and "smooth" not in values["report"]
-            lines += [*(SMOOTHING if smoothing else ()), ""]
+            lines += [f"{section}:", *_entries(draft, values[section], section, 1), ""]
     if "calibration" not in values and (calibration := list(_calibration(draft))):
         lines += [
             "# For `stereophd calibrate`: how well poses are known. These standard deviations are guesses: edit them,",
