@@ -25,7 +25,7 @@ def calibration_section(loaded: LoadedConfig) -> CalibrationConfig:
     if section is None:
         raise InputError(
             f"{loaded.path}: calibration: expected a section with a reference camera, and with priors of the cameras "
-            "whose poses are known roughly, found none"
+            "whose poses are known roughly, found none; `init` writes one, as a comment where the cameras agree"
         )
     return section
 
