@@ -98,7 +98,7 @@ def load_config(
     Parameters
     ----------
     path
-        The YAML file; a path of cameras in it is relative to its folder.
+        The YAML file, or the folder whose ``config.yaml`` it is; a path of cameras in it is relative to its folder.
     overrides
         ``key.path=value`` with a YAML value each, later ones win.
     seed
@@ -113,7 +113,7 @@ def load_config(
         A file cannot be read or is not valid: one line for each fault, with file, line,
         key path, what was expected and found, and the nearest key for an unknown one.
     """
-    source = Path(path)
+    source = Path(path, "config.yaml") if Path(path).is_dir() else Path(path)
     tree, content = read_yaml(source)
     inputs = {"config": hashlib.sha256(content).hexdigest()}
     return _completed(tree, source, inputs, source.parent, overrides, seed, cameras_path)

@@ -100,6 +100,7 @@ def test_wrong_words_are_named(call: Call, tmp_path: Path) -> None:
         (("import", "cvs", table), "did you mean csv?"),
         (("import", "csv", tmp_path / "none.csv"), "there is no such file"),
         (("import", "csv", table, "--fps", "left=fast"), "--fps: expected [CAM=]VALUE, found left=fast"),
+        (("import", "csv", table, "--column", "u_px=x", "--column", "u_px=y"), "each name once, found u_px=y"),
         (("import", "csv", table, "--image-size", "640"), "--image-size: expected [CAM=]VALUE"),
         (("import", "csv", table, "--time-unit", "h"), "--time-unit"),
     ):
