@@ -140,7 +140,7 @@ def option(name: str, metavar: str, text: str, **more: Any) -> Any:
 Form = Annotated[
     str, argument("FORMAT", f"Format; csv --help, for one, describes csv. All: {page('reference/interchange')}")
 ]
-Config = Annotated[Path, argument("CONFIG", "Configuration (YAML).")]
+Config = Annotated[Path, argument("CONFIG", "Configuration (YAML), or its folder.")]
 Out = Annotated[Path, option("--out", "DIR", "Output folder; created if missing.")]
 Logs = Annotated[list[Path], argument("LOG", "Detection logs (Parquet), or patterns such as 'day1/*.parquet'.")]
 Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras (YAML) in place of the configuration's.")]

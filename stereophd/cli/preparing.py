@@ -110,7 +110,8 @@ def _written(report: dict[str, Any], log: Path | None) -> list[str]:
         command, options, out = "calibrate", [], "calibrated"
     words = ["stereophd", command, str(config), str(log or "LOG"), *options, "--out", str(config.parent / out)]
     following = shlex.join(words)
-    return [*lines, f"Written: {config}; next:", f"  {following}"]
+    then = ", and `init` again with the cameras that it finds:" if command == "calibrate" else ":"
+    return [*lines, f"Written: {config}; next{then}", f"  {following}"]
 
 
 def _detector(name: str, detector: dict[str, Any]) -> str:

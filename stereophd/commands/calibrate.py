@@ -106,9 +106,6 @@ def calibrate(
     )
     drawn = whether_to_draw(options.plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
-    if loaded.config.detector == "estimate" or any(camera.detector.estimate for camera in loaded.cameras.values()):
-        text = "%s: of detectors calibrate estimates the noise alone: detection and clutter are taken as they are"
-        LOGGER.warning(text, loaded.path)
     findings = report_findings(check_log_alone(loaded, log_path))
     with contextlib.ExitStack() as held:
         held.enter_context(output_lock(out_dir))

@@ -33,8 +33,9 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.run import QUICK_FRAMES, report_findings
+from stereophd.pipeline.checks.run_figures import check_rows
 from stereophd.pipeline.inspection.cameras import summarise_cameras
-from stereophd.wording import LOGGER, instant
+from stereophd.wording import LOGGER
 
 DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
 TRUTH_FILE = "truth.parquet"
@@ -99,13 +100,19 @@ def import_recording(
         refuse_unread(options, read | of_cameras | of_reader, f"a source of format {form}{beside}")
         stated = paths if cameras_path is None else [*paths, Path(cameras_path)]
         refuse_other_cameras(options, [*recording.cameras, *summaries], [*in_cameras, *in_source], stated)
-        cameras = _with_rates(recording.cameras, summaries)
+        # frame rates that follow from the log would agree with any times
+        rates = {
+            name: options.rates.get(name) or recording.rates.get(name) for name in {**recording.cameras, **summaries}
+        }
+        cameras = {
+            name: camera if camera.frame_rate_hz else camera.model_copy(update={"frame_rate_hz": rates[name]})
+            for name, camera in recording.cameras.items()
+        }
         if cameras:
             assert recording.length_unit is not None
             write_cameras(out.path(CAMERAS_FILE), cameras, recording.length_unit, record)
-        _check(recording, summaries)
-        # frame rates that follow from the log would agree with any times
-        findings = _check_files(recording.cameras, summaries, out.path(DETECTIONS_FILE)) if summaries else []
+        _check(recording, summaries, rates)
+        findings = _check_files(cameras, summaries, out.path(DETECTIONS_FILE)) if summaries else []
         report = {
             "report_version": REPORT_VERSION,
             "command": "import",
@@ -164,16 +171,9 @@ def _write_truth(
         table.append(columns)
 
 
-def _with_rates(cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary]) -> dict[str, CameraConfig]:
-    """State the frame rates of the log where the cameras have none."""
-    rates = {name: summary.rate_hz for name, summary in summaries.items()}
-    return {
-        name: camera if camera.frame_rate_hz else camera.model_copy(update={"frame_rate_hz": rates.get(name)})
-        for name, camera in cameras.items()
-    }
-
-
-def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) -> None:
+def _check(
+    recording: ForeignRecording, summaries: Mapping[str, CameraSummary], rates: Mapping[str, float | None]
+) -> None:
     """Add warnings about what does not fit together."""
     warn = recording.warnings.append
     if summaries and recording.cameras:
@@ -193,23 +193,11 @@ def _check(recording: ForeignRecording, summaries: Mapping[str, CameraSummary]) 
     for name, summary in summaries.items():
         if not summary.detections:
             warn(f"camera {name} has frames, but no detections")
-            continue
-        low, high = np.array(summary.lowest_px), np.array(summary.highest_px)
-        if summary.detections > 1 and (low >= 0).all() and (high <= 1).all():
-            warn(f"camera {name}: all pixels lie between 0 and 1: they seem to be divided by the image size")
-        if name in recording.cameras:
-            size = np.array(recording.cameras[name].image_size_px)
-            if (low < -0.5 - IMAGE_MARGIN_PX).any() or (high > size - 0.5 + IMAGE_MARGIN_PX).any():
-                warn(
-                    f"camera {name}: pixels from ({low[0]:g}, {low[1]:g}) to ({high[0]:g}, {high[1]:g}) do not fit the "
-                    f"image of {size[0]} x {size[1]} px"
-                )
-    spans = {
-        name: (s.first_s, s.last_s) for name, s in summaries.items() if s.first_s is not None and s.last_s is not None
-    }
-    if spans and max(first for first, _ in spans.values()) > min(last for _, last in spans.values()):
-        listed = ", ".join(f"{name} {instant(first)} to {instant(last)} s" for name, (first, last) in spans.items())
-        warn(f"the cameras have no time in common ({listed}): check rates, offsets and the unit of times")
+        if summary.rate_hz == 1.0 and rates[name] is None and (summary.first_s or 0.0).is_integer():
+            warn(
+                f"camera {name}: times are whole numbers, 1 s apart: if they number the frames, read them as `columns` "
+                "frame=COLUMN, and state `rates`"
+            )
 
 
 def _check_files(
@@ -221,11 +209,14 @@ def _check_files(
         return []
     samples = sample_log(LogReader(log, built, "drop", float("inf")), built, QUICK_FRAMES)
     estimated = [name for name, camera in cameras.items() if camera.detector.estimate]
-    return [
+    outside = sum(int((~one.camera.contains(one.pixels, IMAGE_MARGIN_PX)).sum()) for one in samples)
+    rows = check_rows({"rows": sum(len(one.pixels) for one in samples), "outside_image": outside})
+    about_files = (
         found
         for found in check_files(samples, whole=False)
         if not (found.name.startswith("detector.") and found.camera in estimated)
-    ]
+    )
+    return [*rows, *about_files]
 
 
 def _camera_rows(
@@ -237,7 +228,6 @@ def _camera_rows(
         row: dict[str, Any] = {}
         if name in summaries:
             row = asdict(summaries[name])
-            row.pop("lowest_px"), row.pop("highest_px")
         if name in cameras:
             row["image_size_px"] = list(cameras[name].image_size_px)
         rows[name] = row

@@ -46,7 +46,7 @@ def init(
     draft = _with_overrides(_begin(cameras_file, log_path, options.length_unit, kind), overrides)
     if log_path is not None and draft.cameras:
         draft = draft_from_log(draft, log_path)
-    if draft.is_unplaced:
+    if draft.must_be_searched:
         from stereophd.pipeline.calibration.found_cameras import refuse_search
 
         refuse_search(loaded_draft(draft, str(cameras_file)))
@@ -139,7 +139,7 @@ def _begin(cameras_file: Path | None, log_path: Path | str | None, unit: str | N
         described = load_cameras(cameras_file)
         if unit is not None and unit != described.units.length:
             raise InputError(f"{cameras_file}: units.length: expected {unit}, found {described.units.length}")
-        return template(described.units.length, described.cameras, kind)
+        return replace(template(described.units.length, described.cameras, kind), covariance=described.covariance)
     draft = template(unit or "m", {}, kind)
     if log_path is None:
         return draft

@@ -71,19 +71,18 @@ class LoadedConfig:
         """The record of this configuration for the provenance of an output."""
         return ConfigRecord(self.resolved, self.sha256, self.inputs, self.config.seed, self.config.units.length)
 
-    def build_cameras(self) -> tuple[Camera, ...]:
-        """Return the geometric cameras in order.
+    def build_cameras(self, to_calibrate: bool = False) -> tuple[Camera, ...]:
+        """Return the geometric cameras in order; those `to_calibrate` may have unknown focal lengths.
 
         Raises
         ------
         InputError
-            The configuration names no cameras.
+            The configuration names no cameras, or a value of a camera is unknown.
         """
         if not self.cameras:
             raise InputError(f"{self.path}: cameras: expected cameras (here or by `cameras_path`), found none")
         for name, camera in self.cameras.items():
-            if camera.must_be_found:
-                key = "pose" if camera.pose.unknown else "clock.offset_s"
+            if (key := camera.unknown_key) is not None and not (to_calibrate and key == "intrinsics.focal"):
                 raise InputError(
                     f"{self.path}: cameras.{name}.{key}: expected a value, found unknown: run `calibrate` first; it "
                     "writes a cameras.yaml with this value"
@@ -99,7 +98,7 @@ def load_config(
     Parameters
     ----------
     path
-        The YAML file; a path of cameras in it is relative to its folder.
+        The YAML file, or the folder whose ``config.yaml`` it is; a path of cameras in it is relative to its folder.
     overrides
         ``key.path=value`` with a YAML value each, later ones win.
     seed
@@ -114,7 +113,7 @@ def load_config(
         A file cannot be read or is not valid: one line for each fault, with file, line,
         key path, what was expected and found, and the nearest key for an unknown one.
     """
-    source = Path(path)
+    source = Path(path, "config.yaml") if Path(path).is_dir() else Path(path)
     tree, content = read_yaml(source)
     inputs = {"config": hashlib.sha256(content).hexdigest()}
     return _completed(tree, source, inputs, source.parent, overrides, seed, cameras_path)

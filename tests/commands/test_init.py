@@ -92,7 +92,6 @@ def test_cameras_of_which_nothing_is_known_are_calibrated_first(
         values["cameras"] = {str(number): camera for number, camera in enumerate(values["cameras"].values(), 1)}
     for name, camera in values["cameras"].items():
         camera["pose"] = camera["pose"] if name in known else "unknown"
-        camera.pop("frame_rate_hz", None)
     guess = tmp_path / "guess.yaml"
     guess.write_text(yaml.safe_dump(values))
     log = ["--log", str(scene / "detections.parquet")] if with_log else []
@@ -103,10 +102,47 @@ def test_cameras_of_which_nothing_is_known_are_calibrated_first(
     loaded = load_config(config)
     assert loaded.config.calibration is not None
     assert loaded.config.calibration.reference == (known or tuple(loaded.cameras))[0]
-    assert all((camera.frame_rate_hz is not None) == with_log for camera in loaded.cameras.values())
     if with_log:
         words = ["calibrate", config, str(scene / "detections.parquet"), "--out", str(tmp_path / "out"), "--time", "1"]
         assert run(words) == 0
+
+
+def test_a_camera_of_unknown_focal_length_is_calibrated_before_anything_uses_it(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its focal length is the width of the image until then, with which `track` would run without a word."""
+    values = yaml.safe_load((scene / "cameras.yaml").read_text())
+    first, second = values["cameras"]
+    values["cameras"][first]["intrinsics"] = {"focal": "unknown"}
+    guess, log = tmp_path / "guess.yaml", str(scene / "detections.parquet")
+    guess.write_text(yaml.safe_dump(values))
+    assert run(["init", str(tmp_path / "study"), "--cameras", str(guess), "--log", log]) == 0
+    name, command, config, *_ = shlex.split(capsys.readouterr().out.splitlines()[-1])
+    assert (name, command) == ("stereophd", "calibrate")
+    assert run(["config", "check", config, "--for", "calibrate"]) == 0
+    priors = load_config(config).resolved["calibration"]["priors"]
+    assert priors[first]["focal_std"] > 0.0 == priors[second]["focal_std"]
+    for words in (["track", config, log, "--out", str(tmp_path / "tracks")], ["check", config, log]):
+        assert run(words) == 2
+        assert f"cameras.{first}.intrinsics.focal: expected a value, found unknown" in capsys.readouterr().err
+    stated = f"calibration.priors.{first}={{principal_point_std_px: 5}}"
+    assert run(["config", "check", config, "--for", "calibrate", "--set", stated]) == 2
+    assert f"{first}.focal_std: expected a standard deviation" in capsys.readouterr().err
+
+
+def test_times_in_milliseconds_are_named(scene: Path, tmp_path: Path) -> None:
+    """The frame rates that such times give were written as those of the cameras, which then agreed with them."""
+    table = pd.read_parquet(scene / "detections.parquet")
+    table["time_s"] *= 1e3
+    table.to_parquet(tmp_path / "log.parquet", index=False)
+    described = yaml.safe_load((scene / "cameras.yaml").read_text())
+    for camera in described["cameras"].values():
+        del camera["frame_rate_hz"]
+        camera["pose"] = "unknown"
+    (tmp_path / "cameras.yaml").write_text(yaml.safe_dump(described))
+    report = init(tmp_path / "out", tmp_path / "log.parquet", tmp_path / "cameras.yaml")
+    named = [one["camera"] for one in report["checks"] if one["cause"] == "milliseconds"]
+    assert named == list(described["cameras"])
 
 
 @pytest.mark.parametrize("said_by", ["likelihood", "views", "checks", "mistake"])

@@ -11,6 +11,7 @@ import pytest
 from stereophd import InputError, load_config, read_cameras
 from stereophd.commands.evaluate import evaluate
 from stereophd.commands.evaluate_cameras import Posterior, in_frame
+from stereophd.commands.init import init
 from stereophd.commands.track import track
 from stereophd.config.loading import load_cameras
 from stereophd.core.alignment.frames import moved_camera
@@ -139,6 +140,14 @@ def test_a_world_turns_and_scales_the_uncertainty(uncertainty: CameraUncertainty
     np.testing.assert_allclose(both.covariance[np.ix_(rows, rows)], 0.01, rtol=1e-4)
 
 
+def test_a_new_configuration_keeps_what_is_uncertain(uncertainty: CameraUncertainty, tmp_path: Path) -> None:
+    file = load_cameras(SAMPLE / "hall" / "cameras.yaml")
+    write_cameras(tmp_path / "cameras.yaml", file.cameras, "m", covariance=rows_of(uncertainty))
+    init(tmp_path / "study", None, tmp_path / "cameras.yaml")
+    kept = load_config(tmp_path / "study" / "config.yaml").config.cameras_covariance
+    assert kept == load_cameras(tmp_path / "cameras.yaml").covariance
+
+
 def test_tracks_and_scores_count_the_cameras(uncertainty: CameraUncertainty, tmp_path: Path) -> None:
     file = load_cameras(SAMPLE / "hall" / "cameras.yaml")
     write_cameras(tmp_path / "cameras.yaml", file.cameras, "m", covariance=rows_of(uncertainty))
@@ -157,6 +166,10 @@ def test_tracks_and_scores_count_the_cameras(uncertainty: CameraUncertainty, tmp
     assert not part[:, 3:].any()
     np.testing.assert_allclose(np.square(tables["uncertain"]["std_x"]), whole[:, 0, 0])
     assert report["cameras_part"]["common_std"] > report["cameras_part"]["other_std"] > 0.0
+    confirmed = tables["uncertain"]["status"].to_numpy(zero_copy_only=False) == "confirmed"
+    stds, ids = np.sqrt(np.trace(whole[:, :3, :3], axis1=1, axis2=2)), tables["uncertain"]["track_id"].to_numpy()
+    for one in report["tracks"]:
+        assert one["mean_position_std"] == pytest.approx(stds[confirmed & (ids == one["track_id"])].mean())
     scores = evaluate(tmp_path / "uncertain" / "tracks.parquet", SAMPLE / "hall" / "truth.parquet", cutoff=1.0)["nees"]
     alone = evaluate(tmp_path / "known" / "tracks.parquet", SAMPLE / "hall" / "truth.parquet", cutoff=1.0)["nees"]
     assert scores["without_cameras"] == pytest.approx(alone["position"])

@@ -72,6 +72,10 @@ class TestValues:
         assert loaded.config.filter.prune_weight == 1e-4
         assert loaded.config.seed == 6
 
+    def test_of_a_folder(self, path: Path) -> None:
+        path.rename(path.with_name("config.yaml"))
+        assert load_config(path.parent).path == path.with_name("config.yaml")
+
     def test_cameras_keep_their_order(self, path: Path) -> None:
         loaded = load_config(path)
         assert list(loaded.cameras) == ["zulu", "alpha"]
@@ -196,7 +200,7 @@ class TestErrors:
         assert message(tmp_path / "a.yaml") == f"{tmp_path / 'a.yaml'}: there is no such file"
 
     def test_a_folder(self, tmp_path: Path) -> None:
-        assert message(tmp_path) == f"{tmp_path}: cannot be read: Is a directory"
+        assert message(tmp_path) == f"{tmp_path / 'config.yaml'}: there is no such file"
 
     @pytest.mark.parametrize(
         ("old", "new", "line", "expected"),

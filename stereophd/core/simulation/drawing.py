@@ -90,7 +90,7 @@ def _draw_one(
         f"{drawing.stay_in_view} cameras throughout its life, found none in "
         f"{MAX_BATCHES * CANDIDATES_PER_BATCH} draws (box x {_range(drawing, 0)}, y {_range(drawing, 1)}, "
         f"z {_range(drawing, 2)}, velocity_std {drawing.velocity_std:g}, cameras "
-        f"{', '.join(camera.name for camera in cameras)})"
+        f"{', '.join(camera.name for camera in cameras)}); stay_in_view any or none asks less"
     )
 
 

@@ -189,8 +189,16 @@ class CameraConfig(Model):
 
     @property
     def must_be_found(self) -> bool:
-        """Whether its pose or its clock is unknown, so that nothing but `calibrate` can use it."""
+        """Whether its pose or its clock is unknown, so that `calibrate` searches for the poses of all cameras."""
         return self.pose.unknown or self.clock.unknown
+
+    @property
+    def unknown_key(self) -> str | None:
+        """The key of a value that is unknown, so that nothing but `calibrate` can use the camera; None: it is known."""
+        unknown = {
+            "pose": self.pose.unknown, "clock.offset_s": self.clock.unknown, "intrinsics.focal": self.intrinsics.unknown
+        }  # fmt: skip
+        return next((key for key, is_unknown in unknown.items() if is_unknown), None)
 
     def build(self, name: str) -> Camera:
         """Return the geometric `Camera` of this name; an unknown pose is the origin, and an unknown offset 0."""

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
 import numpy as np
 from annotated_types import Interval
 from pydantic import AfterValidator, field_validator, model_validator
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
 from stereophd.core.settings import FINITE, Degrees, DegreesPerSecond, Time, Vector3, parameter
@@ -38,27 +39,33 @@ RotationMatrix = Annotated[tuple[Row, Row, Row], AfterValidator(_check_rotation)
 RotationVector = tuple[Degrees, Degrees, Degrees]
 
 
-def _rotation(matrix: RotationMatrix | None, vector_deg: RotationVector | None) -> Any:
-    """Return the rotation matrix of either form; without both, the identity."""
-    if matrix is not None:
-        return np.asarray(matrix, dtype=float)
-    return rotation_from_vector(np.deg2rad(vector_deg or (0.0, 0.0, 0.0)))
+class PlaceConfig(Model):
+    """A place, and a rotation in one of two forms: the identity without either."""
 
-
-class MountConfig(Model):
-    """How a body carries a camera (hand-eye): x_camera = rotation @ (x_body - center)."""
-
-    center: Vector3 = parameter("optical centre in the body's axes", default=(0.0, 0.0, 0.0), unit="length")
-    rotation_matrix: RotationMatrix | None = parameter("rows of the rotation from body to camera axes", default=None)
+    center: Vector3 | None = parameter("optical centre", default=None, unit="length")
+    rotation_matrix: RotationMatrix | None = parameter("rows of the rotation to camera axes", default=None)
     rotation_vector_deg: RotationVector | None = parameter(
         "the same rotation as axis times angle", default=None, unit="degrees"
     )
 
     @model_validator(mode="after")
-    def _one_rotation(self) -> MountConfig:
+    def _one_rotation(self) -> Self:
         if self.rotation_matrix is not None and self.rotation_vector_deg is not None:
             raise ValueError("expected one of rotation_matrix and rotation_vector_deg, found both")
         return self
+
+    @property
+    def rotation(self) -> Array:
+        """The rotation matrix."""
+        if self.rotation_matrix is not None:
+            return np.asarray(self.rotation_matrix, dtype=float)
+        return rotation_from_vector(np.deg2rad(self.rotation_vector_deg or (0.0, 0.0, 0.0)))
+
+
+class MountConfig(PlaceConfig):
+    """How a body carries a camera (hand-eye), in the body's axes: x_camera = rotation @ (x_body - center)."""
+
+    center: Vector3 = parameter("optical centre in the body's axes", default=(0.0, 0.0, 0.0), unit="length")
 
 
 class TrajectoryConfig(Model):
@@ -78,15 +85,11 @@ class TrajectoryConfig(Model):
         return unpack_poses(self.poses)
 
 
-class PoseConfig(Model):
+class PoseConfig(PlaceConfig):
     """Pose of a camera: x_camera = rotation @ (x_world - center)."""
 
     center: Vector3 | None = parameter(
         "optical centre in the world; required without trajectory", default=None, unit="length"
-    )
-    rotation_matrix: RotationMatrix | None = parameter("rows of the rotation from world to camera axes", default=None)
-    rotation_vector_deg: RotationVector | None = parameter(
-        "the same rotation as axis times angle", default=None, unit="degrees"
     )
     velocity: Vector3 = parameter("velocity of the centre in the world", default=(0.0, 0.0, 0.0), unit="length/s")
     rotation_rate_deg_s: tuple[DegreesPerSecond, DegreesPerSecond, DegreesPerSecond] = parameter(
@@ -109,8 +112,6 @@ class PoseConfig(Model):
             if self.model_dump(exclude_defaults=True).keys() != {"unknown"}:
                 raise ValueError("expected nothing besides unknown, found more")
             return self
-        if self.rotation_matrix is not None and self.rotation_vector_deg is not None:
-            raise ValueError("expected one of rotation_matrix and rotation_vector_deg, found both")
         if self.trajectory is None:
             if self.center is None:
                 raise ValueError("expected center or trajectory, found neither")
@@ -131,11 +132,10 @@ class PoseConfig(Model):
             mount = self.mount or MountConfig()
             file = self.trajectory
             trajectory = read_trajectory(file) if isinstance(file, str) else file.build()
-            rotation = _rotation(mount.rotation_matrix, mount.rotation_vector_deg)
-            return Pose.following(MountedPath(trajectory, rotation, mount.center))
+            return Pose.following(MountedPath(trajectory, mount.rotation, mount.center))
         assert self.center is not None
         return Pose(
-            rotation=_rotation(self.rotation_matrix, self.rotation_vector_deg),
+            rotation=self.rotation,
             center=np.asarray(self.center, dtype=float),
             velocity=np.asarray(self.velocity, dtype=float),
             rotation_rate=np.deg2rad(self.rotation_rate_deg_s),
@@ -143,25 +143,21 @@ class PoseConfig(Model):
         )
 
 
-class LaterPoseConfig(Model):
+class LaterPoseConfig(PlaceConfig):
     """A pose that a camera has from a time on."""
 
     from_s: Time = parameter("true time from which it holds", unit="s")
     center: Vector3 = parameter("optical centre in the world", unit="length")
-    rotation_matrix: RotationMatrix | None = parameter("rows of the rotation from world to camera axes", default=None)
-    rotation_vector_deg: RotationVector | None = parameter(
-        "the same rotation as axis times angle", default=None, unit="degrees"
-    )
 
     @model_validator(mode="after")
-    def _one_rotation(self) -> LaterPoseConfig:
-        if (self.rotation_matrix is None) == (self.rotation_vector_deg is None):
-            raise ValueError("expected one of rotation_matrix and rotation_vector_deg, found both or neither")
+    def _is_rotated(self) -> LaterPoseConfig:
+        if self.rotation_matrix is None and self.rotation_vector_deg is None:
+            raise ValueError("expected rotation_matrix or rotation_vector_deg, found neither")
         return self
 
     def build(self) -> Pose:
         """Return the `Pose`."""
-        return Pose(_rotation(self.rotation_matrix, self.rotation_vector_deg), self.center)
+        return Pose(self.rotation, self.center)
 
 
 def parse_pose(value: Any) -> Any:

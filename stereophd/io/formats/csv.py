@@ -116,8 +116,8 @@ def _find_columns(path: Path, header: Sequence[str], options: ImportOptions) -> 
     if missing or not {"time_s", "frame"} & columns.keys():
         wanted = ", ".join(missing or ["time_s or frame"])
         raise InputError(
-            f"{path}: expected columns for {wanted}, found {', '.join(header)}; state which they are by `columns`, "
-            f"such as {(missing or ['frame'])[0]}={header[-1]}"
+            f"{path}: expected columns for {wanted}, found {', '.join(header)}; state which they are by `columns` "
+            f"{(missing or ['frame'])[0]}=COLUMN"
         )
     return {name: columns[name] for name in USUAL_NAMES if name in columns}
 

@@ -8,7 +8,7 @@ at a time.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -140,8 +140,6 @@ class CameraSummary:
     first_s: float | None = None
     last_s: float | None = None
     rate_hz: float | None = None
-    lowest_px: list[float] = field(default_factory=lambda: [math.inf, math.inf])
-    highest_px: list[float] = field(default_factory=lambda: [-math.inf, -math.inf])
 
 
 def write_native_log(
@@ -157,7 +155,7 @@ def write_native_log(
     spools = spool_pieces(recording, folder)
     try:
         if not spools:
-            raise InputError("expected detections in the source, found none")
+            raise InputError(f"{next(iter(recording.files), 'the source')}: expected detections, found none")
         extra = extra_columns(spools)
         if "score" in extra and options.least_score is None:
             recording.assumed.append("scores (likelihoods) are not used: `least_score` leaves out what has a lower one")
@@ -330,10 +328,6 @@ class _Camera:
         if summary.frames > 1 and summary.last_s > summary.first_s:
             # without the round-off of the times, which files of cameras would show
             summary.rate_hz = float(f"{(summary.frames - 1) / (summary.last_s - summary.first_s):.12g}")
-        if not is_empty.all():
-            low, high = np.nanmin(rows[:, U : V + 1], axis=0), np.nanmax(rows[:, U : V + 1], axis=0)
-            summary.lowest_px = np.minimum(summary.lowest_px, low).tolist()
-            summary.highest_px = np.maximum(summary.highest_px, high).tolist()
 
 
 def _without_duplicates(rows: Array) -> Array:

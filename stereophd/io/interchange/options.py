@@ -38,8 +38,8 @@ def _pairs(flag: str, words: Sequence[str]) -> dict[str, str]:
     result = {}
     for word in words:
         name, separator, value = word.partition("=")
-        if not separator or not name or not value:
-            raise InputError(f"{flag}: expected NAME=VALUE, found {word}")
+        if not separator or not name or not value or name in result:
+            raise InputError(f"{flag}: expected NAME=VALUE, each name once, found {word}")
         result[name] = value
     return result
 

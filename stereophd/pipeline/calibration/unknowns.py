@@ -25,7 +25,7 @@ def calibration_section(loaded: LoadedConfig) -> CalibrationConfig:
     if section is None:
         raise InputError(
             f"{loaded.path}: calibration: expected a section with a reference camera, and with priors of the cameras "
-            "whose poses are known roughly, found none"
+            "whose poses are known roughly, found none; `init` writes one, as a comment where the cameras agree"
         )
     return section
 
@@ -36,7 +36,7 @@ def build_parameters(loaded: LoadedConfig) -> tuple[ParameterSet, int]:
     Raises InputError for no section, fewer than two cameras, a name that no camera has, or cameras that move.
     """
     section = calibration_section(loaded)
-    cameras = loaded.build_cameras()
+    cameras = loaded.build_cameras(to_calibrate=True)
     if not section.priors:
         raise InputError(
             f"{loaded.path}: calibration.priors: expected priors of at least one camera, or cameras with "
@@ -95,9 +95,14 @@ def _shared(
 
 def _check_priors(loaded: LoadedConfig, section: CalibrationConfig, camera: Camera) -> None:
     """Refuse priors of what a camera does not have, or of what the methods cannot find."""
-    if camera.name not in section.priors:
+    place, prior = f"{loaded.path}: calibration.priors.{camera.name}", section.priors.get(camera.name)
+    if loaded.cameras[camera.name].intrinsics.unknown and not getattr(prior, "focal_std", 0.0):
+        raise InputError(
+            f"{place}.focal_std: expected a standard deviation for a focal length that is unknown (0.47: within a "
+            "factor of 1.6), found none"
+        )
+    if prior is None:
         return
-    place = f"{loaded.path}: calibration.priors.{camera.name}"
     for quantity in quantities():
         for component, std in zip(quantity.components, prior_stds(section, camera.name, quantity), strict=True):
             if std > 0.0 and component not in quantity.available(camera):

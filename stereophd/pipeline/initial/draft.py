@@ -65,12 +65,11 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     reader = open_log(bare.config.input, cameras, log_path)
     samples = sample_log(reader, cameras, SAMPLE_FRAMES)
     draft, unknown = _with_known_detectors(draft, samples)
-    draft = _with_frame_rates(draft, samples)
     only_boxes, is_placed = all(sample.box_height_px is not None for sample in samples), not draft.is_unplaced
     bodies = _with_bodies(draft, cameras, unknown, log_path) if only_boxes and is_placed else None
     if bodies is not None:
         return bodies
-    cause = "the poses are unknown"
+    cause = "poses or focal lengths are unknown"
     if is_placed:
         started, priors = starting_detectors(cameras, unknown, samples)
         placed = [sample.with_camera(camera) for sample, camera in zip(samples, started, strict=True)]
@@ -90,7 +89,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
         draft = replace(draft, camera_notes=draft.camera_notes | notes)
     samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
     # everything else follows from rays; tracks estimate the detectors once there are any
-    draft = _with_cameras(draft, cameras, unknown, estimate=not is_placed)
+    draft = _with_cameras(draft, cameras, unknown, estimate=draft.must_be_calibrated)
     return draft if not is_placed else draft.with_choices(_rough(draft, samples, priors) or {})
 
 
@@ -214,18 +213,6 @@ def loaded_draft(draft: Draft, name: str) -> LoadedConfig:
     """Return the draft as a loaded configuration."""
     cameras = {key: camera.model_dump(mode="json", exclude_none=True) for key, camera in draft.cameras.items()}
     return make_config({**draft.values(), "cameras": cameras}, name)
-
-
-def _with_frame_rates(draft: Draft, samples: list[CameraSample]) -> Draft:
-    """State the frame rates of the log where the cameras have none."""
-    cameras, notes = dict(draft.cameras), dict(draft.camera_notes)
-    for sample in samples:
-        name = sample.camera.name
-        if cameras[name].frame_rate_hz is None and len(sample.times) > 1 and sample.interval_s > 0.0:
-            rate = rounded(1.0 / sample.interval_s, 6)
-            cameras[name] = cameras[name].model_copy(update={"frame_rate_hz": rate})
-            notes[name] = (*notes.get(name, ()), f"frame_rate_hz: {len(sample.times)} frames of the log")
-    return replace(draft, cameras=cameras, camera_notes=notes)
 
 
 def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> tuple[Draft, list[str]]:

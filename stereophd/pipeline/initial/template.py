@@ -12,7 +12,7 @@ import yaml
 
 from stereophd.core.motion.settings import motion_models
 from stereophd.core.multi.filter_settings.common import FilterSettings
-from stereophd.io.cameras.models import CameraConfig
+from stereophd.io.cameras.models import CameraConfig, CovarianceRows
 from stereophd.io.cameras.writing import CONVENTIONS, cameras_text
 from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
 from stereophd.site import page
@@ -24,14 +24,10 @@ WIDTH = 110
 # Standard deviations of the priors of a calibration: of angles, in degrees at least, where cameras do not agree, and
 # over the angle of the noise, and of centres over their distance.
 LEAST_ANGLE_DEG, WRONG_ANGLE_DEG, ANGLE_NOISES, LEAST_CENTER = 1.0, 10.0, 5.0, 0.01
+# Of the logarithm of a focal length that is unknown: the width of the image, within a factor of 1.6.
+UNKNOWN_FOCAL_STD = 0.47
 # Sections in the order of the file.
 SECTIONS = ("object", "motion", "region", "filter", "report", "evaluation")
-
-SMOOTHING = (
-    "  # the whole log improves every position, and tracks begin at their first detection; it is then held in memory.",
-    "  # null: no smoothing; {max_gap_s: 1.0}: over the whole log, across gaps of up to 1 s",
-    "  smooth: null",
-)
 
 
 def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> str:
@@ -53,15 +49,12 @@ def config_text(draft: Draft, version: str, source: str, cameras_file: str) -> s
     lines += _comment(["Images do not show the unit: is it that of the centres of the cameras?"], 0)
     lines += [f"units: {{length: {draft.unit}}}", f"seed: {values.pop('seed', 0)}", ""]
     lines += _cameras(draft, cameras_file)
-    values.setdefault("report", {})
     others = [section for section in values if section not in (*SECTIONS, "units")]
     for section in (*SECTIONS, *others):
         if section in draft.choices:  # a plain value, or a section given whole
             lines += [f"{section}: {scalar(values[section])}", ""]
         elif section in values:
-            lines += [f"{section}:", *_entries(draft, values[section], section, 1)]
-            smoothing = section == "report" and "smooth" not in values["report"]
-            lines += [*(SMOOTHING if smoothing else ()), ""]
+            lines += [f"{section}:", *_entries(draft, values[section], section, 1), ""]
     if "calibration" not in values and (calibration := list(_calibration(draft))):
         lines += [
             "# For `stereophd calibrate`: how well poses are known. These standard deviations are guesses: edit them,",
@@ -80,21 +73,27 @@ def _calibration(draft: Draft) -> Iterator[str]:
     if not is_wrong and not isinstance(depths, list):  # births by disparity
         return
     reference, *others = cameras
-    distances = [float(np.linalg.norm(camera.pose.center - reference.pose.center)) for camera in others]
+    distances = [float(np.linalg.norm(camera.pose.center - reference.pose.center)) for camera in cameras]
     yield "calibration:"
     yield f"  reference: {scalar(reference.name)}"
     yield "  priors:"
-    for camera, apart in zip(others, distances, strict=True):
-        # where poses are wrong no depth is known
-        depth, least = (apart, WRONG_ANGLE_DEG) if is_wrong else (float(np.sqrt(np.prod(depths))), LEAST_ANGLE_DEG)
-        angle = max(least, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
-        std = max(np.deg2rad(angle) * depth, LEAST_CENTER * apart)
-        yield f"    {scalar(camera.name)}: {{rotation_std_deg: {rounded(angle)}, center_std: {rounded(std)}}}"
+    for camera, apart in zip(cameras, distances, strict=True):
+        prior = {}
+        if camera is not reference:
+            # where poses are wrong no depth is known
+            depth, least = (apart, WRONG_ANGLE_DEG) if is_wrong else (float(np.sqrt(np.prod(depths))), LEAST_ANGLE_DEG)
+            angle = max(least, np.rad2deg(ANGLE_NOISES * float(camera.detector.sigma.mean()) / camera.fx))
+            std = max(np.deg2rad(angle) * depth, LEAST_CENTER * apart)
+            prior = {"rotation_std_deg": rounded(angle), "center_std": rounded(std)}
+        if draft.cameras[camera.name].intrinsics.unknown:
+            prior["focal_std"] = UNKNOWN_FOCAL_STD
+        if prior:
+            yield f"    {scalar(camera.name)}: {scalar(prior)}"
     yield "  # Moving objects do not show the scale. A distance that you have measured, such as that of two cameras,"
     yield f"  # fixes it ({draft.unit}); without it the scale is that of the centres above, as far as they are known."
     yield (
         f"  # scale: {{kind: baseline, cameras: {scalar([reference.name, others[0].name])}, "
-        f"distance: {rounded(distances[0], 4)}, std: {rounded(0.005 * distances[0])}}}"
+        f"distance: {rounded(distances[1], 4)}, std: {rounded(0.005 * distances[1])}}}"
     )
 
 
@@ -122,7 +121,7 @@ def _comment(sentences: Iterable[str], level: int) -> Iterator[str]:
 
 def scalar(value: Any) -> str:
     """Return a value as YAML on one line, quoted where it must be."""
-    text: str = yaml.safe_dump(value, default_flow_style=True, width=1000)
+    text: str = yaml.safe_dump(value, default_flow_style=True, sort_keys=False, width=1000)
     return text.removesuffix("\n").removesuffix("\n...")
 
 
@@ -141,6 +140,11 @@ def _cameras(draft: Draft, cameras_file: str) -> Iterator[str]:
         text = cameras_text({name: camera}, draft.unit)
         yield from text.split("cameras:\n", 1)[1].rstrip("\n").splitlines()
     yield ""
+    if draft.covariance:
+        yield from _comment(["What a calibration left uncertain of them: covariances, rows of a lower triangle"], 0)
+        yield "cameras_covariance:"
+        yield from (f"  {scalar(name)}: {scalar(row)}" for name, row in draft.covariance.items())
+        yield ""
 
 
 Kind = Literal["animals", "drones", "lab"]
@@ -166,15 +170,21 @@ class Draft:
     head: tuple[str, ...] = ()  # Comments at the top of the file
     findings: tuple[Finding, ...] = ()  # What is doubtful of the estimates
     given: frozenset[str] = frozenset()  # Keys and sections that the user states: nothing changes them
+    covariance: CovarianceRows | None = None  # Of the cameras
 
     @property
     def is_unplaced(self) -> bool:
-        """Whether a pose or a clock is unknown."""
+        """Whether a pose, a clock or a focal length is unknown, so that rays show nothing."""
+        return any(camera.unknown_key for camera in self.cameras.values())
+
+    @property
+    def must_be_searched(self) -> bool:
+        """Whether a pose or a clock is unknown, so that `calibrate` searches for all poses."""
         return any(camera.must_be_found for camera in self.cameras.values())
 
     @property
     def must_be_calibrated(self) -> bool:
-        """Whether a pose or a clock is unknown, or poses are so wrong that no tracks follow from them."""
+        """Whether something is unknown of a camera, or poses are so wrong that no tracks follow from them."""
         return self.is_unplaced or any(found.cause == DO_NOT_MEET for found in self.findings)
 
     def with_choices(self, changes: Mapping[str, Choice]) -> Draft:
@@ -229,7 +239,7 @@ def rounded(value: float, digits: int = 2) -> float:
 
 def template(unit: str, cameras: dict[str, CameraConfig], kind: Kind) -> Draft:
     """Return a draft with the usual values of a kind of object, in the unit of the cameras."""
-    scale, one = SCALES[kind], METRES[unit]
+    scale, one = SCALES[kind], METRES.get(unit, 1.0)  # an unknown baseline may be a metre
     usual = f"not measured: usual for {scale.what}"
 
     def length(value: float) -> float:
@@ -263,7 +273,7 @@ def template(unit: str, cameras: dict[str, CameraConfig], kind: Kind) -> Draft:
         ),
     }
     draft = Draft(unit, cameras, choices)
-    if draft.is_unplaced:
+    if draft.must_be_searched:
         known = [name for name, camera in cameras.items() if not camera.must_be_found]
         reason = (
             "poses and clocks that are unknown are found from the tracks; this camera is the origin, with the true "

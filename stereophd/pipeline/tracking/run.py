@@ -277,11 +277,11 @@ class RecordWriter:
             }
         )
         figures.new_detections, figures.new_log_likelihood = 0, 0.0
+        figures.add_estimates(estimates, record.time_s)
         for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
             if level is not None and len(level.track_ids):
                 columns = _columns(level, report.std_columns)
                 tables[TRACKS_FILE].append({**key, **columns, **self._later, "status": status})
-        figures.add_estimates(estimates, record.time_s)
 
     def summary(self) -> dict[str, Any]:
         """Return the figures of the run for ``report.json``."""
@@ -304,9 +304,14 @@ def with_cameras_part(uncertainty: CameraUncertainty, figures: RunFigures, piece
         added[rows] = uncertainty.added(moves)
     figures.cameras_part = part
     out, done, whole = [], 0, alone + added
+    stds = _stds(whole)
+    wider = np.linalg.norm(stds, axis=1) - np.linalg.norm(_stds(alone), axis=1)
     for piece, count in pieces:
         rows = slice(done, done + count)
-        std = _named(STD, _stds(whole[rows])) if STD[0].name in piece else {}
+        std = _named(STD, stds[rows]) if STD[0].name in piece else {}
+        for track_id, more in zip(piece["track_id"].tolist(), wider[rows].tolist(), strict=True):
+            if piece["status"] == CONFIRMED:
+                figures.identities[track_id].position_std += more
         out.append(({**piece, "covariance": whole[rows], CAMERAS_PART.name: added[rows], **std}, count))
         done += count
     return out

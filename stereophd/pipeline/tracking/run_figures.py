@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.unknowns.considered import CommonPart
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
@@ -25,7 +25,8 @@ from stereophd.pipeline.tracking.loop import Record
 PROBABLE = 0.5
 # Residuals computed at a time.
 BATCH = 2048
-# Residuals above this many times the median are those of wrong detections, and say nothing about the noise.
+# Residuals above this many times the median are those of wrong detections or of tracks that hardly know where they
+# are. They say nothing about the noise, and a few of them would outweigh all others.
 OUTLIER = 8.0
 # Step of the derivatives of a projection, over the standard deviation of the position.
 DERIVATIVE_STEP = 0.1
@@ -41,6 +42,11 @@ def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> 
     if delays is None:
         return np.asarray(pixels - camera.project_at(states[:, :3], times))
     return np.asarray(pixels - camera.project_at(states[:, :3] + delays[:, None] * states[:, 3:], times + delays))
+
+
+def are_usual(squares: Array) -> Booleans:
+    """Return whether each of these squares of residuals (n,) is that of none of the outliers."""
+    return np.asarray(squares <= OUTLIER**2 * np.median(squares) if len(squares) else squares > 0.0)
 
 
 def expected_squares(camera: Camera, times: Array, states: Array, covariances: Array) -> Array:
@@ -68,10 +74,9 @@ class CameraSums:
     explained: float = 0.0
     residuals: int = 0
     total: Array = field(default_factory=lambda: np.zeros(2))
+    # Squares of the residuals, and those that are expected. They are compared for points alone: the middle of a box is
+    # not the image of the middle of a body, and its noise is a part of its size.
     squares: float = 0.0
-    # Squares of the residuals without outliers, and those that are expected. They are compared for points alone: the
-    # middle of a box is not the image of the middle of a body, and its noise is a part of its size.
-    usual: float = 0.0
     expected: float = 0.0
     of_points: bool = True
     times: list[float] = field(default_factory=list)
@@ -104,11 +109,11 @@ class CameraSums:
         found = residuals_px(camera, times, states, np.array(self.pixels))
         expected = expected_squares(camera, times, states, np.array(self.covariances))
         usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
-        found = found[usable]
+        found, expected = found[usable], expected[usable]
         squares = (found**2).sum(axis=1)
-        usual = squares <= OUTLIER**2 * np.median(squares) if len(squares) else squares > 0.0
-        self.expected += float(expected[usable][usual].sum())
-        self.usual += float(squares[usual].sum())
+        usual = are_usual(squares)
+        found, squares = found[usual], squares[usual]
+        self.expected += float(expected[usual].sum())
         self.residuals += len(found)
         self.total = self.total + found.sum(axis=0)
         self.squares += float(squares.sum())
@@ -128,7 +133,7 @@ class CameraSums:
             # Root mean square of one axis.
             "residual_rms_px": float(np.sqrt(self.squares / (2 * count))) if count else None,
             # Over what the stated noise leads to expect of an estimate that has taken in the detection.
-            "residual_ratio": float(np.sqrt(self.usual / self.expected)) if compared else None,
+            "residual_ratio": float(np.sqrt(self.squares / self.expected)) if compared else None,
             "residual_mean_px": (self.total / count).tolist() if count else None,
         }
 

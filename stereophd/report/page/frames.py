@@ -10,7 +10,7 @@ from stereophd.core.bodies.outline import LOG_AXES, POSITION, STATE_SIZE, outlin
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.inspection.runs import Run
-from stereophd.pipeline.tracking.run_figures import PROBABLE, residuals_px
+from stereophd.pipeline.tracking.run_figures import PROBABLE, are_usual, residuals_px
 from stereophd.report.page.columns import Paths, chosen, packed, paths_of
 
 # A reprojected track further outside the image than this share of its size is not drawn.
@@ -98,7 +98,7 @@ def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Arr
     """Return times (n,), residuals (n, 2) in px and tracks (n,) of every camera; None without associations or cameras.
 
     Only detections that belong to a track more probably than not are taken, at most `most` of each camera, evenly
-    spread.
+    spread, and of these no outliers.
     """
     detections = run.associations
     if detections is None or not run.cameras:
@@ -115,7 +115,8 @@ def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Arr
         times = detections["time_s"][rows]
         pixels = np.column_stack([detections["u_px"][rows], detections["v_px"][rows]])
         values = residuals_px(camera, times, _states(paths, owner, times), pixels)
-        known = np.isfinite(values).all(axis=1)
+        known = np.flatnonzero(np.isfinite(values).all(axis=1))
+        known = known[are_usual((values[known] ** 2).sum(axis=1))]
         out.append((times[known], values[known], owner[known]))
     return out
 

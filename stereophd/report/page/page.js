@@ -35,10 +35,10 @@
 
   // ---- layout shared by all plots
   const axis = (title, more) => ({
-    title: { text: title, font: { size: 12 } }, gridcolor: css("--line"), linecolor: css("--line"),
+    title: { text: title, font: { size: 12 }, standoff: 8 }, gridcolor: css("--line"), linecolor: css("--line"),
     zerolinecolor: css("--line"), automargin: true, ...more,
   });
-  const LOG = { type: "log", tickformat: "~g" };  // 0.05 and 0.1, not 5 and a power of ten
+  const LOG = { type: "log", tickformat: "~g", nticks: 4 };  // 0.05 and 0.1, not 5 and a power of ten; few, as they are uneven
   const layout = (title, x, y, more) => ({
     title: { text: title, font: { size: 14 }, x: 0.02, xanchor: "left" }, margin: { l: 60, r: 16, t: 40, b: 44 },
     paper_bgcolor: css("--paper"), plot_bgcolor: css("--paper"),
@@ -391,8 +391,9 @@
       if (r.scans) counts.push(line(r, numbers(r.scans.t), numbers(r.scans.cardinality_estimate), r.name, colour(k), { shape: "hv", ...style }));
       if (r.evaluation) scores.push(line(r, numbers(r.evaluation.t), numbers(r.evaluation.ospa), r.name, colour(k), style));
     });
-    if (counts.length) draw("compare-count", counts, layout("Number of objects reported", "time [s]", "objects")); else clear("compare-count");
+    // what is cleared leaves its width to the other
     if (scores.length) draw("compare-ospa", scores, layout("OSPA", "time [s]", "OSPA", { yaxis: axis("OSPA", LOG) })); else clear("compare-ospa");
+    if (counts.length) draw("compare-count", counts, layout("Number of objects reported", "time [s]", "objects")); else clear("compare-count");
   };
 
   // ---- what is there, and controls

@@ -161,12 +161,6 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, imported: Import, text: st
     assert not (tmp_path / "imported").exists()
 
 
-def test_warnings_name_pixels_that_cannot_be(tmp_path: Path, imported: Import) -> None:
-    source = write(tmp_path / "c.csv", "t,u,v\n0,0.1,0.2\n1,0.5,0.5\n")
-    report, _ = imported("csv", source)
-    assert "divided by the image size" in report["warnings"][0]
-
-
 def test_cameras_of_other_names_only_are_refused(tmp_path: Path, imported: Import) -> None:
     (tmp_path / "hive.csv").write_text("frame,x,y\n0,1,2\n1,2,3\n")
     text = "{image_width: 100, image_height: 80, K: [[90, 0, 50], [0, 90, 40], [0, 0, 1]], D: [0, 0, 0, 0], "

@@ -45,7 +45,7 @@ def test_all_quantities_have_priors_and_guesses() -> None:
 
 
 def test_an_unknown_focal_length_starts_at_the_width_of_the_image() -> None:
-    camera = loaded("cameras.right.intrinsics={focal: unknown}").build_cameras()[1]
+    camera = loaded("cameras.right.intrinsics={focal: unknown}").build_cameras(to_calibrate=True)[1]
     assert (camera.fx, camera.fy, camera.cx, camera.cy) == (800.0, 800.0, 399.5, 299.5)
     with pytest.raises(InputError, match="focal"):
         loaded("cameras.right.intrinsics={focal: wide}")

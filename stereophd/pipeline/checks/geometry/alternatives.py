@@ -138,7 +138,8 @@ def alternatives() -> Iterator[Alternative]:
         _radians,
     )  # fmt: skip
     yield Alternative(
-        "v_from_below", "v seems to be counted from the bottom of the image", "write v_px = height - 1 - v",
+        "v_from_below", "v seems to be counted from the bottom of the image",
+        "import again (`rows_from` bottom), or write v_px = height - 1 - v",
         lambda camera: camera, lambda camera, pixels: pixels * [1.0, -1.0] + [0.0, camera.height - 1.0],
     )  # fmt: skip
     yield Alternative(
