@@ -71,12 +71,10 @@ def on_page_markdown(text: str, page: Any, files: Files, **_: Any) -> str:
 
 def commands_page() -> str:
     """Return the page of all commands, which is what `--help` prints."""
-    from typer.main import get_command
-
-    from stereophd.cli.app import app
+    from stereophd.cli.app import command_line
 
     names = [""]
-    for name, command in get_command(app).commands.items():
+    for name, command in command_line().commands.items():
         names += [f"{name} {part}" for part in getattr(command, "commands", [])] or [name]
     parts = ["# Commands\n\nEach section is what `stereophd COMMAND --help` prints.\n"]
     for name in names:

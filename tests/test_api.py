@@ -14,11 +14,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
 
 import stereophd
 from stereophd import Camera, Clock, Detector, InputError, Lens, Pose
+from stereophd.commands.demo import config_text
 
 ROOT = Path(__file__).resolve().parent.parent
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
@@ -60,9 +62,12 @@ def test_from_a_data_frame_to_a_plot_takes_ten_lines() -> None:
 
 @pytest.fixture(scope="module")
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., object]:
-    """Return a `stereophd.demo` that copies one demonstration, so that several pages need not run it again."""
+    """Return a `stereophd.demo` that copies a short demonstration, so that several pages need not run it again."""
     folder = tmp_path_factory.mktemp("demonstration")
-    stereophd.demo(folder)
+    short = re.sub(r"duration_s: [\d.]+", "duration_s: 4.0", config_text())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("stereophd.commands.demo.config_text", lambda: short)
+        stereophd.demo(folder)
     return lambda out, force=False: shutil.copytree(folder, out)
 
 
@@ -72,6 +77,10 @@ def test_the_examples_run(
     for name in ("pandas", "duckdb"):
         pytest.importorskip(name, reason=f"{name} is in the extra dev")
     shutil.copytree(ROOT / "sample_data", tmp_path / "sample_data")
+    for name in ("detections", "truth"):  # the page says nothing of the length
+        path = tmp_path / "sample_data" / "hall" / f"{name}.parquet"
+        table = pq.read_table(path)
+        pq.write_table(table.filter(pc.less(table["time_s"], 5.0)), path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(stereophd, "demo", demo, raising=False)
     names: dict[str, object] = {}

@@ -13,10 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 import yaml
 
-from stereophd.cli.app import app
+from stereophd.cli.app import command_line
 from stereophd.site import SITE
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -144,7 +143,7 @@ def command_lines() -> list[tuple[str, str]]:
 @pytest.mark.parametrize(("name", "line"), command_lines())
 def test_command_lines_use_options_that_exist(name: str, line: str) -> None:
     words = shlex.split(line.replace("...", "x"), comments=True)[1:]
-    command = typer.main.get_command(app)
+    command = command_line()
     while words and hasattr(command, "commands") and not words[0].startswith("-"):
         command = command.commands[words.pop(0)]
     options = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}

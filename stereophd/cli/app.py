@@ -10,9 +10,11 @@ import os
 import signal
 import sys
 from collections.abc import Sequence
+from functools import cache
 from typing import Annotated, Any
 
 import typer
+import typer.main
 
 import stereophd
 from stereophd.cli import calibrate, config, evaluate, finished, interrupts, preparing, scenes, track
@@ -131,6 +133,12 @@ def root(
     """3-D tracks from the detection logs of several cameras."""
 
 
+@cache
+def command_line() -> Any:
+    """Return the commands and their parameters, built once in a process that runs several."""
+    return typer.main.get_command(app)
+
+
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line, by default with the words after the name of this process, and return its exit code."""
     words = sys.argv[1:] if arguments is None else list(arguments)
@@ -138,7 +146,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     session = Session(json="--json" in words, debug="--debug" in words, words=tuple(words))
     try:
         _check_environment()
-        result = app(args=words, prog_name="stereophd", standalone_mode=False, obj=session)
+        result = command_line()(args=words, prog_name="stereophd", standalone_mode=False, obj=session)
         code = result if isinstance(result, int) else 0
         if code == EXIT_INTERRUPTED:
             return _interrupted(session)

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-import typer
 
-from stereophd.cli.app import app
+from stereophd.cli.app import command_line
 from stereophd.cli.flags import FLAGS, with_flags
 
 PACKAGE = Path(__file__).parents[2] / "stereophd"
@@ -41,7 +40,7 @@ def messages(tree: ast.Module) -> Iterator[str]:
 
 
 def test_every_option_exists() -> None:
-    commands = typer.main.get_command(app).commands.values()  # type: ignore[attr-defined]
+    commands = command_line().commands.values()
     known = {option for command in commands for parameter in command.params for option in parameter.opts}
     assert set(FLAGS.values()) <= known
 

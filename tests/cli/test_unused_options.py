@@ -7,9 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
-import typer
 
-from stereophd.cli.app import app
+from stereophd.cli.app import command_line
 from stereophd.commands.options import OPTIONS
 from stereophd.io.interchange.options import Stated
 from stereophd.options import declarations
@@ -265,7 +264,7 @@ def test_what_is_for_recordings_that_have_ended_is_refused(
 def test_every_option_is_in_a_table() -> None:
     """An option acts in every use of its command, or a use in which it would not act is tried above."""
     commands = {}
-    for name, command in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+    for name, command in command_line().commands.items():
         parts = getattr(command, "commands", None)
         commands |= {name: command} if parts is None else {f"{name} {part}": one for part, one in parts.items()}
     tried = {(use[0], words[0].replace("--no-", "--")) for use, words, _ in (*REFUSED, *REPORTED)}

@@ -31,16 +31,19 @@ ROOT = Path(__file__).parents[2]
 ACCELERATION = 0.3
 
 
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four objects of known acceleration before the two side cameras of the quickstart, 6 s."""
-    folder = tmp_path_factory.mktemp("scene") / "out"
+def simulated(folder: Path, duration_s: float) -> Path:
+    """Four objects of known acceleration before the two side cameras of the quickstart."""
     values = yaml.safe_load((ROOT / "configs" / "quickstart.yaml").read_text())
     values["cameras"].pop("middle")
-    values["simulate"] |= {"duration_s": 6.0, "acceleration_std": ACCELERATION}
+    values["simulate"] |= {"duration_s": duration_s, "acceleration_std": ACCELERATION}
     values["simulate"]["objects"] |= {"births_per_s": 0.0}
     simulate(make_config(values), folder)
     return folder
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return simulated(tmp_path_factory.mktemp("scene") / "out", 4.0)
 
 
 @pytest.fixture(scope="module")
@@ -326,8 +329,9 @@ def test_cameras_that_do_not_fit_leave_the_usual_values(
     assert any(found["cause"] == "rotation_transposed" for found in report["checks"])
 
 
-def test_a_wrong_frame_rate_is_named_and_passes_for_no_noise(scene: Path, tmp_path: Path) -> None:
+def test_a_wrong_frame_rate_is_named_and_passes_for_no_noise(tmp_path: Path) -> None:
     """The rays of the camera miss by a hundred pixels: that was written as noise, and hid the cause."""
+    scene = simulated(tmp_path / "scene", 6.0)
     table = pd.read_parquet(scene / "detections.parquet").drop(columns="object_id")
     late = table["camera"] == "right"
     table.loc[late, "time_s"] *= 2.0

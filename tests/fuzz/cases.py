@@ -15,10 +15,9 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 from unittest import mock
 
-import typer
 from hypothesis import strategies as st
 
-from stereophd.cli.app import app, run
+from stereophd.cli.app import command_line, run
 
 from .commands import NoEnd, bounded
 from .damage import ODD_NUMBERS, SHARES, Harm, harmed, harms
@@ -48,12 +47,6 @@ class Case:
     harms: tuple[Harm, ...]
     words: tuple[str, ...]
     again: bool
-
-
-@cache
-def command_line() -> Any:
-    """Return the parsed command line, which `run` would build anew for each case."""
-    return typer.main.get_command(app)
 
 
 @cache
@@ -194,7 +187,6 @@ def _run(words: list[str], use: Use, root: Path) -> tuple[int, str]:
         contextlib.redirect_stderr(said),
         contextlib.redirect_stdout(_Nowhere()),
         mock.patch.object(sys, "stdin", stdin),
-        mock.patch("stereophd.cli.app.app", command_line()),
         bounded(LONGEST_S),
     ):
         code = run(words)

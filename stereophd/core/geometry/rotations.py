@@ -7,9 +7,9 @@ from stereophd.core.arrays import Array
 
 def cross_matrices(vectors: Array) -> Array:
     """Matrices (..., 3, 3) whose product with a vector is its cross product with vectors (..., 3)."""
-    x, y, z = vectors[..., 0], vectors[..., 1], vectors[..., 2]
-    zero = np.zeros_like(x)
-    return np.stack([np.stack([zero, -z, y], -1), np.stack([z, zero, -x], -1), np.stack([-y, x, zero], -1)], -2)
+    half = np.zeros((*vectors.shape, 3))
+    half[..., 2, 1], half[..., 0, 2], half[..., 1, 0] = vectors[..., 0], vectors[..., 1], vectors[..., 2]
+    return np.asarray(half - np.swapaxes(half, -1, -2))
 
 
 def rotations(vectors: Array) -> Array:

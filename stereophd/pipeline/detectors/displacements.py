@@ -12,6 +12,7 @@ repeat the information of one step; where strangers hide them, each step adds in
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 
@@ -66,10 +67,11 @@ def _displacements(sample: CameraSample, steps: int) -> tuple[float, Mixture]:
     pairs = int((counts[frames] * (counts[frames] + counts[frames + steps])).sum())
     frames = frames[:: 1 + pairs // MOST_PAIRS]
     together, apart = [np.empty(0)], [np.empty(0)]
+    pairs_among = cache(np.triu_indices)  # frames have as many detections again and again
     for k in frames.tolist():
         now, later = (sample.pixels[sample.first[i] : sample.first[i + 1]] for i in (k, k + steps))
         together.append(np.linalg.norm(now[:, None] - later, axis=2).ravel())
-        apart.append(np.linalg.norm(now[:, None] - now, axis=2)[np.triu_indices(len(now), 1)])
+        apart.append(np.linalg.norm(now[:, None] - now, axis=2)[pairs_among(len(now), 1)])
     count, strangers = int(counts[frames].sum()), classes(np.concatenate(apart))
     # and what one false detection anywhere in the image adds; pairs of few objects stay the same and show little
     reach = float(np.sqrt(sample.camera.width * sample.camera.height / np.pi))

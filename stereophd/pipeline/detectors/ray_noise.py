@@ -127,10 +127,11 @@ def _draws(likelihoods: dict[tuple[int, int], Array], links: Sequence[Array]) ->
             mean = (usual * NOISE_SPREAD**-2 + logs[state[rest]].sum() * BETWEEN_CAMERAS**-2) / precision
             apart = logs - mean
             total = likelihoods.get((a, b), 0.0) - inverse[0, 1] * apart[:, None] * apart
-            for camera, axis in ((a, 1), (b, 0)):
+            alone = 0.5 * inverse[0, 0] * apart**2
+            for camera, shape in ((a, (-1, 1)), (b, (1, -1))):
                 told = links[camera][:, turn]
                 told = told + sum(of_either[camera, k][:, state[k]] for k in rest if (camera, k) in of_either)
-                total = total + np.expand_dims(told - 0.5 * inverse[0, 0] * apart**2, axis)
+                total = total + (told - alone).reshape(shape)
             state[[a, b]] = divmod(_drawn(rng, total), len(logs))
         turn = _drawn(rng, PRIOR + np.sum([table[k] for table, k in zip(links, state, strict=True)], axis=0))
         draws.append(logs[state])

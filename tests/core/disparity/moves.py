@@ -9,7 +9,7 @@ must stay within five of these for their own N, in the worst of all coordinates.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 
 import numpy as np
 
@@ -66,10 +66,12 @@ class Case:
     def trip(self, samples: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return oracle_trip(self.mean, self.covariance, samples, self.home, self.destination, self.dt, self.motion)
 
+    @cached_property
     def reference(self) -> tuple[np.ndarray, np.ndarray]:
         return self.trip(reference_samples())
 
 
+@cache
 def nearly_linear(size: int = 6) -> Case:
     """A well localised object: 1 px, 2 % of disparity."""
     home, destination = converging(20.0, 0.26)
@@ -79,6 +81,7 @@ def nearly_linear(size: int = 6) -> Case:
     return Case(state_in(home, world), covariance, home, destination, 0.5, motion)
 
 
+@cache
 def figure_4() -> Case:
     """Prediction in one camera: velocity (2, 2, 0.5) cm/s, noise of variance 0.08 cm^2/s^2, over 5 s."""
     space = make_space(make_camera())
@@ -87,6 +90,7 @@ def figure_4() -> Case:
     return Case(mean, covariance, space, space, 5.0, ConstantVelocity([0.08**0.5] * 3, max_speed=10.0))
 
 
+@cache
 def figure_7(size: int = 6) -> Case:
     """Cameras 200 cm apart, turned inward by pi/8; velocities of variance 0.03 cm^2/s^2 about 0."""
     home, destination = converging(100.0, np.pi / 8)

@@ -33,7 +33,7 @@ from tests.core.disparity.moves import (
 
 
 def check_against_reference(case: Case, method: str, samples: int) -> None:
-    points, seen = case.reference()
+    points, seen = case.reference
     share = seen.mean()
     mean, covariance = points[seen].mean(axis=0), np.cov(points[seen].T)
     in_view = samples * share
@@ -56,7 +56,7 @@ def check_against_reference(case: Case, method: str, samples: int) -> None:
 def test_nearly_linear_move(method: str, size: int) -> None:
     """Where the map is nearly linear no sampling noise is left: 1 % of a deviation, 2 % of a covariance."""
     case = nearly_linear(size)
-    points, seen = case.reference()
+    points, seen = case.reference
     assert seen.all()
     covariance = np.cov(points.T)
     sets = sample_sets(method, 64, case.motion)
@@ -83,7 +83,7 @@ def test_paper_figures(case: Case, method: str) -> None:
 
 
 def test_figure_7_reaches_beyond_the_image() -> None:
-    _, seen = figure_7().reference()
+    _, seen = figure_7().reference
     assert 0.5 < seen.mean() < 0.95
 
 
@@ -100,7 +100,7 @@ def test_low_order_methods_in_the_paper_figures(method: str) -> None:
 def test_figure_4_linear_underestimates_the_uncertainty() -> None:
     """What the paper shows of the extended Kalman filter, and that `particle` and `qmc` do not."""
     case = figure_4()
-    points, _ = case.reference()
+    points, _ = case.reference
     true = np.cov(points[:, :2].T)
     determinant = {
         method: np.linalg.det(case.move(sample_sets(method, 512, case.motion)).covariances[0][:2, :2])
@@ -115,7 +115,7 @@ def test_figure_4_linear_underestimates_the_uncertainty() -> None:
 def test_quasi_random_samples_beat_random_ones() -> None:
     """Mean error over the sets in turn: at most a third of that of as many random samples."""
     case = nearly_linear()
-    points, _ = case.reference()
+    points, _ = case.reference
     mean, covariance = points.mean(axis=0), np.cov(points.T)
     error = {}
     for method in ("qmc", "particle"):

@@ -75,18 +75,25 @@ def large_sample(make: Callable[..., Case], *arguments: float) -> tuple[Array, A
     return states, *case.trip(samples)
 
 
+@cache
+def part_in_view(make: Callable[..., Case], *arguments: float) -> tuple[float, Array, Array, Array]:
+    """Share of the large sample that is seen, its points there, and their mean and covariance."""
+    _, points, seen = large_sample(make, *arguments)
+    inside = points[seen]
+    return float(seen.mean()), inside, *weighted(inside, np.ones(len(inside)))
+
+
 @pytest.mark.parametrize("size", [3, 6])
 @pytest.mark.parametrize("method", METHODS)
 def test_split_by_the_field_of_view(method: str, size: int) -> None:
     """Fraction, part in view and missed part (Fig. 8) against a large sample, within Monte Carlo margins."""
     case, count, p_detect = figure_7(size), 1024, 0.95
-    states, points, seen = large_sample(figure_7, size)
-    share = seen.mean()
+    states, _, seen = large_sample(figure_7, size)
+    share, inside, expected_mean, expected = part_in_view(figure_7, size)
     moved = case.move(sample_sets(method, count, case.motion), 0, p_detect)
     assert moved.status[0] == PARTLY_IN_VIEW
     assert abs(moved.fraction[0] - share) < 5.0 * np.sqrt(share * (1 - share) / count)
-    expected_mean, expected = weighted(points, seen.astype(float))
-    margin, variance_margin = monte_carlo_margins(points[seen], share * count)
+    margin, variance_margin = monte_carlo_margins(inside, share * count)
     assert in_deviations(moved.means[0] - expected_mean, expected).max() < margin
     assert (np.abs(np.diag(moved.covariances[0]) / np.diag(expected) - 1.0) < variance_margin).all()
     weights = 1.0 - p_detect * seen
@@ -147,16 +154,14 @@ def test_a_tail_in_view_is_found_where_it_matters(method: str, size: int, place:
     assert case.move(sets, 0, p_detect).status[0] == OUT_OF_VIEW
     moved = case.move(sets, 0, p_detect, important=True)
     assert moved.status[0] == PARTLY_IN_VIEW
-    _, points, seen = large_sample(tail_in_view, size, place)
-    share = seen.mean()
+    share, inside, mean, covariance = part_in_view(tail_in_view, size, place)
     assert 0.01 < share < 0.375
     # the reserve's own size, its weights, and the samples that count: all in the effective number in view
     reserve, seen_there = case.trip(sets.reserve)
     weights = sets.reserve_weights * seen_there
     effective = weights.sum() ** 2 / (weights**2).sum()
     assert abs(moved.fraction[0] - share) < 5.0 * share / np.sqrt(effective)
-    mean, covariance = weighted(points, seen.astype(float))
-    margin, variance_margin = monte_carlo_margins(points[seen], effective)
+    margin, variance_margin = monte_carlo_margins(inside, effective)
     assert in_deviations(moved.means[0] - mean, covariance).max() < margin
     assert (np.abs(np.diag(moved.covariances[0]) / np.diag(covariance) - 1.0) < variance_margin).all()
     # exactly, against NumPy on the same weighted samples

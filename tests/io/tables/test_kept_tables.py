@@ -81,7 +81,7 @@ def test_bytes_are_those_of_one_writer(
 def kept_rows(folder: Path) -> KeptParts:
     """Return parts with the rows of a table."""
     with KeptTable(folder / "t.parquet", SCANS, None, KeptParts(folder / "rows", "me")) as table:
-        table.append(rows_of(SCANS, 20_000, 1))
+        table.append(rows_of(SCANS, 1_000, 1))
         return KeptParts(folder / "rows", "me", table.keep())
 
 

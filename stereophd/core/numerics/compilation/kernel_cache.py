@@ -128,23 +128,6 @@ def _prune(folder: Path) -> None:
                 shutil.rmtree(path, ignore_errors=True)
 
 
-@cache
-def _import_array_functions() -> None:
-    """Import numba's functions of arrays without SciPy's linear algebra, which takes a sixth of a second.
-
-    At that import numba looks whether BLAS is there, which the requirements say. Its check of BLAS when a kernel that
-    uses it is compiled stays.
-    """
-    from numba.np import linalg
-
-    check, linalg.ensure_blas = linalg.ensure_blas, lambda: None
-    try:
-        from numba.np import arraymath
-    finally:
-        linalg.ensure_blas = check
-    arraymath.ensure_blas = check
-
-
 class _Locator(_CacheLocator):  # type: ignore[misc]
     """Name and validity of one kernel's folder."""
 
@@ -205,7 +188,6 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         (`target_context.refresh`): that waits until a kernel is compiled. It needs the runtime that counts references
         to arrays; without it the process ends at the first array that a kernel makes.
         """
-        _import_array_functions()  # before a kept form, or numba's compiler, does
         rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
         for folder in kernel_folders():
@@ -214,12 +196,12 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
             try:
                 data = self._file_in(folder).load(key)
                 if data is not None:
-                    apart, units, names, reduced = data
+                    apart, units, names, reduced, environments = data
                     if not kernel_units.load_units(units, target_context):
                         continue
                     # numba learns them from the code for callers, which a kept form may not hold
                     target_context.codegen()._engine._defined_symbols.update(names)
-                    form = self._impl.rebuild(target_context, reduced)
+                    form = self._impl.rebuild(target_context, (*reduced, environments))
                     kernel_units.set_apart(form, self._py_func, units, apart)
                     _mark_used(self.folder_in(folder))
                     return form
@@ -237,14 +219,17 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
         if not self._impl.check_cachable(data):
             return
         key = self._index_key(sig, data.codegen)
-        reduced = apart, units, names, self._impl.reduce(data)
+        *reduced, environments = self._impl.reduce(data)
+        # machine code reads nothing of those without constants, and each would import a module of numba
+        needed = tuple(each for each in environments if each.consts)
+        form = apart, units, names, reduced, needed
         for folder in kernel_folders():
-            if folder not in _FAILED and self._save(folder, key, reduced):
+            if folder not in _FAILED and self._save(folder, key, form):
                 _prune(folder)
                 return
         _note_nothing_kept()
 
-    def _save(self, folder: Path, key: Any, reduced: Any) -> bool:
+    def _save(self, folder: Path, key: Any, form: Any) -> bool:
         """Keep a form in a folder, or return False: it cannot be written to, or the disk is full."""
         file = self._file_in(folder)
         try:
@@ -252,12 +237,12 @@ class KernelCache(FunctionCache):  # type: ignore[misc]
                 _FAILED.add(folder)
                 return False
             try:
-                file.save(key, reduced)
+                file.save(key, form)
             except OSError:
                 raise
             except Exception:  # a damaged index: start anew
                 file.flush()
-                file.save(key, reduced)
+                file.save(key, form)
         except OSError:
             _FAILED.add(folder)
             return False

@@ -209,7 +209,9 @@ class CameraSample:
         acceleration adds to their variance grows with the cube of the step, so that two steps tell it from noise. The
         least noise is three standard errors less, the largest three more.
         """
-        once, twice = (self._third_differences(step) for step in (1, 2))
+        times = self.times[self.frame_of]
+        even = [track for track in self.tracks if np.ptp(np.diff(times[track])) < 0.2 * self.interval_s]
+        once, twice = (self._third_differences(even, step) for step in (1, 2))
         if min(len(once), len(twice)) < LEAST_DIFFERENCES:
             return None
         # 1 + 9 + 9 + 1 = 20 times the variance of one detection
@@ -219,13 +221,10 @@ class CameraSample:
         noise, least, most = np.sqrt(np.maximum(value + np.array([0.0, -3.0, 3.0]) * error, 0.0) / 7.0).tolist()
         return noise, least, most
 
-    def _third_differences(self, step: int) -> Array:
+    def _third_differences(self, tracks: Iterable[Integers], step: int) -> Array:
         """Return third differences (n,), px, of one-camera tracks with even times, over steps of so many frames."""
         differences = [
-            np.diff(self.pixels[track[first::step]], n=3, axis=0).ravel()
-            for track in self.tracks
-            for first in range(step)
-            if np.ptp(np.diff(self.times[self.frame_of[track]])) < 0.2 * self.interval_s
+            np.diff(self.pixels[track[first::step]], n=3, axis=0).ravel() for track in tracks for first in range(step)
         ]
         return np.concatenate(differences) if differences else np.empty(0)
 

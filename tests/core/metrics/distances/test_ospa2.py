@@ -221,7 +221,7 @@ def test_only_tracks_of_the_window_come_together(monkeypatch):
 TRACKS = st.lists(st.dictionaries(st.integers(0, 3), st.floats(-30, 30), max_size=4), min_size=5, max_size=5)
 
 
-@settings(max_examples=150)
+@settings(max_examples=100)
 @given(x=TRACKS, y=TRACKS, z=TRACKS, window=st.integers(1, 6), order=st.floats(1, 4))
 def test_it_is_a_metric(x, y, z, window, order):
     cutoff = 12.0

@@ -43,10 +43,10 @@ def test_pair_likelihoods(size: int, seed: int, noise: str) -> None:
     for k in range(len(means)):
         for j in range(len(points)):
             covariance = covariances[k, :2, :2] + noises[j]
-            density = areas[j] * multivariate_normal.pdf(points[j], means[k, :2], covariance)
             difference = points[j] - means[k, :2]
             distance = np.sqrt(difference @ np.linalg.solve(covariance, difference))
             if seen[k] and distance <= REACH_SIGMAS:
+                density = areas[j] * multivariate_normal.pdf(points[j], means[k, :2], covariance)
                 assert found[k, j] == pytest.approx(density, rel=1e-9)
             else:
                 assert found[k, j] == 0.0
