@@ -13,7 +13,7 @@ fit                    detections of a trajectory             holds             
 ``fit_until``          those until a time                     as the fit given            floor   ``fits.history_of``
 ``rescaled``           as the fit given                       as the fit given            floor   ``at_known_scale``
 ``readjusted``         as the fit given                       nothing, or all values      floor   ``method.believe``
-``with_freed``         as the fit given                       nothing                     Cauchy  ``method.believe``
+``with_freed``         as the fit given                       all values                  floor   ``method.believe``
 ``marginal_fit``       as the fit given                       nothing                     fixed   ``method.believe``
 ``restated_fit``       chosen anew at a marginal optimum      nothing                     fixed   ``method.believe``
 ``with_lengths``       as the fit given                       nothing                     fixed   ``method.calibrated``

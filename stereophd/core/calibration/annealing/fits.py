@@ -214,7 +214,6 @@ def adjusted_to(
     of_fit: Integers,
     detections: Integers,
     max_iterations: int = MOST_ITERATIONS,
-    loss: Loss = FITTED_LOSS,
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
@@ -226,7 +225,7 @@ def adjusted_to(
     interpolated = interpolation(knots, observations.trajectories, observations.times)
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
-    problem = Problem(task.parameters, task.reference, knots, observations, loss, task.scale, fit.held)
+    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
     # one step whatever the loss says: it would leave out at once what a trajectory has to reach out for, beyond its
     # last detection so far
     without_loss = Linearisation.of(replace(problem, loss=SQUARED))
@@ -274,15 +273,15 @@ def restated_fit(task: Task, chosen: Fit, noise: Array) -> tuple[Fit, Array]:
     The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
     residuals look like shared errors. The search goes on from the marginal optimum, with the noise of the task.
     """
-    again = readjusted(task, chosen, np.ones(task.parameters.size, dtype=np.bool_))
-    return marginal_fit(task, with_stated_motion(task, again), noise)
+    return marginal_fit(task, with_stated_motion(task, readjusted(task, chosen, still=True)), noise)
 
 
-def readjusted(task: Task, fit: Fit, held: Booleans | None = None, loss: Loss = FITTED_LOSS) -> Fit:
-    """Adjust a fit to its detections with the noise and the unknowns of a task, some values (m,) held."""
+def readjusted(task: Task, fit: Fit, still: bool = False) -> Fit:
+    """Adjust a fit to its detections with the noise and the unknowns of a task; `still`: the cameras stay."""
     cameras, of_fit = task.parameters.build(fit.adjustment.values), fit.observations.trajectories
     observations = task.observations(cameras, of_fit, fit.detections)
-    return adjusted_to(task, replace(fit, held=held), observations, of_fit, fit.detections, loss=loss)
+    fit = replace(fit, held=np.ones(task.parameters.size, dtype=np.bool_) if still else None)
+    return adjusted_to(task, fit, observations, of_fit, fit.detections)
 
 
 def with_stated_motion(task: Task, fit: Fit) -> Fit:

@@ -26,7 +26,6 @@ from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_
 from stereophd.core.calibration.adjustment.trajectories import STATED, MotionNoise
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
-    ANNEALED_LOSS,
     HistoryRow,
     history_of,
     marginal_fit,
@@ -253,7 +252,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
 
     Trajectories of an answer choose their detections and show the noise, and the search goes on from the answer. Once
     the noise stays, what is held is tested: first with errors that are independent, then with those that detections
-    share. Other unknowns, and a search that did not end, begin at the joint optimum again.
+    share. What is freed begins as it was stated, and a search that did not end at the joint optimum again.
     """
     count = len(task.parameters.cameras)
     noise, shared = np.ones(count), np.zeros(count)
@@ -359,18 +358,16 @@ def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
 
 
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
-    """Return the task with what was contradicted among its unknowns, and the fit from the values that fit.
+    """Return the task with what was contradicted among its unknowns, and the fit, which has it as it was stated.
 
-    What nobody has measured with it is unknown, too. No detection is left out on the way: before the poses follow, a
-    lens moves pixels by hundreds of their noises.
+    What nobody has measured with it is unknown, too. The search for the marginal optimum begins there. The joint
+    optimum of all that runs away where objects manoeuvre, to a lens from which that search does not come back.
     """
     places = enlarged.unmeasured_with(suspicion.group)
     task = replace(task, parameters=enlarged.freed(task.parameters, places))
-    fitting_values = np.zeros(enlarged.parameters.size)
-    fitting_values[suspicion.group.places] = suspicion.values
-    values = np.append(fit.adjustment.values, fitting_values[places])
+    values = np.append(fit.adjustment.values, np.zeros(len(places)))
     begin = replace(fit, adjustment=replace(fit.adjustment, values=values))
-    return task, chosen_anew(task, readjusted(task, begin, loss=ANNEALED_LOSS))
+    return task, readjusted(task, begin, still=True)
 
 
 def spread_remarks(moves: TrackMoves, covariance: Array) -> tuple[Remark, ...]:
