@@ -54,16 +54,17 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     problem, section, stated = run.problem, run.section, run.problem.parameters.size
     run.limit.begin("one-camera tracks are made")
     task = _task(run)
-    starts = _all_starts(run, task)
+    starts, failed = _all_starts(run, task), list[dict[str, Any]]()
     if best_of(starts) is None and (unmeasured := _unmeasured(run)).size > stated and not run.limit.is_over:
         run.limit.begin("no start agrees: starts begin anew with what nobody may have measured unknown")
+        failed = [_start_report(task, start, None) for start in starts]
         problem = replace(problem, parameters=unmeasured)
         run = replace(run, problem=problem)
         task = _task(run)
         starts = _all_starts(run, task, "starts_unmeasured")
     best = best_of(starts)
     details: dict[str, Any] = {
-        "starts": [_start_report(task, start, best) for start in starts],
+        "starts": [*failed, *(_start_report(task, start, best) for start in starts)],
         "agreeing_starts": agreeing_with_best(starts),
         "stages": [list(stage.names) for stage in task.stages],
     }
