@@ -207,13 +207,10 @@ def _result_report(result: Calibrated, best: Start, stated: int) -> dict[str, An
     believed = result.believed
     report: dict[str, Any] = {
         "motion_noise_factor": believed.answer.motion_factors.tolist(),
-        "noise_factors": dict(
-            zip(
-                (camera.name for camera in believed.task.parameters.cameras),
-                believed.noise.tolist(),
-                strict=True,
-            )
-        ),
+        "noise_factors": {
+            camera.name: factor
+            for camera, factor in zip(believed.task.parameters.cameras, believed.noise.tolist(), strict=True)
+        },
         "freed": list(believed.task.parameters.names[stated:]),
         "stated": _statements(result),
         "fit": _fit_report(best, result.fit),

@@ -19,7 +19,6 @@ from stereophd.core.calibration.annealing.fits import (
 )
 from stereophd.core.calibration.annealing.method import (
     FREE,
-    Answer,
     Choices,
     calibrated,
     may_be_freed,
@@ -237,7 +236,7 @@ def test_a_lens_is_freed_from_values_that_move_pixels_by_many_noises(made: MadeU
     exact, loose = (replace(task, recording=log).with_noise(factor) for factor in (0.05, 1.0))
     fit = fit_from(loose, made.truth)
     assert fit is not None
-    answer = Answer(*marginal_fit(loose, fit))
+    answer = marginal_fit(loose, fit)
     enlarged, suspicions = suspected(loose, answer)
     lenses = next(one for one in suspicions if one.group.quantity == "distortion" and len(one.values) == 2)
     near, far = (with_freed(exact, fit, enlarged, replace(lenses, values=np.full(2, k1)))[1] for k1 in (-0.2, -0.6))
