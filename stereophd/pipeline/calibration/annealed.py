@@ -53,16 +53,17 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     problem, section, stated = run.problem, run.section, run.problem.parameters.size
     run.limit.begin("one-camera tracks are made")
     task = _task(run)
-    starts = _all_starts(run, task)
+    starts, failed = _all_starts(run, task), list[dict[str, Any]]()
     if best_of(starts) is None and (unmeasured := _unmeasured(run)).size > stated and not run.limit.is_over:
         run.limit.begin("no start agrees: starts begin anew with what nobody may have measured unknown")
+        failed = [_start_report(task, start, None) for start in starts]
         problem = replace(problem, parameters=unmeasured)
         run = replace(run, problem=problem)
         task = _task(run)
         starts = _all_starts(run, task, "starts_unmeasured")
     best = best_of(starts)
     details: dict[str, Any] = {
-        "starts": [_start_report(task, start, best) for start in starts],
+        "starts": [*failed, *(_start_report(task, start, best) for start in starts)],
         "agreeing_starts": agreeing_with_best(starts),
         "stages": [list(stage.names) for stage in task.stages],
     }
@@ -182,13 +183,10 @@ def _result_report(result: Calibrated, best: Start, stated: int) -> dict[str, An
     believed = result.believed
     report: dict[str, Any] = {
         "motion_noise_factor": believed.answer.motion_factors.tolist(),
-        "noise_factors": dict(
-            zip(
-                (camera.name for camera in believed.task.parameters.cameras),
-                believed.noise.tolist(),
-                strict=True,
-            )
-        ),
+        "noise_factors": {
+            camera.name: factor
+            for camera, factor in zip(believed.task.parameters.cameras, believed.noise.tolist(), strict=True)
+        },
         "freed": list(believed.task.parameters.names[stated:]),
         "stated": _statements(result),
         "fit": _fit_report(best, result.fit),

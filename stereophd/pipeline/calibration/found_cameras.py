@@ -99,7 +99,8 @@ class FoundCameras:
         """Values whose absolute deviations are too large.
 
         The place of a camera counts beside the size of the rig, not beside its own distance: the direction of a camera
-        next to the reference is hard to know, and tells little of where objects are.
+        next to the reference is hard to know, and tells little of where objects are. An offset is one between two
+        clocks: the frames of the slower camera count.
         """
         parameters, out = outcome.parameters, []
         stds = dict(zip(parameters.names, np.sqrt(np.diag(outcome.covariance)).tolist(), strict=True))
@@ -118,7 +119,8 @@ class FoundCameras:
             camera, _, component = key.rpartition(".")
             if component == "focal" and not std <= MOST_FOCAL:
                 out.append(f"the focal length of {camera} is known to {100.0 * std:.0f} %")
-            if component == "clock_offset" and not std <= MOST_FRAMES * self.intervals[camera]:
+            frames = max(self.intervals.get(name, 0.0) for name in (camera, cameras[problem.reference].name))
+            if component == "clock_offset" and not std <= MOST_FRAMES * frames:
                 out.append(f"the clock of {camera} is known to {std:.2g} s")
         return out
 

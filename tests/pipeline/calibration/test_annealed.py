@@ -124,4 +124,5 @@ def test_where_no_start_succeeds_what_nobody_measured_is_unknown(
     monkeypatch.setattr(annealed, "_all_starts", fail)
     outcome = annealed.annealed_outcome(cast("CalibrationRun", Run(problem, SimpleNamespace(model=model))))
     assert sizes == expected  # with four and three values of the images, and the offset of one clock
+    assert len(outcome.details["starts"]) == len(expected)
     assert outcome.reason.startswith("none of 1 starts agrees with the data")

@@ -144,13 +144,19 @@ def test_images_are_known_no_better_than_stated(tmp_path: Path, intrinsics: dict
 
 
 def test_unknowns_that_were_freed_are_judged_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A clock is judged by the frames of the slower of two cameras: one of 50 Hz beside 25 Hz needs no more."""
     monkeypatch.setattr(found_cameras, "posed_cameras", lambda _: ())
-    found = FoundCameras(("right",), None, "", has_scale=True, intervals={"right": 0.1})
+    found = FoundCameras(("right",), None, "", has_scale=True, intervals={"left": 0.04, "right": 0.02})
     problem = SimpleNamespace(parameters=SimpleNamespace(names=("right.clock_offset",)), reference=0)
     left = SimpleNamespace(name="left", pose=SimpleNamespace(center=np.zeros(3)))
     freed = SimpleNamespace(names=("right.clock_offset", "right.focal"), build=lambda _: (left,))
-    outcome = SimpleNamespace(parameters=freed, values=np.zeros(2), covariance=np.diag([0.05, 0.1]) ** 2)
-    assert found._left_open(problem, outcome) == ["the focal length of right is known to 10 %"]
+
+    def left_open(clock: float, focal: float) -> list[str]:
+        outcome = SimpleNamespace(parameters=freed, values=np.zeros(2), covariance=np.diag([clock, focal]) ** 2)
+        return found._left_open(problem, outcome)
+
+    assert left_open(0.03, 0.1) == ["the focal length of right is known to 10 %"]
+    assert left_open(0.05, 0.01) == ["the clock of right is known to 0.05 s"]
 
 
 def test_the_place_of_a_camera_counts_beside_the_size_of_the_rig(monkeypatch: pytest.MonkeyPatch) -> None:

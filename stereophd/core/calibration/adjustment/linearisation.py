@@ -222,6 +222,15 @@ class Linearisation:
                 by_value[here, :, : by_camera.shape[2]] = by_camera
         return errors, visible, by_point, by_value
 
+    def pulled(self, values: Array, states: Array) -> tuple[Array, Array]:
+        """Return how the errors of detections pull at the values of their cameras (n, q) and at their points (n, 3)."""
+        observations = self.problem.observations
+        _, errors, visible, by_point, by_value = self.residuals(values, states)
+        counted = np.ones(len(observations)) if observations.weights is None else observations.weights
+        pulls = np.einsum("n,nij,nj->ni", visible * counted, observations.precisions, errors)
+        by_value, by_point = (np.where(visible[:, None, None], by, 0.0) for by in (by_value, by_point))
+        return np.einsum("nrq,nr->nq", by_value, pulls), np.einsum("nra,nr->na", by_point, pulls)
+
     def of_values(self, by_value: Array) -> Array:
         """Sums (m,) over detections of their contributions (n, q) to the values of their cameras."""
         out = np.zeros(self.problem.parameters.size)

@@ -291,11 +291,20 @@ class MarginalPosterior:
         across = self._knots_against(at, by_states)
         step = _short(equations.bands, across)
         moved = step * across.reshape(at.states.shape)
-        ahead, behind = (self.equations(at.unknowns, at.states + sign * moved).value_vector for sign in (1.0, -1.0))
+        ahead, behind = (self._pulls(at.unknowns, at.states + sign * moved) for sign in (1.0, -1.0))
         # the knots are at the minimum but for a trace, whose effect is removed to first order
         left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
         followed = (ahead - behind) / (2.0 * step)
         return np.asarray(direct + followed + equations.coupling.T @ left - equations.value_vector)
+
+    def _pulls(self, unknowns: Array, states: Array) -> Array:
+        """Return the part of the vector (size,) of the unknowns in the normal equations that knots change."""
+        linearisation, (values, noise) = self.linearisation, self.parted(unknowns)
+        problem = linearisation.problem
+        _, by_scale = log_scale(problem.parameters, problem.reference, values)
+        by_noise = -linearisation.noise_at(values, noise).by_unknowns(linearisation.motion.pulls(states)[1])
+        of_values = linearisation.of_values(linearisation.pulled(values, states)[0]) + by_noise[0] * by_scale
+        return np.append(of_values, by_noise[: self.size - len(values)])
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""

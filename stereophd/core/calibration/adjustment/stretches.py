@@ -70,12 +70,8 @@ def _scores(linearisation: Linearisation, point: Point, noise: Array, volume: Vo
     problem, observations = linearisation.problem, linearisation.problem.observations
     unknowns, states = len(point.unknowns), point.states
     values = point.unknowns[: problem.parameters.size]
-    assert observations.weights is not None
     following = point.eliminated.following().reshape(len(states), 2, 3, unknowns)
-    path, errors, visible, by_point, by_value = linearisation.residuals(values, states)
-    pulls = np.einsum("n,nij,nj->ni", visible * observations.weights, observations.precisions, errors)
-    direct = np.einsum("nrq,nr->nq", np.where(visible[:, None, None], by_value, 0.0), pulls)
-    of_point = np.einsum("nra,nr->na", np.where(visible[:, None, None], by_point, 0.0), pulls)
+    path, (direct, of_point) = volume.path, linearisation.pulled(values, states)
     direct, of_point = direct - volume.by_value, of_point - volume.by_point
     ends = np.quantile(observations.times, np.linspace(0.0, 1.0, STRETCHES + 1))[1:-1]
     scores, after = np.zeros((STRETCHES, unknowns)), np.minimum(path.knot + 1, len(states) - 1)

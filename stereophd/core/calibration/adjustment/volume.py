@@ -11,7 +11,6 @@ J. Fagan and M.-S. Chin, "Formation of a sparse bus impedance matrix", 1973).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 
@@ -40,14 +39,14 @@ def inverse_in_band(factor: Array, inverse: Array) -> None:
 
 
 @compiled
-def covariances_of_points(inverse: Array, knots: Integers, left: Array, right: Array, out: Array) -> None:
-    """Covariances (n, 3, 3) of the sums of two knots with the weights `left` and `right` (n, 4)."""
+def summed_covariances(inverse: Array, knots: Integers, weights: Array, out: Array) -> None:
+    """Add up the covariances of a knot and the next one, position and velocity each, with weights (n, 4, 4)."""
     size = inverse.shape[1]
     for n in range(knots.shape[0]):
         start = 6 * knots[n]
         for b in range(4):
             for c in range(4):
-                weight = left[n, b] * right[n, c]
+                weight = weights[n, b, c]
                 if weight == 0.0:
                     continue
                 for i in range(3):
@@ -76,15 +75,15 @@ class VolumeSlopes:
         placement = linearisation.placed(values)
         path, rates = placement.path, placement.rates
         world, velocities = positions(states, *path), positions(states, *rates)
-        _, visible, by_point, _ = linearisation.seen(placement, values, world, velocities)
+        _, visible, by_point, _ = linearisation.seen(placement, values, world, velocities, by_values=False)
         by_point = np.where(visible[:, None, None], by_point, 0.0)
         precisions = observations.precisions
         if observations.weights is not None:
             precisions = observations.weights[:, None, None] * precisions
         count = len(observations)
         spread = np.zeros((2, count, 3, 3))
-        covariances_of_points(inverse, path.knot, path.weights, path.weights, spread[0])
-        covariances_of_points(inverse, path.knot, path.weights, rates.weights, spread[1])
+        for of_points, weights in zip(spread, (path.weights, rates.weights), strict=True):
+            summed_covariances(inverse, path.knot, path.weights[:, :, None] * weights[:, None, :], of_points)
         rows = precisions @ by_point @ spread[0]
         of_value, of_point = np.zeros((count, linearisation.columns.shape[1])), np.zeros((count, 3))
         for r in (0, 1):
@@ -102,8 +101,6 @@ class VolumeSlopes:
         of_value += by_time[:, None] * linearisation.time_slopes(values)
         links = motion_links(problem.knots)
         covariances = np.zeros((len(links.knot), 3, 3))
-        for b, c, i, j in product(range(4), range(4), range(3), range(3)):
-            row, column = 6 * links.knot + 3 * b + i, 6 * links.knot + 3 * c + j
-            covariances[:, i, j] += links.precisions[:, b, c] * inverse[np.abs(row - column), np.minimum(row, column)]
+        summed_covariances(inverse, links.knot, links.precisions, covariances)
         moved_by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
         return VolumeSlopes(path, of_value, of_point, moved_by_noise)

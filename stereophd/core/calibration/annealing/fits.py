@@ -12,7 +12,6 @@ from stereophd.core.calibration.adjustment.marginal import marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
-    STATED,
     Knots,
     MotionNoise,
     fit_states,
@@ -254,26 +253,26 @@ def problem_of(task: Task, fit: Fit) -> Problem:
     return Problem(task.parameters, task.reference, fit.knots, fit.observations, FITTED_LOSS, task.scale)
 
 
-def marginal_fit(task: Task, fit: Fit, noise: Array = STATED) -> tuple[Fit, Array]:
+def marginal_fit(task: Task, fit: Fit) -> Fit:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion along each axis.
 
-    Nothing is held. Also returns the unknowns (6,) of the noise of the motion beside that of the fit; they are looked
-    for from those given.
+    Nothing is held. The noise of the motion beside that of the knots is looked for from that of the fit.
     """
-    found = marginal_optimum(problem_of(task, fit), fit.adjustment, noise)
+    found = marginal_optimum(problem_of(task, fit), fit.adjustment, fit.motion_noise)
     cameras = task.parameters.build(found.adjustment.values)
     observations = replace(fit.observations, times=true_times(cameras, fit.observations))
     knots = replace(fit.knots, noise_std=MotionNoise.of(found.motion_noise, fit.knots.noise_std).std)
-    return Fit(found.adjustment, knots, observations, fit.detections), found.motion_noise
+    return Fit(found.adjustment, knots, observations, fit.detections, motion_noise=found.motion_noise)
 
 
-def restated_fit(task: Task, chosen: Fit, noise: Array) -> tuple[Fit, Array]:
+def restated_fit(task: Task, chosen: Fit, noise: Array) -> Fit:
     """`marginal_fit` of the detections that the trajectories of a marginal optimum have chosen.
 
     The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
     residuals look like shared errors. The search goes on from the marginal optimum, with the noise of the task.
     """
-    return marginal_fit(task, with_stated_motion(task, readjusted(task, chosen, still=True)), noise)
+    again = with_stated_motion(task, readjusted(task, chosen, still=True))
+    return marginal_fit(task, replace(again, motion_noise=noise))
 
 
 def readjusted(task: Task, fit: Fit, still: bool = False) -> Fit:

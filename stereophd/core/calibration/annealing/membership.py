@@ -19,7 +19,7 @@ from stereophd.core.calibration.adjustment.problem import Observations, Problem
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, factor_knots
 from stereophd.core.calibration.adjustment.trajectories import straying
-from stereophd.core.calibration.adjustment.volume import covariances_of_points, inverse_in_band
+from stereophd.core.calibration.adjustment.volume import inverse_in_band, summed_covariances
 
 # Squared distance from its prediction within which a detection belongs to a trajectory: 0.1 % of a normal distribution
 # in the plane lies beyond. Squared distance in its noise alone within which it is looked at.
@@ -59,7 +59,7 @@ class Predictions:
             self.adjustment.values, self.adjustment.states
         )
         spread = np.zeros((len(seen), 3, 3))
-        covariances_of_points(self.inverse, path.knot, path.weights, path.weights, spread)
+        summed_covariances(self.inverse, path.knot, path.weights[:, :, None] * path.weights[:, None, :], spread)
         noise = linearisation.noise_at(self.adjustment.values).std
         astray = straying(knots, seen.trajectories, seen.times)[:, None, None] * np.diag(noise**2)
         total = np.zeros((len(seen), 2, len(self.adjustment.values)))

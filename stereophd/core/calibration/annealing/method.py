@@ -19,11 +19,9 @@ from scipy.linalg import LinAlgError
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.adjustment.marginal import exact_covariance
 from stereophd.core.calibration.adjustment.noise import estimate_noise
-from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
-from stereophd.core.calibration.adjustment.trajectories import STATED, MotionNoise
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
     HistoryRow,
@@ -108,24 +106,11 @@ class Remark:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What is stated of a fit."""
-
-    fit: Fit  # The marginal optimum.
-    motion_noise: Array  # (6,): Unknowns of the noise of the motion (`MotionNoise`), beside what is stated
-
-    @property
-    def motion_factors(self) -> Array:
-        """Noise of the motion along the axes of the world (3,) over what is stated."""
-        return MotionNoise.of(self.motion_noise, np.ones(3)).std
-
-
-@dataclass(frozen=True)
 class Believed:
     """An answer whose model was doubted."""
 
     task: Task  # With the scale, the noise and the unknowns of the answer.
-    answer: Answer
+    answer: Fit  # The marginal optimum.
     noise: Array  # Noise (c,) of each camera's detections over what is stated.
     given_up: tuple[Suspicion, ...]  # Of statements that the data contradict, which were estimated.
     held: tuple[Suspicion, ...]  # Of the statements that the answer holds.
@@ -166,7 +151,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     if not choices.is_sampled:
         answer, remark = widened(task, answer, believed.doubtful)
         remarks += remark
-    fit, pairs = answer.fit, None
+    fit, pairs = answer, None
     if (known := choices.known) is not None and known.kind == "length" and task.scale is not None:
         fit, pairs = with_lengths(task, fit, known.value, known.std)
     world = None
@@ -176,12 +161,12 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
         except ValueError as error:
             remarks += (Remark("control", f"the control was not used: {error}", is_reservation=True),)
     values = fit.adjustment.values
-    early = "" if answer.fit.adjustment.converged else "the search for the optimum ended before it was found"
+    early = "" if answer.adjustment.converged else "the search for the optimum ended before it was found"
     doubt = doubt or early
     if (against := task.parameters.prior_disagreement(values)) is not None:
         by = known.kind if known is not None else "baseline" if task.scale is not None else ""
         doubt = f"with the known {by} {against}" if by else against
-    history, moves = history_of(task, answer.fit, fit), track_moves(problem_of(task, fit), fit.adjustment)
+    history, moves = history_of(task, answer, fit), track_moves(problem_of(task, fit), fit.adjustment)
     remarks += (*statement_remarks(believed, is_doubted=bool(doubt)), *prior_remarks(task, values))
     if not choices.is_sampled:  # particles need no Gaussian
         remarks += spread_remarks(moves, fit.adjustment.covariance)
@@ -258,37 +243,40 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     noise, shared = np.ones(count), np.zeros(count)
     given_up, held = list[Suspicion](), list[Suspicion]()
     from_above, remarks = np.zeros(count, dtype=np.bool_), tuple[Remark, ...]()
-    answer: Answer | None = None
-    radius = 0.0  # Within which detections share errors.
+    answer: Fit | None = None
+    radius, is_tested = 0.0, False  # Within which detections share errors; whether nothing else is left to be doubted.
     for number in range(MOST_ROUNDS):
         if not task.limit.begin(f"what the answer assumes is tested, round {number + 1} of at most {MOST_ROUNDS}"):
             text = "the time was over before the answer was found and tested: these cameras are the best so far"
-            answer = answer or Answer(fit, STATED)
+            answer = answer or fit
             held, remarks = [], (Remark("time", text, is_reservation=True),)
             break
         if number >= MOST_ROUNDS - ROUNDS_OF_SHARED:
             radius = task.settings.shared_error_px
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         if answer is None:
-            answer = Answer(*marginal_fit(task, fit))
-        chosen = chosen_anew(task, answer.fit, still=True) if answer.fit.adjustment.converged else answer.fit
+            answer = marginal_fit(task, fit)
+        chosen = chosen_anew(task, answer, still=True) if answer.adjustment.converged else answer
         estimate = estimate_noise(
             problem_of(task, chosen), chosen.adjustment, noise, shared, radius, np.random.default_rng(NOISE_SEED)
         )
         differs, hides = estimate.differs(shared, from_above), estimate.hides & ~from_above
         is_new = bool((differs | hides).any()) and not last
+        if is_tested and not is_new:
+            break
+        is_tested = False
         if is_new:
             factors = np.where(hides, LOOSENED, np.where(differs, estimate.factors, 1.0))
             shared = np.where(hides, 0.0, np.where(differs, estimate.shared, shared))
             task, noise = task.with_noise(factors, shared), noise * factors
             from_above |= hides
-        if answer.fit.adjustment.converged and not hides.any():
+        if answer.adjustment.converged and not hides.any():
             again = restated_fit(task, chosen, answer.motion_noise)
-            if is_new or again[0].adjustment.converged:
-                answer = replace(answer, fit=again[0], motion_noise=again[1])
-        fit = with_stated_motion(task, answer.fit)
+            if is_new or again.adjustment.converged:
+                answer = again
+        fit = with_stated_motion(task, answer)
         if is_new:
-            if hides.any() or not answer.fit.adjustment.converged:
+            if hides.any() or not answer.adjustment.converged:
                 fit, answer = chosen_anew(task, readjusted(task, fit)), None
             continue
         enlarged, held = suspected(task, answer)
@@ -298,7 +286,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             task, fit = with_freed(task, fit, enlarged, wrong)
             answer = None
         elif radius < task.settings.shared_error_px and not last:
-            radius = task.settings.shared_error_px
+            radius, is_tested = task.settings.shared_error_px, True
         else:
             break
     assert answer is not None
@@ -308,41 +296,34 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     return Believed(task, answer, noise, tuple(given_up), tuple(held), doubtful, remarks)
 
 
-def suspected(task: Task, answer: Answer) -> tuple[EnlargedSet, list[Suspicion]]:
+def suspected(task: Task, answer: Fit) -> tuple[EnlargedSet, list[Suspicion]]:
     """Test what an answer holds as stated; the statement of the greatest evidence against it first."""
     enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
-    quadratic = quadratic_posterior(
-        problem_of_answer(task, answer), enlarged, answer.fit.adjustment, answer.motion_noise
-    )
+    problem = problem_of(task, with_stated_motion(task, answer))
+    quadratic = quadratic_posterior(problem, enlarged, answer.adjustment, answer.motion_noise)
     return enlarged, suspect(quadratic, enlarged, np.arange(task.parameters.size))
 
 
-def problem_of_answer(task: Task, answer: Answer) -> Problem:
-    """Return the problem that an answer solves, with the noise of the motion that is stated."""
-    return problem_of(task, with_stated_motion(task, answer.fit))
-
-
-def widened(task: Task, answer: Answer, doubtful: Array) -> tuple[Answer, tuple[Remark, ...]]:
+def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, tuple[Remark, ...]]:
     """Give an answer its exact covariance, and widen it by the disagreement of stretches of the log; say if large.
 
     `doubtful` (m, k) is the root of the covariance that what is stated adds.
     """
-    problem, fit = problem_of_answer(task, answer), answer.fit
-    if fit.adjustment.converged:
+    problem, adjustment = problem_of(task, with_stated_motion(task, answer)), answer.adjustment
+    if adjustment.converged:
         try:
-            exact = exact_covariance(problem, fit.adjustment, answer.motion_noise, task.threads)
-            fit = replace(fit, adjustment=replace(fit.adjustment, covariance=exact))
+            exact = exact_covariance(problem, adjustment, answer.motion_noise, task.threads)
+            adjustment = replace(adjustment, covariance=exact)
         except LinAlgError:
-            fit = replace(fit, adjustment=replace(fit.adjustment, converged=False))
-    more, factor = disagreement_of_stretches(problem, fit.adjustment, answer.motion_noise)
-    covariance = fit.adjustment.covariance + more + doubtful @ doubtful.T
-    fit = replace(fit, adjustment=replace(fit.adjustment, covariance=covariance))
+            adjustment = replace(adjustment, converged=False)
+    more, factor = disagreement_of_stretches(problem, adjustment, answer.motion_noise)
+    adjustment = replace(adjustment, covariance=adjustment.covariance + more + doubtful @ doubtful.T)
     text = (
         f"stretches of the log disagree on the cameras by up to {factor:.1f} times what their noise allows: the stated "
         "deviations were widened; something of what is stated is wrong"
     )
     remark = Remark("stretches", text, factor > LARGEST_WIDENING)
-    return replace(answer, fit=fit), (remark,) if factor > SAID_FACTOR else ()
+    return replace(answer, adjustment=adjustment), (remark,) if factor > SAID_FACTOR else ()
 
 
 def may_be_freed(suspicion: Suspicion, choices: Choices, parameters: ParameterSet) -> bool:
@@ -382,7 +363,7 @@ def spread_remarks(moves: TrackMoves, covariance: Array) -> tuple[Remark, ...]:
     return (Remark("spread", text, is_reservation=True),)
 
 
-def motion_remarks(answer: Answer) -> tuple[Remark, ...]:
+def motion_remarks(answer: Fit) -> tuple[Remark, ...]:
     """Return a remark if the noise of the motion is far from the stated one."""
     factor = float(np.exp(np.log(answer.motion_factors).mean()))
     if abs(np.log(factor)) <= np.log(MOTION_FACTOR):

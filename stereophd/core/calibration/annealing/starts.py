@@ -111,7 +111,7 @@ def _judged(task: Task, start: Start) -> Start:
     part, why = explained(task, fit), disagreement(task, fit)
     if why is not None and task.parameters.prior_disagreement(fit.adjustment.values) is not None:
         # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
-        fit = with_stated_motion(task, marginal_fit(task, fit)[0])
+        fit = with_stated_motion(task, marginal_fit(task, fit))
         start, why = start.with_pass(fit), disagreement(task, fit)
     if why is not None:
         return replace(start, outcome=why, explained=part)

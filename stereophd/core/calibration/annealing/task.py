@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from stereophd.core.calibration.adjustment.noise import weights_of
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
-from stereophd.core.calibration.adjustment.trajectories import Knots
+from stereophd.core.calibration.adjustment.trajectories import STATED, Knots, MotionNoise
 from stereophd.core.calibration.pairing.clock_search import ClockOffsets, search_offsets
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.settings import AnnealedSettings
@@ -132,7 +132,8 @@ class Task:
 class Fit:
     """Cameras and trajectories after an adjustment, with the detections of the recording they were adjusted to.
 
-    `held` (m,) are the values that the adjustment did not move; None if it moved all.
+    `held` (m,) are the values that the adjustment did not move; None if it moved all. `motion_noise` (6,) are unknowns
+    of the noise of the motion (`MotionNoise`) beside what is stated, where the trajectories were integrated out.
     """
 
     adjustment: Adjustment
@@ -140,6 +141,12 @@ class Fit:
     observations: Observations
     detections: Integers
     held: NDArray[np.bool_] | None = None
+    motion_noise: Array = field(default_factory=lambda: STATED)
+
+    @property
+    def motion_factors(self) -> Array:
+        """Noise of the motion along the axes of the world (3,) over what is stated."""
+        return MotionNoise.of(self.motion_noise, np.ones(3)).std
 
 
 @dataclass(frozen=True)

@@ -204,10 +204,10 @@ def test_trajectories_are_integrated_out_for_poses_alone_too() -> None:
     joint = adjust(problem, drawn, states)
     task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
     fit = Fit(joint, problem.knots, problem.observations, np.arange(len(problem.observations)))
-    found, noise = marginal_fit(task, fit)
+    found = marginal_fit(task, fit)
     posterior = MarginalPosterior(Linearisation.of(problem))
-    np.testing.assert_allclose(found.knots.noise_std, MotionNoise.of(noise, problem.knots.noise_std).std)
-    reached = posterior.at(np.append(found.adjustment.values, noise), states).objective
+    np.testing.assert_allclose(found.knots.noise_std, MotionNoise.of(found.motion_noise, problem.knots.noise_std).std)
+    reached = posterior.at(np.append(found.adjustment.values, found.motion_noise), states).objective
     assert reached < posterior.at(np.append(joint.values, np.zeros(6)), states).objective - 1.0
 
 
@@ -224,15 +224,14 @@ def test_the_scale_of_objects_that_stand_still_is_left_to_the_prior() -> None:
 
 def test_a_noise_of_the_motion_far_from_what_is_stated_is_found_and_used() -> None:
     problem, states, drawn = some_problem(("center", "rotation"))
-    right, of_right = stated_of(problem, states, drawn, 1.0)
-    other, noise = stated_of(problem, states, drawn, 20.0)
-    assert np.log(20.0) + noise[0] == pytest.approx(of_right[0], abs=0.3)
+    right, other = (stated_of(problem, states, drawn, wrong) for wrong in (1.0, 20.0))
+    assert np.log(20.0) + other.motion_noise[0] == pytest.approx(right.motion_noise[0], abs=0.3)
     np.testing.assert_allclose(other.knots.noise_std, right.knots.noise_std, rtol=0.3)
     error = other.adjustment.values - right.adjustment.values
     assert error @ np.linalg.solve(right.adjustment.covariance, error) < 0.25 * len(error)
 
 
-def stated_of(problem: Problem, states: np.ndarray, drawn: np.ndarray, wrong: float) -> tuple[Fit, np.ndarray]:
+def stated_of(problem: Problem, states: np.ndarray, drawn: np.ndarray, wrong: float) -> Fit:
     """The marginal fit where the noise of the motion is stated as this many times what it is."""
     stated = replace(problem, knots=replace(problem.knots, noise_std=wrong * problem.knots.noise_std))
     fit = Fit(adjust(stated, drawn, states), stated.knots, stated.observations, np.arange(len(stated.observations)))

@@ -21,7 +21,6 @@ from stereophd.core.calibration.annealing.fits import (
 )
 from stereophd.core.calibration.annealing.method import (
     FREE,
-    Answer,
     Choices,
     calibrated,
     may_be_freed,
@@ -221,12 +220,12 @@ def test_a_lens_is_freed_as_it_is_stated_and_found_from_there(made: MadeUp, task
     loose = replace(task, recording=log)
     exact, fit = loose.with_noise(np.full(2, 0.05)), fit_from(loose, made.truth)
     assert fit is not None
-    answer = Answer(*restated_fit(exact, fit, STATED))
+    answer = restated_fit(exact, fit, STATED)
     enlarged, suspicions = suspected(exact, answer)
     lenses = next(one for one in suspicions if one.group.quantity == "distortion" and len(one.values) == 2)
-    freed, begin = with_freed(exact, answer.fit, enlarged, lenses)
-    assert begin.adjustment.values.tolist() == [*answer.fit.adjustment.values, 0.0, 0.0]
-    found = marginal_fit(freed, begin)[0].adjustment
+    freed, begin = with_freed(exact, answer, enlarged, lenses)
+    assert begin.adjustment.values.tolist() == [*answer.adjustment.values, 0.0, 0.0]
+    found = marginal_fit(freed, begin).adjustment
     values, stds = found.values[-2:], np.sqrt(np.diag(found.covariance))[-2:]
     assert found.converged
     assert (stds < 0.1).all()
