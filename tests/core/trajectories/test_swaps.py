@@ -217,6 +217,18 @@ def test_predictions_of_a_grid_have_no_detections() -> None:
     assert after[0].get(12) == own[0].get(12)
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_states_of_well_known_tracks_have_covariances(seed: int) -> None:
+    # 0.07 px: with a prior of ten distances from the camera rounding left the first state none
+    events, own = _scene(seed)
+    run = _run(events)
+    run = replace(run, motion=ConstantVelocity([0.03, 0.03, 0.03]), noises=0.01 * run.noises)
+    for track in _tracks(run, own):
+        stds = np.sqrt(np.diagonal(track.trajectory.covariances, axis1=1, axis2=2))
+        correlations = track.trajectory.covariances / stds[:, :, None] / stds[:, None, :]
+        assert np.linalg.eigvalsh(correlations).min() > 1e-3
+
+
 def test_a_state_without_its_window_does_not_depend_on_the_detections_there() -> None:
     # the two filters together are the smoother of a track that never had those detections
     events, own = _scene(4, missed=0.0)
