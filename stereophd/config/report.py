@@ -21,8 +21,8 @@ class SmoothConfig(Model):
         advice="the longest time for which an object is hidden.",
     )
     reassociate: bool = parameter(
-        "smoothed tracks of a filter of many objects that move choose their detections anew, so that neighbours that "
-        "the filter took for each other are exchanged; not with times on a grid",
+        "smoothed tracks of a filter of many objects choose their detections anew, at the noise of the motion that "
+        "they show, so that neighbours that the filter took for each other are exchanged; not with times on a grid",
         default=False,
         advice="true for many objects close together that are seldom seen, such as corners of a board.",
     )

@@ -29,7 +29,8 @@ GATE = 13.8
 # Smallest rate of clutter a frame, and probability of a miss: 0 would make every detection certain.
 LEAST_RATE = 1e-6
 # Standard deviations of the prior: of the position in distances from the camera, of the velocity in the track's speeds.
-WIDE, FAST = 10.0, 3.0
+# From a wider one rounding leaves well known tracks no covariance.
+WIDE, FAST = 1.0, 3.0
 # Passes of a smoother, each linear about the last one, until no position moves by more than this many of its standard
 # deviations: two of most tracks, more where detections are few or the track was far off.
 MOST_PASSES, SETTLED = 10, 0.1
@@ -210,10 +211,6 @@ class Chain:
         """Places in the trajectory (last one excluded) of events and of so many to either side."""
         first, last = np.searchsorted(self.trajectory.events, [first_event, last_event + 1])
         return max(int(first) - reach, 0), min(int(last) + reach, len(self.trajectory.events))
-
-    def with_detections(self, detections: Integers) -> Chain:
-        """Return the track with other detections (k,)."""
-        return replace(self, detections=detections)
 
     def part(self, first: int, last: int) -> Chain:
         """Return the track at the places from first to last (excluded)."""

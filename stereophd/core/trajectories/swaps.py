@@ -24,6 +24,10 @@ is repeated until nothing changes, for `ROUNDS` rounds at most. What was refused
 tracks has changed, no group is longer than `MOST_CHANGES`, and in every stretch of time each state is smoothed or
 predicted `MOST_WORK` times in the mean: so the work grows with tracks times events, even in a crowd whose detections
 are so much worse than stated that proposals never end.
+
+Objects that are thought more agile than they are follow a wrong detection as well as a right one. So the noise of the
+motion is then taken at that factor of what is stated, of `FACTORS`, at which the tracks are likeliest, as calibration
+takes what they show, and they choose once more.
 """
 
 from collections.abc import Iterator, Sequence
@@ -33,16 +37,19 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.motion.base import Accelerated
 from stereophd.core.trajectories.chain import LEAST_GAIN, NONE, Chain, WholeRun, predicted
 
 # Most rounds, and events to either side of a group over which its tracks are compared.
-ROUNDS, REACH = 6, 60
+ROUNDS, REACH = 6, 30
+# Factors on the noise of the motion, and the standard deviation of the prior of their logarithm.
+FACTORS, FACTOR_STD = 2.0 ** np.arange(-5, 4), 0.5
 # Windows about an event, to either side, in intervals between frames.
 WINDOWS = (0.0, 0.5, 1.0)
 # Most changes that are decided together: in a crowd all changes of a recording may be linked.
 MOST_CHANGES = 64
-# How often the states about an event are smoothed or predicted in the mean. Crowded corners of a board take 11.
-MOST_WORK = 12
+# How often the states about an event are smoothed or predicted in the mean. Crowded corners of a board take 9 to 23.
+MOST_WORK = 24
 # Times the window, to either side of a cut, in which the two tracks choose anew.
 AROUND = 4.0
 # Tracks further apart than this many standard deviations of a prediction over the window do not swap their ends.
@@ -74,12 +81,24 @@ class Cut(NamedTuple):
 def choose_anew(tracks: Sequence[Chain], run: WholeRun) -> tuple[list[Chain], Booleans]:
     """Let smoothed tracks, over events from their first to their last, choose their detections anew.
 
-    No two have the same detection; the objects of the run move. Returns the same tracks, smoothed again from their
-    detections if any of these changed, and otherwise those given; and the events (r,) about which they still changed
-    when the work that is allowed there was done.
+    No two have the same detection; the objects of the run move. Returns the same tracks, smoothed from their detections
+    at the noise of the motion that they show; and the events (r,) about which they still changed when the work that is
+    allowed there was done.
     """
+    motion = run.motion
+    assert isinstance(motion, Accelerated)
+    found, _ = _chosen(tracks, run)
+    runs = [replace(run, motion=replace(motion, acceleration_std=factor * motion.noise_std)) for factor in FACTORS]
+    totals = [sum(replace(track, run=moved).ahead[2] for track in found) for moved in runs]
+    shown = runs[int(np.argmax(totals - 0.5 * (np.log(FACTORS) / FACTOR_STD) ** 2))]
+    return _chosen([replace(track, run=shown).smoothed() for track in found], shown)
+
+
+def _chosen(tracks: Sequence[Chain], run: WholeRun) -> tuple[list[Chain], Booleans]:
+    """Return what tracks choose at the noise of the motion of a run, and where the work ended, as `choose_anew`."""
     book = _Book(tracks, _owners(tracks, run), run)
-    interval = _frame_interval(run)
+    steps = np.concatenate([np.diff(run.times[run.looks == camera]) for camera in range(len(run.cameras))])
+    interval = float(np.median(steps)) if len(steps) else 0.0
     everywhere = np.ones(len(run.times), dtype=np.bool_)
     touched = [everywhere] * len(WINDOWS)
     for number in range(ROUNDS * len(WINDOWS)):
@@ -95,28 +114,6 @@ def choose_anew(tracks: Sequence[Chain], run: WholeRun) -> tuple[list[Chain], Bo
     else:
         book.stopped |= touched[-1]
     return book.tracks, book.stopped
-
-
-def proposed_changes(tracks: Sequence[Chain], run: WholeRun, width: float, where: Booleans) -> Iterator[Change]:
-    """Changes of the joint assignment of every event among those (r,) to look at, in order of events."""
-    if not where.any():
-        return
-    parts: list[tuple[Integers, Integers, Array, Array]] = []
-    for number, track in enumerate(tracks):
-        states, covariances = track.without_window(width)
-        parts.append((track.trajectory.events, np.full(len(states), number), states, covariances))
-    events, numbers, states, covariances = (np.concatenate(part) for part in zip(*parts, strict=True))
-    taken = np.concatenate([track.detections for track in tracks])
-    order = np.argsort(events, kind="stable")
-    order = order[(where & (np.diff(run.starts) > 0))[events[order]]]
-    ends = np.flatnonzero(np.diff(events[order], append=-1)) + 1
-    for first, last in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True):
-        rows = order[first:last]
-        event = int(events[rows[0]])
-        places = assigned(run.gains(event, states[rows], covariances[rows]))
-        after = np.where(places == NONE, NONE, places + run.starts[event])
-        for k in np.flatnonzero(after != taken[rows]).tolist():
-            yield Change(event, int(numbers[rows[k]]), int(taken[rows[k]]), int(after[k]))
 
 
 def assigned(gains: Array) -> Integers:
@@ -166,28 +163,41 @@ class _Book:
         self.stopped = np.zeros(len(run.times), dtype=np.bool_)
 
     def proposed(self, width: float, where: Booleans) -> list[Change]:
-        """Changes at events among those (r,) to look at, where work is left."""
-        where = where & (self._work > 0)
-        for track in self.tracks if where.any() else ():
+        """Changes of the joint assignment of every event among those (r,) to look at, in order, where work is left."""
+        run, where = self._run, where & (self._work > 0)
+        out: list[Change] = []
+        if not where.any():
+            return []
+        parts: list[tuple[Integers, Integers, Array, Array]] = []
+        for number, track in enumerate(self.tracks):
             self._work[track.trajectory.events] -= 1
-        return list(proposed_changes(self.tracks, self._run, width, where))
+            states, covariances = track.without_window(width)
+            parts.append((track.trajectory.events, np.full(len(states), number), states, covariances))
+        events, numbers, states, covariances = (np.concatenate(part) for part in zip(*parts, strict=True))
+        taken = np.concatenate([track.detections for track in self.tracks])
+        order = np.argsort(events, kind="stable")
+        order = order[(where & (np.diff(run.starts) > 0))[events[order]]]
+        ends = np.flatnonzero(np.diff(events[order], append=-1)) + 1
+        for first, last in zip([0, *ends[:-1].tolist()], ends.tolist(), strict=True):
+            rows = order[first:last]
+            event = int(events[rows[0]])
+            places = assigned(run.gains(event, states[rows], covariances[rows]))
+            after = np.where(places == NONE, NONE, places + run.starts[event])
+            changes = np.stack([numbers[rows], taken[rows], after], axis=1)[after != taken[rows]]
+            out += [Change(event, *change) for change in changes.tolist()]
+        return out
 
-    def decide_parts(self, changes: Sequence[Change], apart_s: float) -> int:
-        """Decide groups of changes; those refused once more in two parts. Return how many changes were taken."""
-        taken = 0
+    def decide_parts(self, changes: Sequence[Change], apart_s: float) -> None:
+        """Decide groups of changes; those refused once more in two parts."""
         for group in _groups(changes, self._run, apart_s):
-            if len(group) <= MOST_CHANGES and self._decide(group):
-                taken += len(group)
-                continue
             events = sorted({change.event for change in group})
-            if len(events) > 1:
+            if not self._decide(group) and len(events) > 1:
                 # where most time passes, in the middle half: few divisions reach single events
                 gaps = np.diff(self._run.times[events])
                 first = len(gaps) // 4
                 middle = events[first + int(np.argmax(gaps[first : len(gaps) - first]))]
                 for early in (True, False):
-                    taken += self.decide_parts([c for c in group if (c.event <= middle) == early], apart_s)
-        return taken
+                    self.decide_parts([c for c in group if (c.event <= middle) == early], apart_s)
 
     def settle(self) -> Booleans:
         """Smooth the tracks that changed, over all of their events; return the events (r,) about the changes."""
@@ -223,8 +233,7 @@ class _Book:
     def _cut_at(self, pair: Sequence[Chain], numbers: tuple[int, int], event: int, width: float) -> list[Chain]:
         """Return two tracks with their ends after an event swapped, and the detections about it chosen anew."""
         run = self._run
-        parts = [(one, int(np.searchsorted(one.trajectory.events, event, side="right"))) for one in pair]
-        (a, at_a), (b, at_b) = parts
+        (a, at_a), (b, at_b) = ((one, int(np.searchsorted(one.trajectory.events, event, side="right"))) for one in pair)
         owners = np.where(np.isin(self._owners, [*numbers, NONE]), NONE, ANOTHER)
         tracks = [_joined(a, at_a, b, at_b).smoothed(), _joined(b, at_b, a, at_a).smoothed()]
         book = _Book(tracks, _owners(tracks, run, owners), run)
@@ -240,7 +249,7 @@ class _Book:
         numbers = sorted({change.track for change in group})
         key = (*group, *(self._versions[number] for number in numbers))
         events = [change.event for change in group]
-        if key in self._refused or not self._are_free(group):
+        if len(group) > MOST_CHANGES or key in self._refused or not self._are_free(group):
             return False
         if not self._is_left(self._work, min(events), max(events)):
             return False
@@ -253,12 +262,12 @@ class _Book:
             detections[places] = [change.after for change in own]
             first, last = track.around(min(events), max(events), REACH)
             self._work[track.trajectory.events[first:last]] -= 1
-            part = track.with_detections(detections).part(first, last).smoothed()
+            part = replace(track, detections=detections).part(first, last).smoothed()
             gain += part.log_likelihood - track.part(first, last).log_likelihood
             # at the ends of the part little is known
             inner, until = track.around(min(events), max(events), REACH // 2)
             known = part.part(inner - first, until - first)
-            tried.append((number, track.with_detections(detections).with_part(known, inner)))
+            tried.append((number, replace(track, detections=detections).with_part(known, inner)))
         if not gain > LEAST_GAIN:
             self._refused.add(key)
             return False
@@ -325,12 +334,6 @@ def _groups(changes: Sequence[Change], run: WholeRun, apart_s: float) -> list[li
     for change, member in zip(changes, members.tolist(), strict=True):
         groups[member].append(change)
     return groups
-
-
-def _frame_interval(run: WholeRun) -> float:
-    """Median interval between frames of one camera, s; 0 where none has two."""
-    steps = np.concatenate([np.diff(run.times[run.looks == camera]) for camera in range(len(run.cameras))])
-    return float(np.median(steps)) if len(steps) else 0.0
 
 
 def _joined(before: Chain, place: int, after: Chain, since: int) -> Chain:
