@@ -21,7 +21,6 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import rotation_from_vector
-from stereophd.core.two_views.epipolar import nearest_depths
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.alternatives import posed
 from stereophd.pipeline.checks.geometry.causes import shift_remedy, shifted
@@ -32,14 +31,15 @@ from stereophd.wording import percent
 # Share of the logs of right set-ups in which chance may let any of the causes pass, the shift that any camera may have,
 # in standard deviations of a detection (a track is several times as certain as one), and the square of each number, in
 # variances, below which no such chance is left.
-FALSE_ALARMS, TOLERATED, LEAST_SQUARE = 0.005, 0.1, 9.0
+FALSE_ALARMS, TOLERATED, LEAST_SQUARE = 0.001, 0.1, 9.0
 # A cause explains as much as another if what they explain differs by less than this many times its root, by which
 # noise changes it.
 ALIKE = 2.0
 # Root mean square of distances, standard deviations, and their correlation, from which a pair of cameras is wrong
-# without a cause that explains it, and the pairs of tracks that this needs: the root mean square of chance is 3.5, as
-# all distances are below `FARTHEST`.
-LARGEST_DISTANCE, LARGEST_CORRELATION, LEAST_TRACKS = 2.5, 0.6, 8
+# without a cause that explains it: that of chance is 3.5, as all distances are below `FARTHEST`.
+LARGEST_DISTANCE, LARGEST_CORRELATION = 2.5, 0.6
+# Tracks, beside one for each number of a cause, or pairs of them, from which anything is said.
+LEAST_TRACKS = 8
 # Parts of the time, each predicted from the others; least eigenvalue, over the largest, of what distances determine.
 PARTS, DETERMINED = 8, 1e-4
 # Steps of numerical derivatives: px, and of the numbers that change a camera.
@@ -62,7 +62,7 @@ class Cause(NamedTuple):
 
 
 # Places among the numbers of `shifts_of`.
-TURNS, MOVES, FOCAL, LENS, CLOCK, SHUTTER = (0, 1, 2), (3, 4, 5), 6, 7, 8, 9
+TURNS, FOCAL, LENS, CLOCK, SHUTTER = (0, 1, 2), 3, 4, 5, 6
 CAUSES = (
     Cause(
         "clock_offset", "clock", (CLOCK,),
@@ -90,7 +90,7 @@ CAUSES = (
         f"look at where the detector puts its points, or {REFINE}", of_boxes=False,
     ),
     Cause(
-        "pose_inaccurate", "pose", TURNS + MOVES,
+        "pose_inaccurate", "pose", TURNS,
         "depend on the place in the image: its pose seems to be slightly off", REFINE, of_boxes=False,
     ),
 )  # fmt: skip
@@ -115,7 +115,7 @@ def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
     The middle of a box is not the image of one point of the object, which looks like an error of a pose: where
     detections are boxes no pose is called off.
     """
-    motion = [track_velocities(sample) for sample in samples]
+    motion = [track_motion(sample) for sample in samples]
     pairs = [found for a, b in pairs_of(len(samples)) if (found := partners(samples, motion, a, b))]
     boxes = any(sample.box_height_px is not None for sample in samples)
     if (warning := _warning(samples, pairs, boxes)) is not None:
@@ -141,7 +141,12 @@ def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
 
 def _warning(samples: list[CameraSample], pairs: list[Partners], boxes: bool) -> Finding | None:
     """Return the finding that names the simplest of the causes that explain most, if any is certain."""
-    fits = list(explanations(samples, pairs))
+    # no shutter takes longer than a frame
+    longest = max(sample.interval_s for sample in samples)
+    fits = [
+        fit for fit in explanations(samples, pairs)
+        if fit.cause.numbers != (SHUTTER,) or abs(fit.value) <= longest
+    ]  # fmt: skip
     if not any(fit.is_certain(FALSE_ALARMS / len(fits)) for fit in fits):
         return None
     most = max(fit.explained for fit in fits)
@@ -187,7 +192,7 @@ class CauseFit:
     numbers: Array  # (k,): Those that fit best, as far as they are determined
     covariance: Array  # (k, k): Of these
     squares: Array  # (k, k): The mean square of the shift is this form of the numbers, variances of a detection
-    groups: int  # Parts of tracks whose spread the covariance is from
+    groups: int  # Tracks whose spread the covariance is from
     explained: float  # Of the squared distances, predicted from other parts of the time
     share: float  # The same over all of them
     value: float  # The number of a cause that has one
@@ -237,8 +242,8 @@ def explanations(samples: list[CameraSample], pairs: list[Partners]) -> Iterator
 class Rows:
     """What each number of a camera changes, detection by detection of a pair of cameras."""
 
-    slopes: Array  # (n, 11): Derivatives of the distance with respect to the numbers, and the distance
-    squares: Array  # (10, 10): Products of the shifts, summed, variances of a detection
+    slopes: Array  # (n, 8): Derivatives of the distance with respect to the numbers, and the distance
+    squares: Array  # (7, 7): Products of the shifts, summed, variances of a detection
     tracks: Integers  # (n,): One-camera tracks
     parts: Integers  # (n,): Parts of the time
 
@@ -246,26 +251,21 @@ class Rows:
     def of(pair: Partners, first: Camera, second: Camera) -> tuple[Rows, Rows]:
         """Return the rows of both cameras of a pair."""
         parts = np.arange(len(pair.distance)) * PARTS // max(len(pair.distance), 1)
-        depths = nearest_depths(
-            first.rays(pair.pixels_a) @ first.pose.rotation, second.rays(pair.pixels_b) @ second.pose.rotation,
-            second.pose.center - first.pose.center,
-        )  # fmt: skip
-        sides = ((first, pair.pixels_a, pair.velocity_a), (second, pair.pixels_b, pair.velocity_b))
-        tables, squares = [], []
-        for side, (camera, pixels, velocity) in enumerate(sides):
-            shifts = shifts_of(camera, pixels, velocity, depths[side])
-            slopes = np.stack([_slope(pair, first, second, side, step) for step in STEP_PX * np.eye(2)], axis=1)
+        cameras, tables, squares = (first, second), [], []
+        for side, (camera, motion) in enumerate(zip(cameras, pair.sides, strict=True)):
+            shifts = shifts_of(camera, motion.places, motion.velocity)
+            slopes = np.stack([_slope(pair, cameras, side, step) for step in STEP_PX * np.eye(2)], axis=1)
             tables.append(np.column_stack([np.einsum("na,nak->nk", slopes, shifts), pair.distance]))
             relative = shifts / camera.detector.sigma[:, None]
             squares.append(np.einsum("nai,naj->nij", relative, relative))
         # what moves while both look is where their rays meet: the mean of what both see of it knows its speed better
         moved = 0.5 * (tables[0][:, CLOCK] - tables[1][:, CLOCK])
-        for table, slope, (camera, pixels, _) in zip(tables, (moved, -moved), sides, strict=True):
-            table[:, CLOCK], table[:, SHUTTER] = slope, -slope * pixels[:, 1] / camera.height
+        for table, slope, camera, motion in zip(tables, (moved, -moved), cameras, pair.sides, strict=True):
+            table[:, CLOCK], table[:, SHUTTER] = slope, -slope * motion.places[:, 1] / camera.height
         usable = np.isfinite(np.hstack(tables)).all(axis=1)
         first_rows, second_rows = (
-            Rows(table[usable], square[usable].sum(axis=0), tracks[usable], parts[usable])
-            for table, square, tracks in zip(tables, squares, (pair.tracks_a, pair.tracks_b), strict=True)
+            Rows(table[usable], square[usable].sum(axis=0), motion.tracks[usable], parts[usable])
+            for table, square, motion in zip(tables, squares, pair.sides, strict=True)
         )
         return first_rows, second_rows
 
@@ -276,56 +276,50 @@ class Rows:
         return replace(self, slopes=slopes, squares=0.5 * (self.squares + other.squares))
 
 
-def _slope(pair: Partners, first: Camera, second: Camera, side: int, step: Array) -> Array:
+def _slope(pair: Partners, cameras: tuple[Camera, Camera], side: int, step: Array) -> Array:
     """Return the derivative of the distances of a pair with respect to pixels of one side, moved by a step (2,)."""
-    ends = [
-        signed_distances(first, second, pair.pixels_a + way * (1 - side) * step, pair.pixels_b + way * side * step)
-        for way in (1.0, -1.0)
-    ]
+    places = [motion.places for motion in pair.sides]
+    ends = []
+    for way in (step, -step):
+        moved = [place + way * (k == side) for k, place in enumerate(places)]
+        ends.append(signed_distances(*cameras, *moved))
     return np.asarray((ends[0] - ends[1]) / (2.0 * STEP_PX))
 
 
-def shifts_of(camera: Camera, pixels: Array, velocity: Array, depth: Array) -> Array:
-    """Return how far pixels (n, 2) would have to be moved for each number of a camera, (n, 2, 10), px.
+def shifts_of(camera: Camera, pixels: Array, velocity: Array) -> Array:
+    """Return how far pixels (n, 2) would have to be moved for each number of a camera, (n, 2, 7), px.
 
-    These are turns about its axes, rad, moves along them, in mean distances, the logarithm of the focal length, the
-    first radial coefficient, the lateness of its clock and the time that its shutter takes, s. Velocities (n, 2) are
-    px/s.
+    These are turns about its axes, rad, the logarithm of the focal length, the first radial coefficient, the lateness
+    of its clock and the time that its shutter takes, s. Velocities (n, 2) are px/s. A move of a camera looks much like
+    a turn; what it differs by depends on the depth, and that on the noise whose distances are to be explained.
     """
-    far = np.where(depth > 0.0, depth, np.nan)
-    points = camera.unproject(pixels, far)
-    size = float(np.nanmedian(far)) if np.isfinite(far).any() else 1.0
+    points = camera.unproject(pixels, np.ones(len(pixels)))
     columns = [
-        (_changed(camera, k, -STEP, size).project(points) - _changed(camera, k, STEP, size).project(points))
-        / (2.0 * STEP)
+        (_changed(camera, k, -STEP).project(points) - _changed(camera, k, STEP).project(points)) / (2.0 * STEP)
         for k in range(CLOCK)
     ]
     return np.stack([*columns, velocity, -velocity * pixels[:, 1:] / camera.height], axis=2)
 
 
-def _changed(camera: Camera, number: int, step: float, size: float) -> Camera:
-    """Return a camera with another of the numbers of `shifts_of`, moved by steps of a `size`."""
-    pose, change = camera.pose, np.zeros(6)
+def _changed(camera: Camera, number: int, step: float) -> Camera:
+    """Return a camera with another of the numbers of `shifts_of`."""
     if number == FOCAL:
         return replace(camera, fx=camera.fx * (1.0 + step), fy=camera.fy * (1.0 + step))
+    lens, pose = camera.lens, camera.pose
     if number == LENS:
-        lens = camera.lens
-        return replace(
-            camera, lens=Lens("radial", k1=step) if lens.model == "none" else replace(lens, k1=lens.k1 + step)
-        )
-    change[number] = step
-    return posed(
-        camera, rotation_from_vector(change[:3]) @ pose.rotation, pose.center + size * change[3:] @ pose.rotation
-    )
+        bent = Lens("radial", k1=step) if lens.model == "none" else replace(lens, k1=lens.k1 + step)
+        return replace(camera, lens=bent)
+    return posed(camera, rotation_from_vector(step * np.eye(3)[number]) @ pose.rotation, pose.center)
 
 
 @dataclass(frozen=True)
 class Regression:
     """Distances and their derivatives, as sums of products over parts of tracks."""
 
-    sums: Array  # (g, 11, 11)
-    squares: Array  # (10, 10): Mean products of shifts
+    sums: Array  # (g, 8, 8)
+    squares: Array  # (7, 7): Mean products of shifts
     parts: Integers  # (g,): Part of the time of each
+    tracks: Integers  # (g,)
 
     @staticmethod
     def of(rows: list[Rows]) -> Regression:
@@ -336,7 +330,7 @@ class Regression:
         keys, starts = np.unique(key[order], return_index=True)
         blocks = np.split(table[order], starts[1:])
         squares = np.sum([one.squares for one in rows], axis=0) / len(table)
-        return Regression(np.stack([block.T @ block for block in blocks]), squares, keys % PARTS)
+        return Regression(np.stack([block.T @ block for block in blocks]), squares, keys % PARTS, keys // PARTS)
 
     def fit(self, cause: Cause, camera: int | None) -> CauseFit:
         """Fit the numbers of a cause; of several, the combinations that the data determine."""
@@ -358,8 +352,9 @@ class Regression:
             return np.asarray(np.linalg.solve(rest, (pull.sum(axis=0) - pull)[:, :, None])[:, :, 0])
 
         numbers = in_basis(total[None])[1][0]
-        away = without(self.sums) - numbers
-        groups = len(self.sums)
+        # two objects that pass each other's epipolar line are together for a while: all of a track is one error
+        of_tracks = np.stack([self.sums[self.tracks == track].sum(axis=0) for track in np.unique(self.tracks)])
+        away, groups = without(of_tracks) - numbers, len(of_tracks)
         of_parts = np.stack([self.sums[self.parts == part].sum(axis=0) for part in range(PARTS)])
         products, pull = in_basis(of_parts)
         predicted = without(of_parts)
@@ -386,17 +381,9 @@ class Partners:
     # `a`, `b`: The cameras.
     a: int
     b: int
-    # `pixels_a`, `pixels_b`: (n, 2): At the same times, those of B between its frames.
-    pixels_a: Array
-    pixels_b: Array
-    # `velocity_a`, `velocity_b`: (n, 2): Image velocities, px/s
-    velocity_a: Array
-    velocity_b: Array
+    sides: tuple[Motion, Motion]  # Of the detections of A, and of those of B at the same times, between its frames
     distance: Array  # (n,): Signed distance of the rays, standard deviations
     tracks: Integers  # (n,) of int: Number of the pair of one-camera tracks
-    # `tracks_a`, `tracks_b`: (n,) of int: One-camera tracks
-    tracks_a: Integers
-    tracks_b: Integers
 
     @property
     def track_count(self) -> int:
@@ -412,34 +399,44 @@ class Partners:
         return float(products.mean() / max((values**2).mean(), 1e-12)) if len(products) else 0.0
 
 
-def track_velocities(sample: CameraSample) -> tuple[Array, Integers]:
-    """Return image velocities (n, 2), px/s, from lines through a few frames, and the track of each detection or -1."""
-    velocity = np.full((len(sample.pixels), 2), np.nan)
-    number = np.full(len(sample.pixels), -1, dtype=np.int64)
+class Motion(NamedTuple):
+    """Where the one-camera tracks of a camera are, and how they move, by the detections beside each."""
+
+    places: Array  # (n, 2), px: Of each detection, by lines through those before and after it, without it
+    velocity: Array  # (n, 2), px/s: Of these lines
+    tracks: Integers  # (n,): Track of each detection, -1 of none
+
+
+def track_motion(sample: CameraSample) -> Motion:
+    """Return the motion about each detection of a one-camera track, which its own noise does not change."""
+    places, velocity = np.full((2, len(sample.pixels), 2), np.nan)
+    found = Motion(places, velocity, np.full(len(sample.pixels), -1, dtype=np.int64))
     for index, track in enumerate(sample.tracks):
         times = sample.times[sample.frame_of[track]]
         table = np.column_stack([times - times[0], sample.pixels[track]])
         places = np.arange(len(track))
-        low, high = np.maximum(places - HALF_WINDOW, 0), np.minimum(places + HALF_WINDOW + 1, len(track))
-        count = (high - low).astype(float)[:, None]
+        frames = np.arange(len(track))
+        low, high = np.maximum(frames - HALF_WINDOW, 0), np.minimum(frames + HALF_WINDOW + 1, len(track))
+        count = (high - low - 1).astype(float)[:, None]
 
         def windowed(values: Array, low: Integers = low, high: Integers = high) -> Array:
             sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-            return np.asarray(sums[high] - sums[low])
+            return np.asarray(sums[high] - sums[low] - values)
 
         mean = windowed(table) / count
         products = windowed(table[:, :1] * table) - count * mean[:, :1] * mean
-        velocity[track] = products[:, 1:] / np.maximum(products[:, :1], 1e-12)
-        number[track] = index
-    return velocity, number
+        found.velocity[track] = products[:, 1:] / np.maximum(products[:, :1], 1e-12)
+        found.places[track] = mean[:, 1:] + (table[:, :1] - mean[:, :1]) * found.velocity[track]
+        found.tracks[track] = index
+    return found
 
 
-def partners(samples: list[CameraSample], motion: list[tuple[Array, Integers]], a: int, b: int) -> Partners | None:
+def partners(samples: list[CameraSample], motion: list[Motion], a: int, b: int) -> Partners | None:
     """Return detections of A with those of B on one-camera tracks that meet them most of the time; None for few."""
     first, second = samples[a], samples[b]
     if len(second.times) < 4 or not len(first.pixels):
         return None
-    times, track_a, (velocity, track_b) = first.times[first.frame_of], motion[a][1], motion[b]
+    times, track_a, track_b = first.times[first.frame_of], motion[a].tracks, motion[b].tracks
     usable = np.flatnonzero((track_a >= 0) & (times >= second.times[0]) & (times <= second.times[-1]))
     width = int(np.diff(second.first).max(initial=0))
     most = min(MOST_DETECTIONS, max(LEAST_DETECTIONS, MOST_PAIRS // max(width, 1)), len(usable))
@@ -466,15 +463,18 @@ def partners(samples: list[CameraSample], motion: list[tuple[Array, Integers]], 
     if lasting.sum() < LEAST_DETECTIONS:
         return None
     own, index, following = chosen[near][lasting], index[near][lasting], following[near][lasting]
-    speed = 0.5 * (velocity[index] + velocity[following])
+    speed = 0.5 * (motion[b].velocity[index] + motion[b].velocity[following])
     pixels_a, pixels_b = first.pixels[own], pixels_b[rows, best][near][lasting]
-    delay = _delays(first.camera, pixels_a) - _delays(second.camera, pixels_b)
+    weight = passed[near][lasting][:, None]
+    places_b = (1.0 - weight) * motion[b].places[index] + weight * motion[b].places[following]
     # rolling shutters: from the times of frames to those of rows
-    pixels_b = pixels_b + speed * delay[:, None]
-    distance = signed_distances(first.camera, second.camera, pixels_a, pixels_b)
-    return Partners(
-        a, b, pixels_a, pixels_b, motion[a][0][own], speed, distance, tracks[lasting], track_a[own], track_b[index]
+    delay = speed * (_delays(first.camera, pixels_a) - _delays(second.camera, pixels_b))[:, None]
+    distance = signed_distances(first.camera, second.camera, pixels_a, pixels_b + delay)
+    sides = (
+        Motion(motion[a].places[own], motion[a].velocity[own], track_a[own]),
+        Motion(places_b + delay, speed, track_b[index]),
     )
+    return Partners(a, b, sides, distance, tracks[lasting])
 
 
 def _nearest_of_frame(frames: Integers, others: Integers, distances: Array) -> NDArray[np.bool_]:

@@ -14,8 +14,9 @@ from stereophd.wording import instant, percent
 LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
 # Residuals over what the stated noise leads to expect, outside which the noise is wrong, and the fewest that show it.
 RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
-# Checks before the run whose warnings look like a knock.
+# Checks before the run whose warnings look like a knock, and causes among them that a knock looks like.
 LIKE_KNOCKS = ("detector.sigma", "geometry.cause", "geometry.residuals")
+OF_KNOCKS = ("pose_inaccurate", "detections_shifted")
 # Frames of a camera from which unexplained detections are judged: against this many times the stated clutter, so many
 # standard errors, and this share of all detections, which tracks need to begin and to end.
 LEAST_FRAMES, CLUTTER_FACTOR, CLUTTER_ERRORS, LEAST_UNEXPLAINED = 30, 2.0, 4.0, 0.3
@@ -102,7 +103,7 @@ def check_knocks(summary: Mapping[str, Any], before: tuple[Finding, ...]) -> Ite
     """
     alike = [
         one for one in warnings_of(before)
-        if one.name in LIKE_KNOCKS and one.cause != "pose_inaccurate" and not is_overstated(one)
+        if one.name in LIKE_KNOCKS and one.cause not in OF_KNOCKS and not is_overstated(one)
     ]  # fmt: skip
     for knock in summary["knocks"]:
         doubts = [one.name for one in alike if one.camera in (None, knock["camera"], *knock["others"])]
