@@ -80,7 +80,7 @@ CAUSES = (
     ),
     Cause(
         "focal_inaccurate", "focal length", (FOCAL,),
-        "grow from the centre of the image outwards: its focal length seems to be off by {value:+.2%}",
+        "grow from the centre of the image outwards: its focal length seems to be {factor:.4g} times the stated one",
         f"calibrate the camera again, or {PRIORS}.focal_std)", of_boxes=False,
     ),
     Cause(
@@ -172,7 +172,7 @@ def _warning(samples: list[CameraSample], pairs: list[Partners], boxes: bool) ->
     others = [fit for fit in alike if not set(cause.numbers) <= set(fit.cause.numbers)]
     what = " or ".join(dict.fromkeys(fit.cause.what for fit in others))
     instead = f"; the {what} of {names(others)} would explain as much" if others else ""
-    text = cause.text.format(value=best.value, size=best.shift * pixel)
+    text = cause.text.format(value=best.value, factor=1.0 + best.value, size=best.shift * pixel)
     return Finding(
         "geometry.residuals", "warning",
         f"{names(same)}: the distances of rays from those of other cameras {text} (this explains "
@@ -222,7 +222,7 @@ class CauseFit:
 def explanations(samples: list[CameraSample], pairs: list[Partners]) -> Iterator[CauseFit]:
     """Yield how each cause explains the distances: of each camera, and of all that state nothing."""
     cameras = [sample.camera for sample in samples]
-    rows = [Rows.of(pair, cameras[pair.a], cameras[pair.b]) for pair in pairs]
+    rows = [Shifts.of(pair, cameras[pair.a], cameras[pair.b]) for pair in pairs]
     for camera in range(len(samples)):
         own = [
             both[side] for pair, both in zip(pairs, rows, strict=True)
@@ -239,7 +239,7 @@ def explanations(samples: list[CameraSample], pairs: list[Partners]) -> Iterator
 
 
 @dataclass(frozen=True)
-class Rows:
+class Shifts:
     """What each number of a camera changes, detection by detection of a pair of cameras."""
 
     slopes: Array  # (n, 8): Derivatives of the distance with respect to the numbers, and the distance
@@ -248,7 +248,7 @@ class Rows:
     parts: Integers  # (n,): Parts of the time
 
     @staticmethod
-    def of(pair: Partners, first: Camera, second: Camera) -> tuple[Rows, Rows]:
+    def of(pair: Partners, first: Camera, second: Camera) -> tuple[Shifts, Shifts]:
         """Return the rows of both cameras of a pair."""
         parts = np.arange(len(pair.distance)) * PARTS // max(len(pair.distance), 1)
         cameras, tables, squares = (first, second), [], []
@@ -264,12 +264,12 @@ class Rows:
             table[:, CLOCK], table[:, SHUTTER] = slope, -slope * motion.places[:, 1] / camera.height
         usable = np.isfinite(np.hstack(tables)).all(axis=1)
         first_rows, second_rows = (
-            Rows(table[usable], square[usable].sum(axis=0), motion.tracks[usable], parts[usable])
+            Shifts(table[usable], square[usable].sum(axis=0), motion.tracks[usable], parts[usable])
             for table, square, motion in zip(tables, squares, pair.sides, strict=True)
         )
         return first_rows, second_rows
 
-    def with_other(self, other: Rows) -> Rows:
+    def with_other(self, other: Shifts) -> Shifts:
         """Return the rows of the same detections with the same change of both cameras."""
         slopes = self.slopes + other.slopes
         slopes[:, -1] = self.slopes[:, -1]
@@ -322,7 +322,7 @@ class Regression:
     tracks: Integers  # (g,)
 
     @staticmethod
-    def of(rows: list[Rows]) -> Regression:
+    def of(rows: list[Shifts]) -> Regression:
         """Return the sums over rows of the same camera."""
         table = np.concatenate([one.slopes for one in rows])
         key = np.concatenate([one.tracks * PARTS + one.parts for one in rows])
@@ -381,7 +381,9 @@ class Partners:
     # `a`, `b`: The cameras.
     a: int
     b: int
-    sides: tuple[Motion, Motion]  # Of the detections of A, and of those of B at the same times, between its frames
+    sides: tuple[
+        TrackMotion, TrackMotion
+    ]  # Of the detections of A, and of those of B at the same times, between its frames
     distance: Array  # (n,): Signed distance of the rays, standard deviations
     tracks: Integers  # (n,) of int: Number of the pair of one-camera tracks
 
@@ -399,7 +401,7 @@ class Partners:
         return float(products.mean() / max((values**2).mean(), 1e-12)) if len(products) else 0.0
 
 
-class Motion(NamedTuple):
+class TrackMotion(NamedTuple):
     """Where the one-camera tracks of a camera are, and how they move, by the detections beside each."""
 
     places: Array  # (n, 2), px: Of each detection, by lines through those before and after it, without it
@@ -407,10 +409,10 @@ class Motion(NamedTuple):
     tracks: Integers  # (n,): Track of each detection, -1 of none
 
 
-def track_motion(sample: CameraSample) -> Motion:
+def track_motion(sample: CameraSample) -> TrackMotion:
     """Return the motion about each detection of a one-camera track, which its own noise does not change."""
     places, velocity = np.full((2, len(sample.pixels), 2), np.nan)
-    found = Motion(places, velocity, np.full(len(sample.pixels), -1, dtype=np.int64))
+    found = TrackMotion(places, velocity, np.full(len(sample.pixels), -1, dtype=np.int64))
     for index, track in enumerate(sample.tracks):
         times = sample.times[sample.frame_of[track]]
         table = np.column_stack([times - times[0], sample.pixels[track]])
@@ -431,7 +433,7 @@ def track_motion(sample: CameraSample) -> Motion:
     return found
 
 
-def partners(samples: list[CameraSample], motion: list[Motion], a: int, b: int) -> Partners | None:
+def partners(samples: list[CameraSample], motion: list[TrackMotion], a: int, b: int) -> Partners | None:
     """Return detections of A with those of B on one-camera tracks that meet them most of the time; None for few."""
     first, second = samples[a], samples[b]
     if len(second.times) < 4 or not len(first.pixels):
@@ -471,8 +473,8 @@ def partners(samples: list[CameraSample], motion: list[Motion], a: int, b: int) 
     delay = speed * (_delays(first.camera, pixels_a) - _delays(second.camera, pixels_b))[:, None]
     distance = signed_distances(first.camera, second.camera, pixels_a, pixels_b + delay)
     sides = (
-        Motion(motion[a].places[own], motion[a].velocity[own], track_a[own]),
-        Motion(places_b + delay, speed, track_b[index]),
+        TrackMotion(motion[a].places[own], motion[a].velocity[own], track_a[own]),
+        TrackMotion(places_b + delay, speed, track_b[index]),
     )
     return Partners(a, b, sides, distance, tracks[lasting])
 

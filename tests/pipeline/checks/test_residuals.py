@@ -19,7 +19,7 @@ from stereophd.pipeline.checks.residuals import (
     FALSE_ALARMS,
     CauseFit,
     Regression,
-    Rows,
+    Shifts,
     _nearest_of_frame,
     check_residuals,
 )
@@ -185,7 +185,7 @@ def _fit(tracks: np.ndarray, distance: np.ndarray, *slopes: np.ndarray) -> Cause
     table = np.zeros((len(distance), 8))
     table[:, cause.numbers], table[:, -1] = np.stack(slopes, axis=1), distance
     parts = np.arange(len(distance)) * 8 // len(distance)
-    return Regression.of([Rows(table, table[:, :7].T @ table[:, :7], tracks, parts)]).fit(cause, 0)
+    return Regression.of([Shifts(table, table[:, :7].T @ table[:, :7], tracks, parts)]).fit(cause, 0)
 
 
 def test_errors_follow_from_the_spread_between_tracks() -> None:
