@@ -320,6 +320,7 @@ class Regression:
     squares: Array  # (7, 7): Mean products of shifts
     parts: Integers  # (g,): Part of the time of each
     tracks: Integers  # (g,)
+    noise: float  # Mean square of the distances
 
     @staticmethod
     def of(rows: list[Shifts]) -> Regression:
@@ -330,7 +331,13 @@ class Regression:
         keys, starts = np.unique(key[order], return_index=True)
         blocks = np.split(table[order], starts[1:])
         squares = np.sum([one.squares for one in rows], axis=0) / len(table)
-        return Regression(np.stack([block.T @ block for block in blocks]), squares, keys % PARTS, keys // PARTS)
+        return Regression(
+            np.stack([block.T @ block for block in blocks]),
+            squares,
+            keys % PARTS,
+            keys // PARTS,
+            float((table[:, -1] ** 2).mean()),
+        )
 
     def fit(self, cause: Cause, camera: int | None) -> CauseFit:
         """Fit the numbers of a cause; of several, the combinations that the data determine."""
@@ -359,7 +366,9 @@ class Regression:
         products, pull = in_basis(of_parts)
         predicted = without(of_parts)
         explained = float((2.0 * pull * predicted).sum() - np.einsum("pi,pij,pj", predicted, products, predicted))
-        covariance = away.T @ away * (groups - 1) / groups
+        # few tracks may happen to agree more than the noise of their detections lets them
+        variances, axes = np.linalg.eigh(away.T @ away * (groups - 1) / groups)
+        covariance = axes * np.maximum(variances, self.noise) @ axes.T
         return CauseFit(
             cause, camera, numbers, covariance, basis.T @ self.squares[np.ix_(chosen, chosen)] @ basis, groups,
             explained, explained / max(float(total[-1, -1]), 1e-12), float((basis @ numbers)[0]),
