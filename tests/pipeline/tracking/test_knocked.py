@@ -98,9 +98,8 @@ def test_a_knocked_camera_is_named(
     before = Finding("geometry.rays", "ok", "", 0.8, 0.9)
     for met, cause in ((0.7, "times_jump"), (0.3, "knocked")):
         clock = Finding("geometry.cause", "warning", "its clock is off", 0.2, met, name, None, "clock_offset")
-        asked: list[float] = []
-        (finding,) = check_knocks(figures.report({}, 0, 0), (before,), lambda s, c=clock: (asked.append(s), (c,))[1])
-        assert (finding.cause, asked) == (cause, [knock.time_s])
+        (finding,) = check_knocks(figures.report({}, 0, 0), (before,), {knock.time_s: (clock,)}.__getitem__)
+        assert finding.cause == cause
     # a wrong noise or clock looks the same
     for doubt, status in (("detector.sigma", "not checked"), ("log.pixels", "warning")):
         (finding,) = check_knocks(figures.report({}, 0, 0), (Finding(doubt, "warning", "it is wrong"),))
