@@ -24,7 +24,7 @@ from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.alternatives import posed
 from stereophd.pipeline.checks.geometry.causes import shift_remedy, shifted
-from stereophd.pipeline.checks.geometry.rays import pairs_of, signed_distances
+from stereophd.pipeline.checks.geometry.rays import Geometry, signed_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.wording import percent
 
@@ -33,10 +33,10 @@ from stereophd.wording import percent
 # variances, below which no such chance is left.
 FALSE_ALARMS, TOLERATED, LEAST_SQUARE = 0.001, 0.1, 9.0
 # A cause explains as much as another if what they explain differs by less than this many times its root, by which
-# noise changes it.
+# noise changes it, in deviations of what is left.
 ALIKE = 2.0
 # Root mean square of distances, standard deviations, and their correlation, from which a pair of cameras is wrong
-# without a cause that explains it: that of chance is 3.5, as all distances are below `FARTHEST`.
+# without a cause that explains it: that of chance is 3.5 where most rays meet within three.
 LARGEST_DISTANCE, LARGEST_CORRELATION = 2.5, 0.6
 # Tracks, beside one for each number of a cause, or pairs of them, from which anything is said.
 LEAST_TRACKS = 8
@@ -109,14 +109,18 @@ EVERYWHERE = (
 )  # fmt: skip
 
 
-def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
+def check_residuals(geometry: Geometry) -> Iterator[Finding]:
     """Yield a finding if the clock, shutter, lens or pose of a camera seems to be slightly off, else one for each pair.
 
     The middle of a box is not the image of one point of the object, which looks like an error of a pose: where
     detections are boxes no pose is called off.
     """
+    samples = geometry.samples
     motion = [track_motion(sample) for sample in samples]
-    pairs = [found for a, b in pairs_of(len(samples)) if (found := partners(samples, motion, a, b))]
+    pairs = [
+        found for pair, given in zip(geometry.pairs, geometry.given, strict=True)
+        if (found := partners(samples, motion, pair.a, pair.b, FARTHEST * given.tolerance))
+    ]  # fmt: skip
     boxes = any(sample.box_height_px is not None for sample in samples)
     if (warning := _warning(samples, pairs, boxes)) is not None:
         yield warning
@@ -149,14 +153,14 @@ def _warning(samples: list[CameraSample], pairs: list[Partners], boxes: bool) ->
     ]  # fmt: skip
     if not any(fit.is_certain(FALSE_ALARMS / len(fits)) for fit in fits):
         return None
-    most = max(fit.explained for fit in fits)
-    alike = [fit for fit in fits if fit.explained >= most - ALIKE * most**0.5]
+    most = max(fits, key=lambda fit: fit.explained)
+    alike = [fit for fit in fits if fit.explained >= most.explained - ALIKE * (most.explained * most.left) ** 0.5]
     best = min(alike, key=lambda fit: (len(fit.cause.numbers), -fit.explained))
-    cause, same = best.cause, [fit for fit in alike if fit.cause is best.cause]
+    # of two cameras the log does not show which one
+    cause, same = best.cause, [fit for fit in (fits if len(pairs) == 1 else alike) if fit.cause is best.cause]
     if boxes and not cause.of_boxes:
         return None
     if cause.name == "clock_offset":
-        # of two cameras the log does not show which one
         best = max(same, key=lambda fit: fit.value)
     remedy, change, pixel = cause.remedy, None, 0.0
     if best.camera is not None:
@@ -178,7 +182,7 @@ def _warning(samples: list[CameraSample], pairs: list[Partners], boxes: bool) ->
         f"{names(same)}: the distances of rays from those of other cameras {text} (this explains "
         f"{percent(best.share)} of their squares{instead}); tracks are less certain than they state",
         round(best.value if len(cause.numbers) == 1 else best.shift, 5), 0.0,
-        names(same) if len({fit.camera for fit in alike}) == 1 and best.camera is not None else None, remedy,
+        names(same) if best.camera is not None and len({fit.camera for fit in (*same, *others)}) == 1 else None, remedy,
         cause.name, change,
     )  # fmt: skip
 
@@ -192,9 +196,10 @@ class CauseFit:
     numbers: Array  # (k,): Those that fit best, as far as they are determined
     covariance: Array  # (k, k): Of these
     squares: Array  # (k, k): The mean square of the shift is this form of the numbers, variances of a detection
-    groups: int  # Tracks whose spread the covariance is from
+    groups: int  # Parts of tracks whose spread the covariance is from
     explained: float  # Of the squared distances, predicted from other parts of the time
     share: float  # The same over all of them
+    left: float  # Mean square of what is left
     value: float  # The number of a cause that has one
 
     @property
@@ -319,7 +324,6 @@ class Regression:
     sums: Array  # (g, 8, 8)
     squares: Array  # (7, 7): Mean products of shifts
     parts: Integers  # (g,): Part of the time of each
-    tracks: Integers  # (g,)
     noise: float  # Mean square of the distances
 
     @staticmethod
@@ -335,7 +339,6 @@ class Regression:
             np.stack([block.T @ block for block in blocks]),
             squares,
             keys % PARTS,
-            keys // PARTS,
             float((table[:, -1] ** 2).mean()),
         )
 
@@ -359,19 +362,18 @@ class Regression:
             return np.asarray(np.linalg.solve(rest, (pull.sum(axis=0) - pull)[:, :, None])[:, :, 0])
 
         numbers = in_basis(total[None])[1][0]
-        # two objects that pass each other's epipolar line are together for a while: all of a track is one error
-        of_tracks = np.stack([self.sums[self.tracks == track].sum(axis=0) for track in np.unique(self.tracks)])
-        away, groups = without(of_tracks) - numbers, len(of_tracks)
+        away, groups = without(self.sums) - numbers, len(self.sums)
         of_parts = np.stack([self.sums[self.parts == part].sum(axis=0) for part in range(PARTS)])
         products, pull = in_basis(of_parts)
         predicted = without(of_parts)
         explained = float((2.0 * pull * predicted).sum() - np.einsum("pi,pij,pj", predicted, products, predicted))
+        share = explained / max(float(total[-1, -1]), 1e-12)
         # few tracks may happen to agree more than the noise of their detections lets them
         variances, axes = np.linalg.eigh(away.T @ away * (groups - 1) / groups)
         covariance = axes * np.maximum(variances, self.noise) @ axes.T
         return CauseFit(
             cause, camera, numbers, covariance, basis.T @ self.squares[np.ix_(chosen, chosen)] @ basis, groups,
-            explained, explained / max(float(total[-1, -1]), 1e-12), float((basis @ numbers)[0]),
+            explained, share, self.noise * (1.0 - share), float((basis @ numbers)[0]),
         )  # fmt: skip
 
 
@@ -379,8 +381,9 @@ class Regression:
 MOST_DETECTIONS, MOST_PAIRS, LEAST_DETECTIONS = 3000, 200_000, 100
 # Frames on either side from which an image velocity is fitted.
 HALF_WINDOW = 4
-# Largest distance of partners, standard deviations; frames, and share of a track, in which two tracks must meet.
-FARTHEST, LEAST_COMMON, LEAST_SHARE = 6.0, 8, 0.5
+# Largest distance of partners, over that at which most rays meet beyond chance; frames, and share of a track, in which
+# two tracks must meet.
+FARTHEST, LEAST_COMMON, LEAST_SHARE = 2.0, 8, 0.5
 
 
 @dataclass(frozen=True)
@@ -442,8 +445,13 @@ def track_motion(sample: CameraSample) -> TrackMotion:
     return found
 
 
-def partners(samples: list[CameraSample], motion: list[TrackMotion], a: int, b: int) -> Partners | None:
-    """Return detections of A with those of B on one-camera tracks that meet them most of the time; None for few."""
+def partners(
+    samples: list[CameraSample], motion: list[TrackMotion], a: int, b: int, farthest: float
+) -> Partners | None:
+    """Return detections of A with those of B on one-camera tracks that meet them most of the time; None for few.
+
+    Rays meet within the distance `farthest`, standard deviations.
+    """
     first, second = samples[a], samples[b]
     if len(second.times) < 4 or not len(first.pixels):
         return None
@@ -467,7 +475,7 @@ def partners(samples: list[CameraSample], motion: list[TrackMotion], a: int, b: 
     found = np.where(present & np.isfinite(found), found, np.inf)
     rows = np.arange(len(chosen))
     best = np.abs(found).argmin(axis=1)
-    near = np.abs(found[rows, best]) <= FARTHEST
+    near = np.abs(found[rows, best]) <= farthest
     near &= _nearest_of_frame(first.frame_of[chosen], index[rows, best], np.abs(found[rows, best]))
     index, following = index[rows, best], following[rows, best]
     lasting, tracks = _lasting(track_a[chosen][near], track_b[index][near])

@@ -9,7 +9,7 @@ import numpy as np
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
-from stereophd.pipeline.checks.finding import Finding, is_overstated, warnings_of
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_overstated, warnings_of
 from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
@@ -63,10 +63,15 @@ def check_log(
         return (*findings, Finding("geometry.rays", "not checked", why))
     geometry = measure(samples, expected_depths(config, samples), thorough)
     rays = [*check_geometry(geometry, thorough)]
-    blamed = {found.name for found in warnings_of((*findings, *rays))}
-    if "geometry.cause" not in blamed and config.object.shape == "point":
+    named = {found.cause for found in rays if found.name == "geometry.cause"}
+    if named <= {DO_NOT_MEET} and config.object.shape == "point":
         # the middle of a box is not the image of the middle of a body
-        rays += check_residuals(samples)
+        residuals = tuple(check_residuals(geometry))
+        if named and warnings_of(residuals):
+            # of rays that nearly meet they tell more than that some turn explains them
+            rays = [found for found in rays if found.name != "geometry.cause"]
+        rays += residuals
+    blamed = {found.name for found in warnings_of((*findings, *rays))}
     if warnings_of(tuple(rays)):
         # more noise than about one-camera tracks may be what keeps these rays together: less would only part them
         findings = [one for one in findings if not is_overstated(one)]

@@ -12,7 +12,7 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
-from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, distances, signed_distances
+from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, distances, measure, signed_distances
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.residuals import (
     CAUSES,
@@ -63,9 +63,8 @@ def _findings(
             found = pixels + rng.normal(0, 1, pixels.shape)
             log.append(Frame(time + late_s * (c == 1), c, k, found[camera.contains(found)]))
     log.sort(key=lambda frame: (frame.time_s, frame.camera))
-    return list(
-        check_residuals([replace(sample, box_height_px=60.0 if boxes else None) for sample in sample_log(log, cameras)])
-    )
+    samples = [replace(one, box_height_px=60.0 if boxes else None) for one in sample_log(log, cameras)]
+    return list(check_residuals(measure(samples, (3.0, 14.0))))
 
 
 def test_a_correct_set_up_leaves_white_noise() -> None:
