@@ -181,7 +181,7 @@ def _warning(samples: list[CameraSample], pairs: list[Partners], boxes: bool) ->
         "geometry.residuals", "warning",
         f"{names(same)}: the distances of rays from those of other cameras {text} (this explains "
         f"{percent(best.share)} of their squares{instead}); tracks are less certain than they state",
-        round(best.value if len(cause.numbers) == 1 else best.shift, 5), 0.0,
+        round(best.value if len(cause.numbers) == 1 else best.shift * pixel, 5), 0.0,
         names(same) if best.camera is not None and len({fit.camera for fit in (*same, *others)}) == 1 else None, remedy,
         cause.name, change,
     )  # fmt: skip
