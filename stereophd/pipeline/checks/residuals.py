@@ -380,7 +380,7 @@ class Regression:
 
 
 # Detections of a camera that are examined, and candidates of all of them together.
-MOST_DETECTIONS, MOST_PAIRS, LEAST_DETECTIONS = 3000, 200_000, 50
+MOST_DETECTIONS, MOST_PAIRS, LEAST_DETECTIONS = 3000, 200_000, 100
 # Frames on either side from which an image velocity is fitted.
 HALF_WINDOW = 4
 # Largest distance of partners, over that at which most rays meet beyond chance; frames, and share of a track, in which

@@ -14,6 +14,7 @@ from stereophd.pipeline.checks.finding import DO_NOT_MEET
 from stereophd.pipeline.checks.geometry.alternatives import Alternative, alternatives
 from stereophd.pipeline.checks.geometry.rays import (
     LEAST_SCORE,
+    SHARP,
     TOLERANCES,
     Candidates,
     Geometry,
@@ -52,21 +53,26 @@ QUICK_DETECTIONS, QUICK_SHIFTS, QUICK_STEPS = 50, 2, 40
 QUICK_DISTANCES, LEAST_DETECTIONS = 8000, 8
 
 
-def best_explanation(geometry: Geometry, thorough: bool = True, clocks_only: bool = False) -> Explanation | None:
+def best_explanation(
+    geometry: Geometry, thorough: bool = True, clocks_only: bool = False, tolerances: tuple[float, ...] = TOLERANCES
+) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
     Every alternative (with `clocks_only` only clock offsets) is tried on a few detections, and the best of them on all.
-    If `thorough`, the first look takes more detections, and finer steps of the clock.
+    If `thorough`, the first look takes more detections, and finer steps of the clock. Tolerances are those of a
+    meeting, in standard deviations.
     """
     size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
     few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
-    quick = geometry.with_pairs(few)
+    quick = geometry.with_pairs(few, tolerances)
+    if tolerances != TOLERANCES:  # those that it was measured with
+        geometry = geometry.with_pairs(geometry.pairs, tolerances)
     steps = SHIFT_STEPS if thorough else QUICK_STEPS
     trials = [
         *([] if clocks_only else _camera_trials(geometry)),
         *_clock_trials(geometry, () if clocks_only else RATES, steps),
     ]
-    looks = [(trial, trial.explain(quick)) for trial in trials]
+    looks = [(trial, trial.explain(quick, tolerances)) for trial in trials]
     promising = [
         (t, one) for t, one in looks if one is not None and one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN
     ]
@@ -78,7 +84,7 @@ def best_explanation(geometry: Geometry, thorough: bool = True, clocks_only: boo
     least = NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried, 1))
     found = [
         one
-        for one in (trial.explain(geometry) for trial in finalists)
+        for one in (trial.explain(geometry, tolerances) for trial in finalists)
         if one is not None and one.certainty >= least and one.is_decisive
     ]
     if not found:
@@ -105,7 +111,7 @@ class Trial:
     samples: list[CameraSample] | None = None  # With other times; None: as they are
     change: str | None = None  # As that of a `Finding`
 
-    def explain(self, geometry: Geometry) -> Explanation | None:
+    def explain(self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES) -> Explanation | None:
         """Return how much the change explains of the pairs concerned; None if it concerns none.
 
         Rays as stated are held to the tolerance at which those with the change meet best: at another one fewer meet.
@@ -124,7 +130,7 @@ class Trial:
                 rays_a, rays_b = geometry.rays[k]
                 known = None if pair.a in self.scope else rays_a, None if pair.b in self.scope else rays_b
             if found is not None:
-                met = meeting(found, self.views[pair.a], self.views[pair.b], TOLERANCES, known)
+                met = meeting(found, self.views[pair.a], self.views[pair.b], tolerances, known)
                 given = geometry.given_at(k, met.tolerance)
                 after.append(met)
                 before.append(given)
@@ -274,5 +280,5 @@ def _met_at(geometry: Geometry, k: int, camera: int, shifts: Array) -> Array:
         seen = pixels_at(geometry.samples[pair.b], at.ravel())
         there = replace(few, pixels_b=seen.reshape(*at.shape, *seen.shape[1:]))
         least = distances(there, first, second)[0].min(axis=2)
-        met[block] = (least <= np.array((1.0, *TOLERANCES))[:, None, None]).mean(axis=2).sum(axis=0)
+        met[block] = (least <= np.array((*SHARP, *TOLERANCES))[:, None, None]).mean(axis=2).sum(axis=0)
     return met

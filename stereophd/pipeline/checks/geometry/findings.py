@@ -8,6 +8,7 @@ from stereophd.pipeline.checks.geometry.rays import (
     LEAST_EXPECTED,
     LEAST_SCORE,
     MOST_CHANCE,
+    SHARP,
     Geometry,
     pairs_of,
 )
@@ -27,6 +28,9 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
     explanation = None
     if geometry.pairs and (suspicious or thorough):
         explanation = best_explanation(geometry, thorough, clocks_only=not suspicious)
+    # what is far off makes rays meet at a wide tolerance, which the remedy must not be compared with
+    if explanation is None and suspicious:
+        explanation = best_explanation(geometry, thorough, tolerances=SHARP)
     if explanation is not None:
         yield _named(geometry, explanation)
     alone = set() if explanation is not None else _alone(geometry)

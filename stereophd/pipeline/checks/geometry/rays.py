@@ -252,6 +252,8 @@ SUSPICIOUS_SHARE, SUSPICIOUS_SCORE = 0.6, 4.0
 LEAST_SCORE = 6.0
 # Above this share of partners by chance, shifted times show nothing.
 MOST_CHANCE = 0.6
+# The tolerance at which alternatives are compared where none explains the log at those.
+SHARP = (1.0,)
 # Below this expected excess the fields of view of a pair hardly overlap, and the pair cannot be checked.
 LEAST_EXPECTED = 0.15
 # Pairs of cameras that are examined at most: all of 25 cameras.
@@ -272,10 +274,10 @@ class Geometry:
         """The cameras as stated."""
         return [Reading(sample.camera) for sample in self.samples]
 
-    def with_pairs(self, pairs: tuple[Candidates, ...]) -> Geometry:
-        """Return how often rays of these detections of the pairs meet."""
+    def with_pairs(self, pairs: tuple[Candidates, ...], tolerances: tuple[float, ...]) -> Geometry:
+        """Return how often rays of these detections of the pairs meet, at the best of the tolerances."""
         views = self.views
-        return replace(self, pairs=pairs, given=tuple(meeting(p, views[p.a], views[p.b]) for p in pairs))
+        return replace(self, pairs=pairs, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in pairs))
 
     @cached_property
     def rays(self) -> list[tuple[Array, Array]]:
@@ -331,4 +333,4 @@ def measure(samples: list[CameraSample], depths: tuple[float, float], thorough: 
         if found is not None:
             pairs.append(found)
     expected = tuple(expected_excess(pair, samples, depths) for pair in pairs)
-    return Geometry(samples, (), (), expected).with_pairs(tuple(pairs))
+    return Geometry(samples, (), (), expected).with_pairs(tuple(pairs), TOLERANCES)
