@@ -24,7 +24,8 @@ from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.alternatives import posed
 from stereophd.pipeline.checks.geometry.causes import shift_remedy, shifted
-from stereophd.pipeline.checks.geometry.rays import LEAST_SCORE, TOLERANCES, Geometry, signed_distances
+from stereophd.pipeline.checks.geometry.findings import CHANCE_SCORE
+from stereophd.pipeline.checks.geometry.rays import TOLERANCES, Geometry, signed_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.wording import percent
 
@@ -118,7 +119,7 @@ def check_residuals(geometry: Geometry) -> Iterator[Finding]:
     samples = geometry.samples
     motion = [track_motion(sample) for sample in samples]
     # a wide tolerance may be the best by chance
-    reaches = [FARTHEST * (m.tolerance if m.score >= LEAST_SCORE else TOLERANCES[0]) for m in geometry.given]
+    reaches = [FARTHEST * (m.tolerance if m.score >= CHANCE_SCORE else TOLERANCES[0]) for m in geometry.given]
     pairs = [
         found for pair, reach in zip(geometry.pairs, reaches, strict=True)
         if (found := partners(samples, motion, pair.a, pair.b, reach))
