@@ -209,7 +209,9 @@ MISTAKES: dict[str, tuple[Callable[[Setup], None], tuple[str, ...]]] = {
     "centres in another unit": (_each(_center(100.0)), ("depth_range", "center_unit")),
     "image size too small": (_each(lambda c: _size(c, (0.5, 0.5))), ("error", "outside_image")),
     "image size too large": (_each(lambda c: _size(c, (2.0, 2.0))), ("image_size",)),
-    "width and height swapped": (_each(lambda c: c["image_size_px"].reverse()), ("error", "outside_image")),
+    "width and height swapped": (
+        _each(lambda c: c["image_size_px"].reverse()), ("error", "outside_image", "width_height_exchanged"),
+    ),
     "u and v swapped": (_swap_columns, ("u_v_swapped", "outside_image", "error")),
     "v from the bottom": (_from_below, ("v_from_below",)),
     "pixels normalised": (_normalised, ("pixels_normalised",)),

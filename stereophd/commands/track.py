@@ -6,6 +6,7 @@ Two cases differ: smoothing holds the whole run in memory, and a run in pieces h
 
 from __future__ import annotations
 
+import functools
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -158,7 +159,8 @@ class _Outputs:
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))
         findings += tuple(check_detections(summary, tracking.cameras))
-        findings += tuple(check_knocks(summary, findings))
+        since = functools.partial(check_log, loaded, self.stream.source, False, tracking.cameras)
+        findings += tuple(check_knocks(summary, findings, since))
         if not tracking.boxes:
             # the middle of a box is not the image of the middle of a body
             findings += tuple(check_noise(summary, tracking.cameras, self.stream.has_noise, findings))

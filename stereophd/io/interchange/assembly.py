@@ -124,6 +124,9 @@ def read_rows(spool: Spool) -> Iterator[Array]:
 LARGEST_GROWTH, FEW_FRAMES = 1000, 1_000_000
 # With this many frame numbers, one recording of a thousand has a common divisor by chance.
 LEAST_FRAMES_OF_A_STEP = 10
+# Times without frame numbers are even if this share of their steps are multiples of the interval, to within this part
+# of it. The step at this quantile is about one interval, even where most frames have no detection.
+EVEN_SHARE, EVEN_PART, SHORT_STEP = 0.95, 0.2, 0.1
 # Most frames that a recording may be said to have: a day at 10 kHz.
 MOST_FRAMES = 1_000_000_000
 
@@ -195,7 +198,17 @@ class _Camera:
         if not options.fill and options.frames.get(name):
             raise InputError("`frames`: expected `fill`, which adds the frames without rows, found it turned off")
         self._stride = self._measure_stride() if spool.has_frames else 1
-        self._count = 0
+        self._interval_s = None if spool.has_frames or not self._fill else self._measure_interval()
+        if self._interval_s is not None:
+            recording.assumed.append(
+                f"{name}: frames come every {self._interval_s:.4g} s, and have no detection where the source has none: "
+                "it has no frame numbers (`fill` turns it off)"
+            )
+        elif not spool.has_frames:
+            recording.assumed.append(
+                f"{name}: the source has no frame numbers, so that frames without detections are not in the log: where "
+                "there are some, the probability of detection will be estimated too high"
+            )
         self._last: Array | None = None
 
     def _measure_stride(self) -> int:
@@ -209,6 +222,17 @@ class _Camera:
             before = int(frames[-1])
             count += len(frames)
         return stride if stride and count >= LEAST_FRAMES_OF_A_STEP else 1
+
+    def _measure_interval(self) -> float | None:
+        """Return the interval of frames that have times only, s; None where their times are uneven, or few."""
+        rows = next(read_rows(self._spool))
+        steps = np.diff(np.unique(rows[:, TIME]))
+        if len(steps) < LEAST_FRAMES_OF_A_STEP:
+            return None
+        shortest = float(np.quantile(steps, SHORT_STEP))
+        count = np.rint(steps / shortest)
+        even = np.abs(steps / shortest - count) < EVEN_PART
+        return float(steps[even].sum() / count[even].sum()) if even.mean() >= EVEN_SHARE else None
 
     def pieces(self) -> Iterator[Array]:
         """Yield the camera's rows as the log has them: whole frames, timed, without gaps, in order."""
@@ -234,7 +258,7 @@ class _Camera:
         count = len(rows)
         rows = _without_duplicates(rows)
         self._summary.duplicate_rows += count - len(rows)
-        if self._fill and self._spool.has_frames:
+        if self._fill and (self._spool.has_frames or self._interval_s is not None):
             rows = self._filled(rows, is_first, is_last)
         self._last = rows[-1]
         self._summarise(rows)
@@ -243,10 +267,12 @@ class _Camera:
     def _timed(self, rows: Array) -> Array:
         """Number the frames and give them times, each frame one."""
         if not self._spool.has_frames:
-            starts = np.concatenate([[True], np.diff(rows[:, TIME]) != 0])
-            rows[:, FRAME] = self._count - 1 + np.cumsum(starts)
-            self._count += int(starts.sum())
             rows[:, TIME] += self._offset
+            times, index = np.unique(rows[:, TIME], return_inverse=True)
+            before, number = (times[0], 0.0) if self._last is None else (self._last[TIME], self._last[FRAME])
+            steps = np.diff(times, prepend=before)
+            count = steps > 0.0 if self._interval_s is None else np.rint(steps / self._interval_s).clip(steps > 0.0)
+            rows[:, FRAME] = number + np.cumsum(count)[index]
             return rows
         has_times = np.isfinite(rows[:, TIME]).all()
         if self._rate is not None and (self._is_rate_stated or not has_times):

@@ -1,16 +1,18 @@
-"""Small errors of clock, lens and pose: rays meet, but their distances depend on speed or on the place in the image.
+"""Small errors of clock, shutter, lens and pose: rays meet, but miss each other by what these would cause.
 
 One-camera tracks of two cameras that meet most of the time belong to one object. The signed distance of their rays from
-meeting, in standard deviations, is white noise of mean 0 if the set-up is right. An offset of a clock adds what the
-object moves in that time, an error of a lens grows from the centre of the image, and an error of a pose is a smooth
-function of the place. Each cause is fitted separately; the one that explains most of the distances is named. Standard
-errors follow from the spread between pairs of tracks, so that errors that last do not pass for evidence.
+meeting, in standard deviations, is white noise of mean 0 if the set-up is right. Whatever is wrong with a camera shifts
+its pixels: a late clock by what the object moves in that time, a shutter by that times the row, a lens from the centre
+outwards, a turn all alike. All distances of a camera are regressed on these shifts. Of causes
+that explain much the same the simplest is named. Standard errors follow from the spread between tracks, so that errors
+that last are no evidence.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,39 +24,108 @@ from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.alternatives import posed
 from stereophd.pipeline.checks.geometry.causes import shift_remedy, shifted
-from stereophd.pipeline.checks.geometry.rays import pairs_of, signed_distances
+from stereophd.pipeline.checks.geometry.findings import CHANCE_SCORE
+from stereophd.pipeline.checks.geometry.rays import TOLERANCES, Geometry, signed_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.wording import percent
 
-# A cause with one number is preferred to a pose that explains less than this many times as much.
-PREFERENCE = 1.35
-# Cameras that explain this share of what the best one explains are named with it.
-ALIKE = 0.97
-# Lateness of one clock over that of a pair, from which it is what the pair shows.
-LEAST_CHANGE = 0.5
+# Share of the logs of right set-ups in which chance may let any of the causes pass, the shift that any camera may have,
+# in standard deviations of a detection (a track is several times as certain as one), and the square of each number, in
+# variances, below which no such chance is left.
+FALSE_ALARMS, TOLERATED, LEAST_SQUARE = 0.001, 0.1, 9.0
+# A cause explains as much as another if what they explain differs by less than this many times its root, by which
+# noise changes it, in deviations of what is left.
+ALIKE = 2.0
 # Root mean square of distances, standard deviations, and their correlation, from which a pair of cameras is wrong
-# without a cause that explains it: that of chance is 3.5, as all distances are below `FARTHEST`.
+# without a cause that explains it: that of chance is 3.5 where most rays meet within three.
 LARGEST_DISTANCE, LARGEST_CORRELATION = 2.5, 0.6
-ESTIMATE_LENS = "let calibrate estimate it (calibration.priors.NAME.distortion_std: {k1: 0.1})"
-CAUSES = {
-    "clock": "clock_offset", "lens": "lens_inaccurate", "lenses": "lens_missing", "pose": "pose_inaccurate",
-}  # fmt: skip
+# Tracks, beside one for each number of a cause, or pairs of them, from which anything is said.
+LEAST_TRACKS = 8
+# Parts of the time, each predicted from the others; least eigenvalue, over the largest, of what distances determine.
+PARTS, DETERMINED = 8, 1e-4
+# Steps of numerical derivatives: px, and of the numbers that change a camera.
+STEP_PX, STEP = 0.01, 1e-5
+PRIORS = "let calibrate estimate it (calibration.priors.NAME"
+ESTIMATE_LENS, ESTIMATE_READOUT = f"{PRIORS}.distortion_std: {{k1: 0.1}})", f"{PRIORS}.readout_std_s)"
+
+REFINE = "let calibrate refine the poses, starting from these cameras"
 
 
-def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
-    """Yield a finding if the clock, lens or pose of a camera seems to be slightly off, else one for each pair.
+class Cause(NamedTuple):
+    """What may be wrong with a camera, or with all of them alike, and shifts its pixels."""
+
+    name: str
+    what: str  # What is wrong, for a list
+    numbers: tuple[int, ...]  # Places among the numbers of `shifts_of`
+    text: str  # What the distances do, and why
+    remedy: str
+    of_boxes: bool = True  # Whether it shows in middles of boxes, which are not the image of one point
+
+
+# Places among the numbers of `shifts_of`.
+TURNS, FOCAL, LENS, CLOCK, SHUTTER = (0, 1, 2), 3, 4, 5, 6
+CAUSES = (
+    Cause(
+        "clock_offset", "clock", (CLOCK,),
+        "follow the speed of the objects: its clock seems to be off by {value:+.3g} s", "",
+    ),
+    Cause(
+        "readout_inaccurate", "shutter", (SHUTTER,),
+        "follow the speed of the objects times the row: its shutter seems to take {value:+.2g} s more than stated",
+        f"state readout_s, or {ESTIMATE_READOUT}",
+    ),
+    Cause(
+        "lens_inaccurate", "lens", (LENS,),
+        "grow from the centre of the image outwards: its lens coefficients seem to be off",
+        f"calibrate the lens again, or {ESTIMATE_LENS}",
+    ),
+    Cause(
+        "focal_inaccurate", "focal length", (FOCAL,),
+        "grow from the centre of the image outwards: its focal length seems to be {factor:.4g} times the stated one",
+        f"calibrate the camera again, or {PRIORS}.focal_std)", of_boxes=False,
+    ),
+    Cause(
+        "detections_shifted", "place of the detections", TURNS[:2],
+        "are alike all over the image: its detections seem to lie about {size:.2g} px from where they belong, because "
+        "of the detector, the principal point or a turn of the camera",
+        f"look at where the detector puts its points, or {REFINE}", of_boxes=False,
+    ),
+    Cause(
+        "pose_inaccurate", "pose", TURNS,
+        "depend on the place in the image: its pose seems to be slightly off", REFINE, of_boxes=False,
+    ),
+)  # fmt: skip
+# What all cameras may have alike where none states it.
+EVERYWHERE = (
+    Cause(
+        "lens_missing", "lens", (LENS,),
+        "grow from the centre of the image outwards: the lens seems to be missing, near k1 = {value:.2g}",
+        f"state the lens distortion, or {ESTIMATE_LENS}",
+    ),
+    Cause(
+        "readout_missing", "shutter", (SHUTTER,),
+        "follow the speed of the objects times the row: a rolling shutter seems to be missing, near readout_s = "
+        "{value:.2g}", f"state readout_s, or {ESTIMATE_READOUT}",
+    ),
+)  # fmt: skip
+
+
+def check_residuals(geometry: Geometry) -> Iterator[Finding]:
+    """Yield a finding if the clock, shutter, lens or pose of a camera seems to be slightly off, else one for each pair.
 
     The middle of a box is not the image of one point of the object, which looks like an error of a pose: where
     detections are boxes no pose is called off.
     """
-    motion = [track_velocities(sample) for sample in samples]
-    pairs = [found for a, b in pairs_of(len(samples)) if (found := partners(samples, motion, a, b))]
-    fits = [explain(pair, samples[pair.a].camera, samples[pair.b].camera) for pair in pairs]
-    together = list(zip(pairs, fits, strict=True))
-    ignored = {"pose"} if any(sample.box_height_px is not None for sample in samples) else set()
-    causes = [fit.decisive(pair.track_count) - ignored for pair, fit in together]
-    suspicious = [both for both, decisive in zip(together, causes, strict=True) if decisive]
-    if suspicious and (warning := _warning(samples, suspicious, together, set().union(*causes))) is not None:
+    samples = geometry.samples
+    motion = [track_motion(sample) for sample in samples]
+    # a wide tolerance may be the best by chance
+    reaches = [FARTHEST * (m.tolerance if m.score >= CHANCE_SCORE else TOLERANCES[0]) for m in geometry.given]
+    pairs = [
+        found for pair, reach in zip(geometry.pairs, reaches, strict=True)
+        if (found := partners(samples, motion, pair.a, pair.b, reach))
+    ]  # fmt: skip
+    boxes = any(sample.box_height_px is not None for sample in samples)
+    if (warning := _warning(samples, pairs, boxes)) is not None:
         yield warning
         return
     for pair in pairs:
@@ -65,7 +136,7 @@ def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
             f"standard deviations, correlation from frame to frame {pair.correlation:.2f}"
         )
         lasts = np.hypot(mean, spread) > LARGEST_DISTANCE and pair.correlation > LARGEST_CORRELATION
-        if lasts and pair.track_count >= POSE_TRACKS and not ignored:
+        if lasts and pair.track_count >= LEAST_TRACKS and not boxes:
             yield Finding(
                 "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
                 "alone explains it, or the errors of detections last, as those of smoothed labels do",
@@ -75,217 +146,247 @@ def check_residuals(samples: list[CameraSample]) -> Iterator[Finding]:
             yield Finding("geometry.residuals", "ok", text, round(spread, 3), 1.0)
 
 
-def _warning(
-    samples: list[CameraSample],
-    suspicious: list[tuple[Partners, PairFits]],
-    everything: list[tuple[Partners, PairFits]],
-    decisive: set[str],
-) -> Finding | None:
-    """Return the finding that names the cause and the camera that explain most over all suspicious pairs.
-
-    A cause is decisive for at least one pair, and undoing it must change something: pairs whose clocks contradict each
-    other leave every clock as it is. None where no cause is left.
-    """
-    lateness = _lateness(len(samples), everything)
-    totals: dict[tuple[str, int], float] = {}
-    count = [sum(c in (pair.a, pair.b) for pair, _ in everything) for c in range(len(samples))]
-    for pair, fits in suspicious:
-        for camera, lens in ((pair.a, fits.lens_a), (pair.b, fits.lens_b)):
-            for cause, explained in (
-                ("clock", fits.clock.explained), ("lens", lens.explained), ("pose", fits.pose.explained / PREFERENCE),
-            ):  # fmt: skip
-                changes = cause != "clock" or abs(lateness[camera]) >= LEAST_CHANGE * abs(fits.clock.value)
-                if cause not in decisive or not changes:
-                    continue
-                totals[cause, camera] = totals.get((cause, camera), 0.0) + explained / count[camera]
-    joint = sum(fits.lenses.explained for _, fits in suspicious) if "lenses" in decisive else 0.0
-    if not totals and not joint:
+def _warning(samples: list[CameraSample], pairs: list[Partners], boxes: bool) -> Finding | None:
+    """Return the finding that names the simplest of the causes that explain most, if any is certain."""
+    # no shutter takes longer than a frame
+    longest = max(sample.interval_s for sample in samples)
+    fits = [
+        fit for fit in explanations(samples, pairs)
+        if fit.cause.numbers != (SHUTTER,) or abs(fit.value) <= longest
+    ]  # fmt: skip
+    if not any(fit.is_certain(FALSE_ALARMS / len(fits)) for fit in fits):
         return None
-    (cause, camera), best = max(totals.items(), key=lambda one: one[1], default=(("lenses", 0), 0.0))
-    cameras = [c for (one, c), total in totals.items() if one == cause and total >= ALIKE * best]
-    names = " or ".join(samples[c].camera.name for c in sorted(cameras))
-    if joint and joint >= ALIKE * best * count[camera]:
-        # one camera explains no more of the pairs that it has than all together
-        alone = f", or that of {names} alone" if ALIKE * joint <= best * count[camera] else ""
-        cause, cameras, names = "lenses", [], f"all cameras that state no lens{alone}"
-    share = max(fits.of(cause).explained for _, fits in suspicious)
-    text = f"{names}: the distances of rays from those of other cameras"
-    change, value = None, max(fits.of(cause).effect for _, fits in suspicious)
-    if cause == "clock":
-        # of two cameras the log does not show which one
-        latest = cameras[0] if len(cameras) == 1 else max(cameras, key=lambda c: float(lateness[c]))
-        late = float(lateness[latest])
-        text += f" follow the speed of the objects: its clock seems to be off by {late:+.3g} s"
-        remedy, value, change = shift_remedy(-late), late, shifted(samples[latest], -late)
-    elif cause == "lens":
-        text += " grow from the centre of the image outwards: its lens coefficients seem to be off"
-        remedy = f"calibrate the lens again, or {ESTIMATE_LENS}"
-    elif cause == "lenses":
-        weights = np.array([1.0 / max(fits.lenses.error, 1e-9) ** 2 for _, fits in suspicious])
-        value = float(weights @ [fits.lenses.value for _, fits in suspicious] / weights.sum())
-        text += f" grow from the centre of the image outwards: the lens seems to be missing, near k1 = {value:.2g}"
-        remedy = f"state the lens distortion, or {ESTIMATE_LENS}"
-    else:
-        text += " depend on the place in the image: its pose seems to be slightly off"
-        remedy = "let calibrate refine the poses, starting from these cameras"
+    most = max(fits, key=lambda fit: fit.explained)
+    alike = [fit for fit in fits if fit.explained >= most.explained - ALIKE * (most.explained * most.left) ** 0.5]
+    best = min(alike, key=lambda fit: (len(fit.cause.numbers), -fit.explained))
+    # of two cameras the log does not show which one
+    cause, same = best.cause, [fit for fit in (fits if len(pairs) == 1 else alike) if fit.cause is best.cause]
+    if boxes and not cause.of_boxes:
+        return None
+    if cause.name == "clock_offset":
+        best = max(same, key=lambda fit: fit.value)
+    remedy, change, pixel = cause.remedy, None, 0.0
+    if best.camera is not None:
+        sample = samples[best.camera]
+        pixel = float(sample.camera.detector.sigma.mean())
+        if cause.name == "clock_offset":
+            remedy, change = shift_remedy(-best.value), shifted(sample, -best.value)
+
+    def names(of: list[CauseFit]) -> str:
+        cameras = sorted({fit.camera for fit in of if fit.camera is not None})
+        return " or ".join(samples[camera].camera.name for camera in cameras) or "all cameras"
+
+    others = [fit for fit in alike if not set(cause.numbers) <= set(fit.cause.numbers)]
+    what = " or ".join(dict.fromkeys(fit.cause.what for fit in others))
+    instead = f"; the {what} of {names(others)} would explain as much" if others else ""
+    text = cause.text.format(value=best.value, factor=1.0 + best.value, size=best.shift * pixel)
     return Finding(
-        "geometry.residuals", "warning", f"{text} (this explains {percent(share)} of their squares)", round(value, 5),
-        0.0, names if len(cameras) == 1 else None, remedy, CAUSES[cause], change,
+        "geometry.residuals", "warning",
+        f"{names(same)}: the distances of rays from those of other cameras {text} (this explains "
+        f"{percent(best.share)} of their squares{instead}); tracks are less certain than they state",
+        round(best.value if len(cause.numbers) == 1 else best.shift * pixel, 5), 0.0,
+        names(same) if best.camera is not None and len({fit.camera for fit in (*same, *others)}) == 1 else None, remedy,
+        cause.name, change,
     )  # fmt: skip
-
-
-def _lateness(count: int, pairs: list[tuple[Partners, PairFits]]) -> Array:
-    """Return by how much the times of each camera in the log are late (n,), s; the middle camera is right."""
-    design = np.array([np.eye(count)[pair.b] - np.eye(count)[pair.a] for pair, _ in pairs])
-    weight = np.array([1.0 / max(fits.clock.error, 1e-6) for _, fits in pairs])
-    found = np.array([fits.clock.value for _, fits in pairs])
-    late: Array = np.linalg.lstsq(design * weight[:, None], found * weight, rcond=1e-9)[0]
-    return late - np.median(late) if count > 2 else 2.0 * late
-
-
-# Least share of the squared distances that a cause must explain, its least size in standard deviations of a detection,
-# and in standard errors.
-LEAST_EXPLAINED, LEAST_EFFECT, LEAST_SCORE = 0.15, 0.4, 6.0
-# The same for a pose, which has six numbers and therefore explains more of any distances; and pairs of tracks that it
-# needs.
-POSE_EXPLAINED, POSE_EFFECT, POSE_TRACKS = 0.3, 0.6, 8
-# Parts of the time, each predicted from the others, and the least singular value over the largest of a
-# number that these determine.
-FOLDS, DETERMINED = 4, 1e-2
-# Steps of numerical derivatives: s, radians, and of k1.
-STEP_S, STEP_ANGLE, STEP_K1 = 1e-3, 1e-6, 1e-5
 
 
 @dataclass(frozen=True)
 class CauseFit:
-    """How much of the distances of a pair of cameras a cause explains."""
+    """How a cause explains the distances of a camera, or of all of them."""
 
-    value: float  # The number of a cause that has one: s, or k1
-    error: float  # Its standard error, from the spread between pairs of tracks
-    explained: float  # Share of the squared distances, predicted from other parts of the time
-    effect: float  # Root mean square of what is explained, standard deviations of a detection
+    cause: Cause
+    camera: int | None  # None: all of them
+    numbers: Array  # (k,): Those that fit best, as far as they are determined
+    covariance: Array  # (k, k): Of these
+    squares: Array  # (k, k): The mean square of the shift is this form of the numbers, variances of a detection
+    groups: int  # Parts of tracks whose spread the covariance is from
+    explained: float  # Of the squared distances, predicted from other parts of the time
+    share: float  # The same over all of them
+    left: float  # Mean square of what is left
+    value: float  # The number of a cause that has one
 
     @property
-    def is_decisive(self) -> bool:
-        """Whether a cause with one number is beyond doubt, and large enough to matter."""
-        return (
-            self.explained >= LEAST_EXPLAINED
-            and self.effect >= LEAST_EFFECT
-            and abs(self.value) >= LEAST_SCORE * self.error
-        )
+    def shift(self) -> float:
+        """Root mean square of the shift of pixels, standard deviations of a detection."""
+        return float(np.sqrt(self.numbers @ self.squares @ self.numbers))
+
+    def is_certain(self, probability: float) -> bool:
+        """Whether the numbers are further from 0 than chance and what is tolerated bring them with this probability.
+
+        By the distribution of squares in a covariance that is itself estimated (H. Hotelling, 1931).
+        """
+        count, rest = len(self.numbers), self.groups - len(self.numbers)
+        if self.explained <= 0.0 or count == 0 or rest < 1:
+            return False
+        covariance = self.covariance + TOLERATED**2 * np.linalg.inv(self.squares)
+        square = float(self.numbers @ np.linalg.solve(covariance, self.numbers))
+        if square < LEAST_SQUARE * count:
+            return False
+        from scipy.special import fdtri  # costly to import, and rarely needed
+
+        return square > count * (self.groups - 1) / rest * float(fdtri(count, rest, 1.0 - probability))
 
 
-# What cannot be asked explains nothing.
-NO_FIT = CauseFit(0.0, float("inf"), 0.0, 0.0)
+def explanations(samples: list[CameraSample], pairs: list[Partners]) -> Iterator[CauseFit]:
+    """Yield how each cause explains the distances: of each camera, and of all that state nothing."""
+    cameras = [sample.camera for sample in samples]
+    rows = [Shifts.of(pair, cameras[pair.a], cameras[pair.b]) for pair in pairs]
+    for camera in range(len(samples)):
+        own = [
+            both[side] for pair, both in zip(pairs, rows, strict=True)
+            for side in (0, 1) if (pair.a, pair.b)[side] == camera and len(both[side].tracks)
+        ]  # fmt: skip
+        if own:
+            together = Regression.of(own)
+            yield from (together.fit(cause, camera) for cause in CAUSES)
+    alike = [first.with_other(second) for first, second in rows if len(first.tracks)]
+    states = (any(c.lens.model != "none" for c in cameras), any(c.readout_s != 0.0 for c in cameras))
+    if alike and not all(states):
+        together = Regression.of(alike)
+        yield from (together.fit(cause, None) for cause, stated in zip(EVERYWHERE, states, strict=True) if not stated)
 
 
 @dataclass(frozen=True)
-class PairFits:
-    """How much each cause explains of the distances of a pair of cameras."""
+class Shifts:
+    """What each number of a camera changes, detection by detection of a pair of cameras."""
 
-    # `clock`, `lens_a`, `lens_b`, `lenses`, `pose`: An offset of B's clock; the first radial coefficient of A, of B,
-    # and of both where neither has a lens; turns and shifts of B.
-    clock: CauseFit
-    lens_a: CauseFit
-    lens_b: CauseFit
-    lenses: CauseFit
-    pose: CauseFit
+    slopes: Array  # (n, 8): Derivatives of the distance with respect to the numbers, and the distance
+    squares: Array  # (7, 7): Products of the shifts, summed, variances of a detection
+    tracks: Integers  # (n,): One-camera tracks
+    parts: Integers  # (n,): Parts of the time
 
-    def of(self, cause: str) -> CauseFit:
-        """Return the fit of a cause, of the better camera."""
-        if cause == "lens":
-            return max(self.lens_a, self.lens_b, key=lambda fit: fit.explained)
-        return {"clock": self.clock, "lenses": self.lenses, "pose": self.pose}[cause]
+    @staticmethod
+    def of(pair: Partners, first: Camera, second: Camera) -> tuple[Shifts, Shifts]:
+        """Return the rows of both cameras of a pair."""
+        parts = np.arange(len(pair.distance)) * PARTS // max(len(pair.distance), 1)
+        cameras, tables, squares = (first, second), [], []
+        for side, (camera, motion) in enumerate(zip(cameras, pair.sides, strict=True)):
+            shifts = shifts_of(camera, motion.places, motion.velocity)
+            slopes = np.stack([_slope(pair, cameras, side, step) for step in STEP_PX * np.eye(2)], axis=1)
+            tables.append(np.column_stack([np.einsum("na,nak->nk", slopes, shifts), pair.distance]))
+            relative = shifts / camera.detector.sigma[:, None]
+            squares.append(np.einsum("nai,naj->nij", relative, relative))
+        # what moves while both look is where their rays meet: the mean of what both see of it knows its speed better
+        moved = 0.5 * (tables[0][:, CLOCK] - tables[1][:, CLOCK])
+        for table, slope, camera, motion in zip(tables, (moved, -moved), cameras, pair.sides, strict=True):
+            table[:, CLOCK], table[:, SHUTTER] = slope, -slope * motion.places[:, 1] / camera.height
+        usable = np.isfinite(np.hstack(tables)).all(axis=1)
+        first_rows, second_rows = (
+            Shifts(table[usable], square[usable].sum(axis=0), motion.tracks[usable], parts[usable])
+            for table, square, motion in zip(tables, squares, pair.sides, strict=True)
+        )
+        return first_rows, second_rows
 
-    def decisive(self, tracks: int) -> set[str]:
-        """Return the causes that explain the distances beyond doubt, given the number of pairs of tracks."""
-        smooth = self.pose.explained >= POSE_EXPLAINED and self.pose.effect >= POSE_EFFECT
-        pose = {"pose"} if smooth and tracks >= POSE_TRACKS else set()
-        return pose | {cause for cause in ("clock", "lens", "lenses") if self.of(cause).is_decisive}
+    def with_other(self, other: Shifts) -> Shifts:
+        """Return the rows of the same detections with the same change of both cameras."""
+        slopes = self.slopes + other.slopes
+        slopes[:, -1] = self.slopes[:, -1]
+        return replace(self, slopes=slopes, squares=0.5 * (self.squares + other.squares))
 
 
-def explain(pair: Partners, first: Camera, second: Camera) -> PairFits:
-    """Return how much each cause explains of the distances of a pair."""
+def _slope(pair: Partners, cameras: tuple[Camera, Camera], side: int, step: Array) -> Array:
+    """Return the derivative of the distances of a pair with respect to pixels of one side, moved by a step (2,)."""
+    places = [motion.places for motion in pair.sides]
+    ends = []
+    for way in (step, -step):
+        moved = [place + way * (k == side) for k, place in enumerate(places)]
+        ends.append(signed_distances(*cameras, *moved))
+    return np.asarray((ends[0] - ends[1]) / (2.0 * STEP_PX))
 
-    def slope(change: Callable[[float], Array], step: float) -> Array:
-        """Return the derivative of the distances by central differences."""
-        return np.asarray((change(step) - change(-step)) / (2.0 * step))
 
-    def between(a: Camera, b: Camera, pixels_b: Array) -> Array:
-        return signed_distances(a, b, pair.pixels_a, pixels_b)
+def shifts_of(camera: Camera, pixels: Array, velocity: Array) -> Array:
+    """Return how far pixels (n, 2) would have to be moved for each number of a camera, (n, 2, 7), px.
 
-    size = float(np.linalg.norm(second.pose.center - first.pose.center))
+    These are turns about its axes, rad, the logarithm of the focal length, the first radial coefficient, the lateness
+    of its clock and the time that its shutter takes, s. Velocities (n, 2) are px/s. A move of a camera looks much like
+    a turn; what it differs by depends on the depth, and that on the noise whose distances are to be explained.
+    """
+    points = camera.unproject(pixels, np.ones(len(pixels)))
     columns = [
-        slope(lambda x, k=k: between(first, _moved(second, k, x, size), pair.pixels_b), STEP_ANGLE)  # type: ignore[misc]
-        for k in range(6)
+        (_changed(camera, k, -STEP).project(points) - _changed(camera, k, STEP).project(points)) / (2.0 * STEP)
+        for k in range(CLOCK)
     ]
-    both = _fit(pair, slope(lambda k: between(_bent(first, k), _bent(second, k), pair.pixels_b), STEP_K1))
-    return PairFits(
-        _fit(pair, slope(lambda s: between(first, second, pair.pixels_b + s * pair.velocity_b), STEP_S)),
-        _fit(pair, slope(lambda k: between(_bent(first, k), second, pair.pixels_b), STEP_K1)),
-        _fit(pair, slope(lambda k: between(first, _bent(second, k), pair.pixels_b), STEP_K1)),
-        both if first.lens.model == second.lens.model == "none" else NO_FIT,
-        _fit(pair, *columns),
-    )
+    return np.stack([*columns, velocity, -velocity * pixels[:, 1:] / camera.height], axis=2)
 
 
-def _fit(pair: Partners, *slopes: Array) -> CauseFit:
-    """Fit a cause with one number or several; those that the data do not determine (the scale) stay 0.
-
-    What it explains of a part of the time is predicted from the others: two objects that pass each other's epipolar
-    line meet smoothly for a while, which a fit to all of it would explain.
-    """
-    design = np.stack(slopes, axis=1)
-    design = design / np.maximum(np.abs(design).max(axis=0), 1e-12)
-    if not np.isfinite(design).all():
-        return NO_FIT
-    fold = np.arange(len(design)) * FOLDS // max(len(design), 1)
-    fitted = np.zeros(len(design))
-    for part in range(FOLDS):
-        out = fold == part
-        fitted[out] = design[out] @ np.linalg.lstsq(design[~out], -pair.distance[~out], rcond=DETERMINED)[0]
-    total = float((pair.distance**2).sum())
-    explained = 1.0 - float(((pair.distance + fitted) ** 2).sum()) / max(total, 1e-12)
-    value, error = _number(pair, slopes[0], fold) if len(slopes) == 1 else (0.0, float("inf"))
-    return CauseFit(value, error, explained, float(np.sqrt((fitted**2).mean())))
+def _changed(camera: Camera, number: int, step: float) -> Camera:
+    """Return a camera with another of the numbers of `shifts_of`."""
+    if number == FOCAL:
+        return replace(camera, fx=camera.fx * (1.0 + step), fy=camera.fy * (1.0 + step))
+    lens, pose = camera.lens, camera.pose
+    if number == LENS:
+        bent = Lens("radial", k1=step) if lens.model == "none" else replace(lens, k1=lens.k1 + step)
+        return replace(camera, lens=bent)
+    return posed(camera, rotation_from_vector(step * np.eye(3)[number]) @ pose.rotation, pose.center)
 
 
-def _number(pair: Partners, slope: Array, fold: Integers) -> tuple[float, float]:
-    """Return the number that fits all distances best, and its standard error.
+@dataclass(frozen=True)
+class Regression:
+    """Distances and their derivatives, as sums of products over parts of tracks."""
 
-    The error is that of the jackknife over pairs of tracks, in parts of the time: one pair of tracks that holds most of
-    what the slope weighs is no evidence, whatever its own distances say (J. G. MacKinnon and H. White, "Some
-    heteroskedasticity-consistent covariance matrix estimators", 1985).
-    """
-    weight = float((slope**2).sum())
-    if weight <= 0.0:
-        return 0.0, float("inf")
-    value = -float((slope * pair.distance).sum()) / weight
-    part = np.unique(pair.tracks * FOLDS + fold, return_inverse=True)[1]
-    spread, share = np.bincount(part, slope * (pair.distance + value * slope)), np.bincount(part, slope**2) / weight
-    return value, float(np.sqrt(((spread / np.maximum(1.0 - share, 1e-9)) ** 2).sum())) / weight
+    sums: Array  # (g, 8, 8)
+    squares: Array  # (7, 7): Mean products of shifts
+    parts: Integers  # (g,): Part of the time of each
+    noise: float  # Mean square of the distances
 
+    @staticmethod
+    def of(rows: list[Shifts]) -> Regression:
+        """Return the sums over rows of the same camera."""
+        table = np.concatenate([one.slopes for one in rows])
+        key = np.concatenate([one.tracks * PARTS + one.parts for one in rows])
+        order = np.argsort(key, kind="stable")
+        keys, starts = np.unique(key[order], return_index=True)
+        blocks = np.split(table[order], starts[1:])
+        squares = np.sum([one.squares for one in rows], axis=0) / len(table)
+        return Regression(
+            np.stack([block.T @ block for block in blocks]),
+            squares,
+            keys % PARTS,
+            float((table[:, -1] ** 2).mean()),
+        )
 
-def _bent(camera: Camera, k1: float) -> Camera:
-    """Return a camera with another first radial coefficient."""
-    lens = camera.lens
-    bent = Lens("radial", k1=k1) if lens.model == "none" else replace(lens, k1=lens.k1 + k1)
-    return replace(camera, lens=bent)
+    def fit(self, cause: Cause, camera: int | None) -> CauseFit:
+        """Fit the numbers of a cause; of several, the combinations that the data determine."""
+        chosen, total = list(cause.numbers), self.sums.sum(axis=0)
+        scale = np.sqrt(np.maximum(total.diagonal()[chosen], 1e-300))
+        values, vectors = np.linalg.eigh(total[np.ix_(chosen, chosen)] / np.outer(scale, scale))
+        kept = values > max(DETERMINED * values[-1], 1e-12)
+        # of these combinations the sum of all products is one
+        basis = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
+        count = basis.shape[1]
 
+        def in_basis(sums: Array) -> tuple[Array, Array]:
+            return basis.T @ sums[:, chosen][:, :, chosen] @ basis, -(sums[:, chosen, -1] @ basis)
 
-def _moved(camera: Camera, component: int, step: float, size: float) -> Camera:
-    """Return a camera turned about one of its axes (0 to 2), or moved along one of the world's (3 to 5)."""
-    pose, change = camera.pose, np.zeros(6)
-    change[component] = step
-    return posed(camera, rotation_from_vector(change[:3]) @ pose.rotation, pose.center + size * change[3:])
+        def without(sums: Array) -> Array:
+            """Return what fits the rest (n, k), without each of the groups."""
+            products, pull = in_basis(sums)
+            rest = (1.0 + 1e-6) * np.eye(count) - products
+            return np.asarray(np.linalg.solve(rest, (pull.sum(axis=0) - pull)[:, :, None])[:, :, 0])
+
+        numbers = in_basis(total[None])[1][0]
+        away, groups = without(self.sums) - numbers, len(self.sums)
+        of_parts = np.stack([self.sums[self.parts == part].sum(axis=0) for part in range(PARTS)])
+        products, pull = in_basis(of_parts)
+        predicted = without(of_parts)
+        explained = float((2.0 * pull * predicted).sum() - np.einsum("pi,pij,pj", predicted, products, predicted))
+        share = explained / max(float(total[-1, -1]), 1e-12)
+        # few tracks may happen to agree more than the noise of their detections lets them
+        variances, axes = np.linalg.eigh(away.T @ away * (groups - 1) / groups)
+        covariance = axes * np.maximum(variances, self.noise) @ axes.T
+        return CauseFit(
+            cause, camera, numbers, covariance, basis.T @ self.squares[np.ix_(chosen, chosen)] @ basis, groups,
+            explained, share, self.noise * (1.0 - share), float((basis @ numbers)[0]),
+        )  # fmt: skip
 
 
 # Detections of a camera that are examined, and candidates of all of them together.
 MOST_DETECTIONS, MOST_PAIRS, LEAST_DETECTIONS = 3000, 200_000, 100
 # Frames on either side from which an image velocity is fitted.
 HALF_WINDOW = 4
-# Largest distance of partners, standard deviations; frames, and share of a track, in which two tracks must meet.
-FARTHEST, LEAST_COMMON, LEAST_SHARE = 6.0, 8, 0.5
+# Largest distance of partners, over that at which most rays meet beyond chance; frames, and share of a track, in which
+# two tracks must meet.
+FARTHEST, LEAST_COMMON, LEAST_SHARE = 2.0, 8, 0.5
 
 
 @dataclass(frozen=True)
@@ -295,10 +396,9 @@ class Partners:
     # `a`, `b`: The cameras.
     a: int
     b: int
-    # `pixels_a`, `pixels_b`: (n, 2): At the same times, those of B between its frames.
-    pixels_a: Array
-    pixels_b: Array
-    velocity_b: Array  # (n, 2): Image velocity of B's detections, px/s
+    sides: tuple[
+        TrackMotion, TrackMotion
+    ]  # Of the detections of A, and of those of B at the same times, between its frames
     distance: Array  # (n,): Signed distance of the rays, standard deviations
     tracks: Integers  # (n,) of int: Number of the pair of one-camera tracks
 
@@ -316,34 +416,49 @@ class Partners:
         return float(products.mean() / max((values**2).mean(), 1e-12)) if len(products) else 0.0
 
 
-def track_velocities(sample: CameraSample) -> tuple[Array, Integers]:
-    """Return image velocities (n, 2), px/s, from lines through a few frames, and the track of each detection or -1."""
-    velocity = np.full((len(sample.pixels), 2), np.nan)
-    number = np.full(len(sample.pixels), -1, dtype=np.int64)
+class TrackMotion(NamedTuple):
+    """Where the one-camera tracks of a camera are, and how they move, by the detections beside each."""
+
+    places: Array  # (n, 2), px: Of each detection, by lines through those before and after it, without it
+    velocity: Array  # (n, 2), px/s: Of these lines
+    tracks: Integers  # (n,): Track of each detection, -1 of none
+
+
+def track_motion(sample: CameraSample) -> TrackMotion:
+    """Return the motion about each detection of a one-camera track, which its own noise does not change."""
+    places, velocity = np.full((2, len(sample.pixels), 2), np.nan)
+    found = TrackMotion(places, velocity, np.full(len(sample.pixels), -1, dtype=np.int64))
     for index, track in enumerate(sample.tracks):
         times = sample.times[sample.frame_of[track]]
         table = np.column_stack([times - times[0], sample.pixels[track]])
         places = np.arange(len(track))
-        low, high = np.maximum(places - HALF_WINDOW, 0), np.minimum(places + HALF_WINDOW + 1, len(track))
-        count = (high - low).astype(float)[:, None]
+        frames = np.arange(len(track))
+        low, high = np.maximum(frames - HALF_WINDOW, 0), np.minimum(frames + HALF_WINDOW + 1, len(track))
+        count = (high - low - 1).astype(float)[:, None]
 
         def windowed(values: Array, low: Integers = low, high: Integers = high) -> Array:
             sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-            return np.asarray(sums[high] - sums[low])
+            return np.asarray(sums[high] - sums[low] - values)
 
         mean = windowed(table) / count
         products = windowed(table[:, :1] * table) - count * mean[:, :1] * mean
-        velocity[track] = products[:, 1:] / np.maximum(products[:, :1], 1e-12)
-        number[track] = index
-    return velocity, number
+        found.velocity[track] = products[:, 1:] / np.maximum(products[:, :1], 1e-12)
+        found.places[track] = mean[:, 1:] + (table[:, :1] - mean[:, :1]) * found.velocity[track]
+        found.tracks[track] = index
+    return found
 
 
-def partners(samples: list[CameraSample], motion: list[tuple[Array, Integers]], a: int, b: int) -> Partners | None:
-    """Return detections of A with those of B on one-camera tracks that meet them most of the time; None for few."""
+def partners(
+    samples: list[CameraSample], motion: list[TrackMotion], a: int, b: int, farthest: float
+) -> Partners | None:
+    """Return detections of A with those of B on one-camera tracks that meet them most of the time; None for few.
+
+    Rays meet within the distance `farthest`, standard deviations.
+    """
     first, second = samples[a], samples[b]
     if len(second.times) < 4 or not len(first.pixels):
         return None
-    times, track_a, (velocity, track_b) = first.times[first.frame_of], motion[a][1], motion[b]
+    times, track_a, track_b = first.times[first.frame_of], motion[a].tracks, motion[b].tracks
     usable = np.flatnonzero((track_a >= 0) & (times >= second.times[0]) & (times <= second.times[-1]))
     width = int(np.diff(second.first).max(initial=0))
     most = min(MOST_DETECTIONS, max(LEAST_DETECTIONS, MOST_PAIRS // max(width, 1)), len(usable))
@@ -363,20 +478,25 @@ def partners(samples: list[CameraSample], motion: list[tuple[Array, Integers]], 
     found = np.where(present & np.isfinite(found), found, np.inf)
     rows = np.arange(len(chosen))
     best = np.abs(found).argmin(axis=1)
-    near = np.abs(found[rows, best]) <= FARTHEST
+    near = np.abs(found[rows, best]) <= farthest
     near &= _nearest_of_frame(first.frame_of[chosen], index[rows, best], np.abs(found[rows, best]))
     index, following = index[rows, best], following[rows, best]
     lasting, tracks = _lasting(track_a[chosen][near], track_b[index][near])
     if lasting.sum() < LEAST_DETECTIONS:
         return None
-    speed = (0.5 * (velocity[index] + velocity[following]))[near][lasting]
-    own, other = first.pixels[chosen][near][lasting], pixels_b[rows, best][near][lasting]
-    distance = found[rows, best][near][lasting]
-    delay = _delays(first.camera, own) - _delays(second.camera, other)
-    if delay.any():  # rolling shutters: from the times of frames to those of rows
-        other = other + speed * delay[:, None]
-        distance = signed_distances(first.camera, second.camera, own, other)
-    return Partners(a, b, own, other, speed, distance, tracks[lasting])
+    own, index, following = chosen[near][lasting], index[near][lasting], following[near][lasting]
+    speed = 0.5 * (motion[b].velocity[index] + motion[b].velocity[following])
+    pixels_a, pixels_b = first.pixels[own], pixels_b[rows, best][near][lasting]
+    weight = passed[near][lasting][:, None]
+    places_b = (1.0 - weight) * motion[b].places[index] + weight * motion[b].places[following]
+    # rolling shutters: from the times of frames to those of rows
+    delay = speed * (_delays(first.camera, pixels_a) - _delays(second.camera, pixels_b))[:, None]
+    distance = signed_distances(first.camera, second.camera, pixels_a, pixels_b + delay)
+    sides = (
+        TrackMotion(motion[a].places[own], motion[a].velocity[own], track_a[own]),
+        TrackMotion(places_b + delay, speed, track_b[index]),
+    )
+    return Partners(a, b, sides, distance, tracks[lasting])
 
 
 def _nearest_of_frame(frames: Integers, others: Integers, distances: Array) -> NDArray[np.bool_]:

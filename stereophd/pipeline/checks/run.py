@@ -1,5 +1,6 @@
 """Run all checks of a log, a configuration and cameras that need no filter."""
 
+import math
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import numpy as np
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
-from stereophd.pipeline.checks.finding import Finding, is_overstated, warnings_of
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_overstated, warnings_of
 from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
@@ -26,19 +27,21 @@ QUICK_FRAMES = 400
 # Numbers near the largest may overflow: no finding follows from what is not finite.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def check_log(
-    loaded: LoadedConfig, log_path: Path | str, thorough: bool = True, cameras: tuple[Camera, ...] | None = None
-) -> tuple[Finding, ...]:
+    loaded: LoadedConfig, log_path: Path | str, thorough: bool = True, cameras: tuple[Camera, ...] | None = None,
+    from_s: float = -math.inf,
+) -> tuple[Finding, ...]:  # fmt: skip
     """Check whether a log fits the cameras and the settings of a configuration.
 
     Other cameras, such as calibrated ones, can take the place of those of the configuration. If `thorough`, more of the
-    log is read, and clock offsets are tried even where nothing is suspicious. Returns findings about the log alone,
-    about the geometry and about the settings, in this order. Raises InputError if the configuration has no cameras, the
-    log is not usable, or the known trajectory of a camera does not cover it.
+    log is read, and clock offsets are tried even where nothing is suspicious. Nothing before the time `from_s` is read.
+    Returns findings about the log alone, about the geometry and about the settings, in this order. Raises InputError if
+    the configuration has no cameras, the log is not usable, or the known trajectory of a camera does not cover it.
     """
     config, cameras = loaded.config, loaded.build_cameras() if cameras is None else cameras
-    reader = LogReader(log_path, cameras, "drop", float("inf"), leave_out=config.input.leave_out)
+    reader = LogReader(log_path, cameras, "drop", float("inf"), from_s, config.input.leave_out)
     most = MOST_FRAMES if thorough else QUICK_FRAMES
-    samples = sample_log(covered(cameras, reader, str(log_path)), cameras, most)
+    frames = (frame for frame in covered(cameras, reader, str(log_path)) if frame.time_s >= from_s)
+    samples = sample_log(frames, cameras, most)
     whole = sum(len(sample.times) for sample in samples) < most * len(cameras)
     # a noise that is not stated, or contradicted, is what it is about one-camera tracks, whatever poses and clocks are
     estimated = loaded.estimated_cameras
@@ -60,10 +63,15 @@ def check_log(
         return (*findings, Finding("geometry.rays", "not checked", why))
     geometry = measure(samples, expected_depths(config, samples), thorough)
     rays = [*check_geometry(geometry, thorough)]
-    blamed = {found.name for found in warnings_of((*findings, *rays))}
-    if "geometry.cause" not in blamed and config.object.shape == "point":
+    named = {found.cause for found in rays if found.name == "geometry.cause"}
+    if named <= {DO_NOT_MEET} and config.object.shape == "point":
         # the middle of a box is not the image of the middle of a body
-        rays += check_residuals(samples)
+        residuals = tuple(check_residuals(geometry))
+        if named and warnings_of(residuals):
+            # of rays that nearly meet they tell more than that some turn explains them
+            rays = [found for found in rays if found.name != "geometry.cause"]
+        rays += residuals
+    blamed = {found.name for found in warnings_of((*findings, *rays))}
     if warnings_of(tuple(rays)):
         # more noise than about one-camera tracks may be what keeps these rays together: less would only part them
         findings = [one for one in findings if not is_overstated(one)]

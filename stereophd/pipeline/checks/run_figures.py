@@ -1,6 +1,6 @@
 """Checks of a finished tracking run: is the log explained, by more than one camera; what was left out; detectors."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,11 @@ from stereophd.wording import instant, percent
 LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
 # Residuals over what the stated noise leads to expect, outside which the noise is wrong, and the fewest that show it.
 RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
-# Checks before the run whose warnings look like a knock.
+# Checks before the run whose warnings look like a knock, and causes among them that a knock looks like.
 LIKE_KNOCKS = ("detector.sigma", "geometry.cause", "geometry.residuals")
+OF_KNOCKS = ("pose_inaccurate", "detections_shifted")
+# Share of the rays that met before a knock which must meet again with another clock, to call it a jump of times.
+MET_AGAIN = 0.7
 # Frames of a camera from which unexplained detections are judged: against this many times the stated clutter, so many
 # standard errors, and this share of all detections, which tracks need to begin and to end.
 LEAST_FRAMES, CLUTTER_FACTOR, CLUTTER_ERRORS, LEAST_UNEXPLAINED = 30, 2.0, 4.0, 0.3
@@ -94,16 +97,22 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
             )  # fmt: skip
 
 
-def check_knocks(summary: Mapping[str, Any], before: tuple[Finding, ...]) -> Iterator[Finding]:
+def check_knocks(
+    summary: Mapping[str, Any], before: tuple[Finding, ...],
+    since: Callable[[float], tuple[Finding, ...]] = lambda time_s: (),
+) -> Iterator[Finding]:  # fmt: skip
     """Yield a warning for a camera that was knocked during the recording (``knocks`` of the figures of the run).
 
     A noise stated too small, a lens or a clock of these cameras, of which the checks `before` the run warn, looks like
-    a knock.
+    a knock. So do times that jump, as where frames were lost: the same checks, `since` a time, tell a clock that is off
+    from then on.
     """
     alike = [
         one for one in warnings_of(before)
-        if one.name in LIKE_KNOCKS and one.cause != "pose_inaccurate" and not is_overstated(one)
+        if one.name in LIKE_KNOCKS and one.cause not in OF_KNOCKS and not is_overstated(one)
     ]  # fmt: skip
+    rays = [one.value for one in before if one.name == "geometry.rays" and isinstance(one.value, float)]
+    met = float(np.mean(rays)) if rays else 0.0
     for knock in summary["knocks"]:
         doubts = [one.name for one in alike if one.camera in (None, knock["camera"], *knock["others"])]
         if doubts:
@@ -111,15 +120,28 @@ def check_knocks(summary: Mapping[str, Any], before: tuple[Finding, ...]) -> Ite
             yield Finding("tracking.knocked", "not checked", why)
             continue
         name, others = knock["camera"], "".join(f", or {other}" for other in knock["others"])
+        when = f"from {instant(knock['since_s'])} s on"
+        jumped = [
+            one for one in warnings_of(since(knock["time_s"]))
+            if one.cause == "clock_offset" and isinstance(one.expected, float)
+            and (one.name == "geometry.residuals" or one.expected >= MET_AGAIN * met)
+        ]  # fmt: skip
+        if jumped:
+            yield Finding(
+                "tracking.knocked", "warning",
+                f"the times of a camera jump {when}, as where frames were lost: after that {jumped[0].message}",
+                round(knock["since_s"], 3), None, None,
+                "import with the times of the frames, or with frame numbers that count the lost ones too",
+                "times_jump",
+            )  # fmt: skip
+            continue
         yield Finding(
             "tracking.knocked", "warning",
-            f"{name}{others}: from {instant(knock['since_s'])} s on its detections lie where a camera would see the "
-            f"tracks that is turned by about {knock['turn_deg']:.2g} degrees (noticed at {instant(knock['time_s'])} "
-            "s): it was knocked, or moved, or its times jump, as where frames were lost; tracks after that are "
-            "doubtful",
+            f"{name}{others}: {when} its detections lie where a camera would see the tracks that is turned by about "
+            f"{knock['turn_deg']:.2g} degrees (noticed at {instant(knock['time_s'])} s): it was knocked, or moved; "
+            "tracks after that are doubtful",
             round(knock["since_s"], 3), None, name,
-            f"calibrate cameras.{name} anew from the part of the log after that, and give it as poses with from_s; if "
-            "frames were lost, import with the times of the frames",
+            f"calibrate cameras.{name} anew from the part of the log after that, and give it as poses with from_s",
             "knocked",
         )  # fmt: skip
 

@@ -68,6 +68,30 @@ def test_times_without_frames(tmp_path: Path, imported: Import) -> None:
     ]
 
 
+def test_even_times_without_frame_numbers_tell_frames_without_detections(tmp_path: Path, imported: Import) -> None:
+    """Else a detector that misses half of the frames of one object would seem to miss nothing."""
+    rng = np.random.default_rng(1)
+    seen = np.flatnonzero(rng.random(400) < 0.5)
+    times = 0.02 * seen + rng.normal(0.0, 2e-4, len(seen))
+    source = write(tmp_path / "c.csv", "time_s,u_px,v_px\n" + "".join(f"{time:.5f},1,1\n" for time in times))
+    report, out = imported("csv", source)
+    rows = log_rows(out / "detections.parquet")
+    assert [row[2] for row in rows if row[3] is not None] == (seen - seen[0]).tolist()
+    assert [row[2] for row in rows] == list(range(seen[-1] - seen[0] + 1))
+    assert report["cameras"]["c"]["filled_frames"] == len(rows) - len(seen)
+    assert "every 0.02 s" in str(report["assumed"])
+    _, out = imported("csv", source, fill=False)
+    assert len(log_rows(out / "detections.parquet")) == len(seen)
+
+
+def test_uneven_times_without_frame_numbers_are_told(tmp_path: Path, imported: Import) -> None:
+    times = np.cumsum(np.random.default_rng(2).exponential(0.02, 200))
+    source = write(tmp_path / "c.csv", "time_s,u_px,v_px\n" + "".join(f"{time:.5f},1,1\n" for time in times))
+    report, _ = imported("csv", source)
+    assert report["cameras"]["c"]["filled_frames"] == 0
+    assert "estimated too high" in str(report["assumed"])
+
+
 def test_times_without_their_unit_get_a_plain_word(tmp_path: Path, imported: Import) -> None:
     """Nanoseconds of the epoch are no time; milliseconds agree with the frame rate that follows from them."""
     for name, start, factor in (("ns", 1_732_545_000_000, 1_000_000), ("ms", 0, 1)):

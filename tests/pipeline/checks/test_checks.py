@@ -138,6 +138,17 @@ def test_a_principal_point_of_another_resolution_is_scaled_alike(
     assert ("principal_point_resolution" in causes) == warned
 
 
+@pytest.mark.parametrize(("size", "warned"), [((600, 800), True), ((800, 600), False), ((1000, 300), False)])
+def test_an_image_whose_width_and_height_are_exchanged_is_named(
+    samples: list[CameraSample], size: tuple[int, int], warned: bool
+) -> None:
+    """Its pixels may all lie inside: objects keep to a part of the image."""
+    assert (samples[0].camera.width, samples[0].camera.height) == (800, 600)
+    wrong = _with(samples[:1], replace(samples[0].camera, width=size[0], height=size[1]))
+    causes = {found.cause for found in check_files(wrong) if found.status == "warning"}
+    assert ("width_height_exchanged" in causes) == warned
+
+
 MISTAKES = {
     "rotation_transposed": lambda c: _turned(c, c.pose.rotation.T),
     # what a negated rotation vector beside the right translation becomes

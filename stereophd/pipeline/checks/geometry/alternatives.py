@@ -12,7 +12,6 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.lens import PARAMETERS, Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET
 from stereophd.pipeline.checks.geometry.rays import Reading, unchanged
@@ -26,7 +25,6 @@ USUAL_FOCAL = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 1.9, 2.3)
 MILLIMETRES_BELOW = 0.2
 # Turns that are tried, degrees: what a pose that is off, or a mixture of errors, may explain as well as one mistake.
 TURNS_DEG = (1.0, -1.0, 2.0, -2.0, 4.0, -4.0, 8.0, -8.0)
-RADIAL = (-0.4, -0.3, -0.2, -0.1, -0.05, 0.05, 0.1, 0.2, 0.3)
 
 
 @dataclass(frozen=True)
@@ -117,18 +115,6 @@ def _in_pixels(camera: Camera, over_width: float) -> Camera | None:
     return _scaled(camera, over_width * camera.width / camera.fx, 1.0)
 
 
-def _negated(camera: Camera) -> Camera | None:
-    """Return the camera whose lens coefficients had the other sign."""
-    lens = camera.lens
-    if lens.model == "none":
-        return None
-    return replace(camera, lens=Lens(lens.model, **{name: -getattr(lens, name) for name in PARAMETERS[lens.model]}))
-
-
-def _with_radial(camera: Camera, k1: float) -> Camera | None:
-    return replace(camera, lens=Lens("radial", k1=k1)) if camera.lens.model == "none" else None
-
-
 def alternatives() -> Iterator[Alternative]:
     """Yield all alternatives, the likely ones first."""
     for cause, text, remedy, true_pose in POSES:
@@ -172,14 +158,6 @@ def alternatives() -> Iterator[Alternative]:
             "focal_length_millimetres", "the focal length seems to be in millimetres",
             "divide it by the pixel pitch: focal length [px] = focal length [mm] * image width [px] / sensor width "
             "[mm]", partial(_in_pixels, over_width=ratio),
-        )  # fmt: skip
-    yield Alternative(
-        "lens_sign", "the sign of the lens coefficients seems to be reversed", "negate the coefficients", _negated
-    )
-    for k1 in RADIAL:
-        yield Alternative(
-            "lens_missing", "the lens model seems to be missing", f"state the lens distortion (near k1 = {k1:g})",
-            partial(_with_radial, k1=k1),
         )  # fmt: skip
     for factor in UNIT_FACTORS:
         yield Alternative(

@@ -29,7 +29,7 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
     if geometry.pairs and (suspicious or thorough):
         explanation = best_explanation(geometry, thorough, clocks_only=not suspicious)
     # what is far off makes rays meet at a wide tolerance, which the remedy must not be compared with
-    if explanation is None and (suspicious or geometry.is_blurred()):
+    if explanation is None and suspicious:
         explanation = best_explanation(geometry, thorough, tolerances=SHARP)
     if explanation is not None:
         yield _named(geometry, explanation)
@@ -43,7 +43,7 @@ def check_geometry(geometry: Geometry, thorough: bool) -> Iterator[Finding]:
         status: Status = "ok"
         remedy = cause = None
         if explanation is not None and {pair.a, pair.b} & set(explanation.trial.scope):
-            status, text = "not checked", f"{text}; see geometry.cause"
+            status, text = "not checked", f"{text}; a cause is named"
         elif found.score < LEAST_SCORE and isinstance(why := _deficit(geometry, k), str):
             status, text = "not checked", f"{text}; {why}: not judged"
         elif found.score < CHANCE_SCORE and {pair.a, pair.b} & alone:

@@ -32,6 +32,8 @@ LEAST_OVERLAP = 0.05
 MOST_SHOWN, PLACE_RADIUS_PX = 5, 2.0
 # Difference of the logarithms of what the coordinates of a principal point are scaled by in another resolution.
 SCALED_ALIKE = 0.2
+# Parts of the image within which a principal point is in its middle, and from which on it is not.
+NEAR_CENTRE, FAR_FROM_CENTRE = 0.1, 0.25
 # Field of view of a lens, degrees.
 WIDEST_VIEW_DEG = 150.0
 
@@ -181,15 +183,21 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             camera.fx, None, camera.name, "state the focal length in pixels", "focal_length_millimetres",
         )  # fmt: skip
     # another resolution scales both alike; a cut image, or a long lens, has its principal point anywhere
-    centre = np.array([camera.cx / camera.width, camera.cy / camera.height])
+    size, middle = np.array([camera.width, camera.height]), np.array([camera.cx, camera.cy])
+    centre, exchanged = middle / size, middle / size[::-1]
     alike = (centre > 0.0).all() and abs(np.log(centre[0] / centre[1])) < SCALED_ALIKE
-    if alike and (np.abs(centre - 0.5) > 0.25).any():
+    cause = None
+    if (np.abs(exchanged - 0.5) < NEAR_CENTRE).all() and (np.abs(centre - 0.5) > NEAR_CENTRE).all():
+        cause, text = "width_height_exchanged", "width and height seem to be exchanged"
+        remedy = f"set cameras.{camera.name}.image_size_px to [{camera.height}, {camera.width}]"
+    elif alike and (np.abs(centre - 0.5) > FAR_FROM_CENTRE).any():
+        cause, text = "principal_point_resolution", "it seems to belong to another resolution"
+        remedy = "state cx and cy in pixels of this image size"
+    if cause is not None:
         yield Finding(
             "camera.principal_point", "warning",
             f"{camera.name}: the principal point ({camera.cx:g}, {camera.cy:g}) is far from the centre of the image: "
-            "it seems to belong to another resolution",
-            float(camera.cx), 0.5 * camera.width, camera.name, "state cx and cy in pixels of this image size",
-            "principal_point_resolution",
+            f"{text}", float(camera.cx), 0.5 * camera.width, camera.name, remedy, cause,
         )  # fmt: skip
 
 
