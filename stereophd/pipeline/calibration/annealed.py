@@ -132,7 +132,11 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
     seeds = CALIBRATION_PAIRING.seed(run.loaded.config.seed).spawn(count)
     starts: list[Start] = run.unfinished.read(kept, list[Start], {Motion: task.filter.motion}) or []
     new = range(len(starts), count)
-    if enough(starts, agreeing):
+
+    def is_done() -> bool:
+        return enough(starts, agreeing) or (bool(starts) and run.limit.is_over)
+
+    if is_done():
         return starts
     jobs = min(run.jobs, len(new))
     for start in _each((partial(run_start, task, place, values[place], seeds[place]) for place in new), jobs):
@@ -140,7 +144,7 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
         if not run.limit.is_over:  # one that the time has cut short is done again
             run.unfinished.keep(kept, list(starts))
         run.progress(len(starts), count)
-        if enough(starts, agreeing) or run.limit.is_over:
+        if is_done():
             break
     return starts
 

@@ -149,7 +149,7 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str, is_placed: bool = T
     frames = list(covered(parameters.cameras, stream.frames, stream.source))
     cameras, remarks = parameters.cameras, tuple[Remark, ...]()
     if not stream.has_noise:
-        cameras, remarks = _with_shown_noise(loaded, sample_log(frames, cameras, QUICK_FRAMES))
+        cameras, remarks = _with_shown_noise(sample_log(frames, cameras, QUICK_FRAMES))
     parameters = replace(parameters, cameras=cameras)
     recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
     if is_placed:
@@ -161,19 +161,16 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str, is_placed: bool = T
     )
 
 
-def _with_shown_noise(
-    loaded: LoadedConfig, samples: list[CameraSample]
-) -> tuple[tuple[Camera, ...], tuple[Remark, ...]]:
-    """Return the cameras with the noise that their tracks show beyond doubt, or is to be estimated, and what to say."""
+def _with_shown_noise(samples: list[CameraSample]) -> tuple[tuple[Camera, ...], tuple[Remark, ...]]:
+    """Return the cameras, with the noise that their tracks show beyond doubt where it is far more, and what to say."""
     cameras, remarks = [], []
     for sample in samples:
-        camera, noise, stated = sample.camera, sample.measured_noise_px, float(sample.camera.detector.sigma.mean())
-        is_far = sample.least_noise_px > SAID_FACTOR * stated
-        if noise is not None and (is_far or camera.name in loaded.estimated_cameras):
+        camera, stated = sample.camera, float(sample.camera.detector.sigma.mean())
+        if sample.measured_noise_px is not None and sample.noise_px and sample.noise_px[1] > SAID_FACTOR * stated:
+            noise = sample.noise_px[0]
             camera = camera.with_noise(noise)
-        if is_far:
-            text = f"{camera.name}: detections scatter by {noise:.2g} px about one-camera tracks: it was used in place"
-            remarks.append(Remark("noise", f"{text} of a sigma_px of {stated:g}"))
+            text = f"{camera.name}: detections scatter by {noise:.2g} px about one-camera tracks (or turn within three "
+            remarks.append(Remark("noise", f"{text}frames): it was used in place of a sigma_px of {stated:g}"))
         cameras.append(camera)
     return tuple(cameras), tuple(remarks)
 

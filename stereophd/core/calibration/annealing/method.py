@@ -111,7 +111,7 @@ class Believed:
 
     task: Task  # With the scale, the noise and the unknowns of the answer.
     answer: Fit  # The marginal optimum.
-    noise: Array  # Noise (c,) of each camera's detections over what is stated.
+    noise: Array  # Noise (c,) of each camera's detections over that of the camera.
     given_up: tuple[Suspicion, ...]  # Of statements that the data contradict, which were estimated.
     held: tuple[Suspicion, ...]  # Of the statements that the answer holds.
     doubtful: Array  # (m, k): Root of the covariance that the held statements add to that of the answer.
@@ -194,8 +194,8 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
     squares = float(squared_residuals(best.fit).mean())
     if squares > NOISE_AS_STATED:
         text = (
-            f"residuals were {np.sqrt(squares):.1f} times the stated noise before it was estimated: detector.sigma_px "
-            "is too small, or lenses, clocks or motion do not fit"
+            f"residuals were {np.sqrt(squares):.1f} times the expected noise before it was estimated: "
+            "detector.sigma_px is too small, or lenses, clocks or motion do not fit"
         )
         remarks += (Remark("noise", text, is_reservation=True),)
     if not is_sampled and (rival := rival_of(starts)) is not None:
@@ -341,8 +341,9 @@ def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
     """Return the task with what was contradicted among its unknowns, and the fit, which has it as it was stated.
 
-    What nobody has measured with it is unknown, too. The search for the marginal optimum begins there. The joint
-    optimum of all that runs away where objects manoeuvre, to a lens from which that search does not come back.
+    What nobody has measured with it is unknown, too. The search for the marginal optimum begins there, with the noise
+    of the motion as it is stated. The joint optimum of all that runs away where objects manoeuvre, to a lens from which
+    that search does not come back.
     """
     places = enlarged.unmeasured_with(suspicion.group)
     task = replace(task, parameters=enlarged.freed(task.parameters, places))
@@ -382,13 +383,13 @@ def is_far(noise: Array) -> Booleans:
 
 
 def noise_remarks(task: Task, noise: Array) -> tuple[Remark, ...]:
-    """Say where the noise of the detections is far from what is stated."""
+    """Say where the noise of the detections is far from that of the cameras."""
     sigma = [float(camera.detector.sigma.mean()) for camera in task.parameters.cameras]
     return tuple(
         Remark(
             "noise",
-            f"{camera.name}: the residuals show {factor:.2g} times the noise that is stated; {factor * px:.2g} px were "
-            f"used in place of a sigma_px of {px:g}",
+            f"{camera.name}: the residuals show {factor:.2g} times the noise that was expected; {factor * px:.2g} px "
+            f"were used in place of {px:.3g} px",
         )
         for camera, factor, px, said in zip(task.parameters.cameras, noise.tolist(), sigma, is_far(noise), strict=True)
         if said

@@ -92,11 +92,6 @@ class CameraSample:
         return max(self.noise_px[0], LEAST_MEASURED_PX)
 
     @property
-    def least_noise_px(self) -> float:
-        """The noise that one-camera tracks show beyond doubt, px; 0 where none shows."""
-        return 0.0 if self.noise_px is None or self.measured_noise_px is None else self.noise_px[1]
-
-    @property
     def detections_per_frame(self) -> float:
         """Mean number of detections of a frame."""
         return len(self.pixels) / max(1, len(self.times))

@@ -54,7 +54,7 @@ def test_starts_that_agree_are_trusted() -> None:
 def test_residuals_beyond_the_stated_noise_leave_a_reservation() -> None:
     why, (remark,) = doubt([start(0, 0.0, squared=8.0), start(1, 0.5, squared=8.0)])
     assert (why, remark.topic, remark.is_reservation) == ("", "noise", True)
-    assert remark.text.startswith("residuals were 2.0 times the stated noise")
+    assert remark.text.startswith("residuals were 2.0 times the expected noise")
 
 
 def test_a_best_start_that_stands_alone_is_doubted() -> None:
