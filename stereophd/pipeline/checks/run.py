@@ -71,6 +71,8 @@ def check_log(
             # of rays that nearly meet they tell more than that some turn explains them
             rays = [found for found in rays if found.name != "geometry.cause"]
         rays += residuals
+    if not warnings_of(tuple(rays)) and geometry.is_blurred():
+        rays = [*check_geometry(geometry, thorough, is_blurred=True)]
     blamed = {found.name for found in warnings_of((*findings, *rays))}
     if warnings_of(tuple(rays)):
         # more noise than about one-camera tracks may be what keeps these rays together: less would only part them

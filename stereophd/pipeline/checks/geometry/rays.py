@@ -252,7 +252,9 @@ SUSPICIOUS_SHARE, SUSPICIOUS_SCORE = 0.6, 4.0
 LEAST_SCORE = 6.0
 # Above this share of partners by chance, shifted times show nothing.
 MOST_CHANCE = 0.6
-# The tolerance at which alternatives are compared where none explains the log at those.
+# Rays that meet within one standard deviation over those that meet within three (0.68 if all is right), below which
+# something is slightly wrong, and the tolerance at which alternatives are then compared.
+SHARP_SHARE = 0.55
 SHARP = (1.0,)
 # Below this expected excess the fields of view of a pair hardly overlap, and the pair cannot be checked.
 LEAST_EXPECTED = 0.15
@@ -308,6 +310,12 @@ class Geometry:
         return found.score < SUSPICIOUS_SCORE or (
             expected >= LEAST_EXPECTED and found.excess < SUSPICIOUS_SHARE * expected
         )
+
+    def is_blurred(self) -> bool:
+        """Whether rays meet, but by less than the noise of the detections allows: something is slightly off."""
+        met = [k for k, given in enumerate(self.given) if given.score >= LEAST_SCORE]
+        tight, wide = ([self.given_at(k, tolerance).excess for k in met] for tolerance in (SHARP[0], TOLERANCES[0]))
+        return any(t < SHARP_SHARE * w for t, w in zip(tight, wide, strict=True))
 
 
 def pairs_of(count: int) -> list[tuple[int, int]]:
