@@ -26,8 +26,8 @@ predicted `MOST_WORK` times in the mean: so the work grows with tracks times eve
 are so much worse than stated that proposals never end.
 
 Objects that are thought more agile than they are follow a wrong detection as well as a right one. So the noise of the
-motion is then taken at that factor of what is stated, of `FACTORS`, at which the tracks are likeliest, as calibration
-takes what they show, and they choose once more.
+motion of each track is then taken at that factor of what is stated, of `FACTORS`, at which the track is likeliest, and
+they choose once more. One factor for all would make an agile object among resting ones far too certain.
 """
 
 from collections.abc import Iterator, Sequence
@@ -81,21 +81,21 @@ class Cut(NamedTuple):
 def choose_anew(tracks: Sequence[Chain], run: WholeRun) -> tuple[list[Chain], Booleans]:
     """Let smoothed tracks, over events from their first to their last, choose their detections anew.
 
-    No two have the same detection; the objects of the run move. Returns the same tracks, smoothed from their detections
-    at the noise of the motion that they show; and the events (r,) about which they still changed when the work that is
-    allowed there was done.
+    No two have the same detection; the objects of the run move. Returns the same tracks, each smoothed from its
+    detections at the noise of the motion that it shows; and the events (r,) about which they still changed when the
+    work that is allowed there was done.
     """
     motion = run.motion
     assert isinstance(motion, Accelerated)
     found, _ = _chosen(tracks, run)
     runs = [replace(run, motion=replace(motion, acceleration_std=factor * motion.noise_std)) for factor in FACTORS]
-    totals = [sum(replace(track, run=moved).ahead[2] for track in found) for moved in runs]
-    shown = runs[int(np.argmax(totals - 0.5 * (np.log(FACTORS) / FACTOR_STD) ** 2))]
-    return _chosen([replace(track, run=shown).smoothed() for track in found], shown)
+    prior = 0.5 * (np.log(FACTORS) / FACTOR_STD) ** 2
+    shown = [runs[int(np.argmax([replace(track, run=moved).ahead[2] for moved in runs] - prior))] for track in found]
+    return _chosen([replace(track, run=own).smoothed() for track, own in zip(found, shown, strict=True)], run)
 
 
 def _chosen(tracks: Sequence[Chain], run: WholeRun) -> tuple[list[Chain], Booleans]:
-    """Return what tracks choose at the noise of the motion of a run, and where the work ended, as `choose_anew`."""
+    """Return what tracks choose, each at the noise of its motion, and where the work ended, as `choose_anew`."""
     book = _Book(tracks, _owners(tracks, run), run)
     steps = np.concatenate([np.diff(run.times[run.looks == camera]) for camera in range(len(run.cameras))])
     interval = float(np.median(steps)) if len(steps) else 0.0
