@@ -25,9 +25,12 @@ from stereophd.pipeline.tracking.loop import Record
 PROBABLE = 0.5
 # Residuals computed at a time.
 BATCH = 2048
-# Residuals above this many times the median are those of wrong detections or of tracks that hardly know where they
-# are. They say nothing about the noise, and a few of them would outweigh all others.
+# Residuals that exceed what is expected by this many times the median excess are those of wrong detections or of tracks
+# that are elsewhere. They say nothing about the noise, and a few of them would outweigh all others.
 OUTLIER = 8.0
+# An estimate that was little more than its detection has next to no residual, which shows neither noise nor outliers:
+# one is judged if at least this share of the variance of the noise is expected of it.
+LEAST_EXPECTED = 0.1
 # Step of the derivatives of a projection, over the standard deviation of the position.
 DERIVATIVE_STEP = 0.1
 
@@ -44,9 +47,14 @@ def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> 
     return np.asarray(pixels - camera.project_at(states[:, :3] + delays[:, None] * states[:, 3:], times + delays))
 
 
-def are_usual(squares: Array) -> Booleans:
-    """Return whether each of these squares of residuals (n,) is that of none of the outliers."""
-    return np.asarray(squares <= OUTLIER**2 * np.median(squares) if len(squares) else squares > 0.0)
+def are_usual(squares: Array, expected: Array, noise: float) -> Booleans:
+    """Return whether each of these squares of residuals (n,) is that of none of the outliers, px^2.
+
+    Expected are those of `expected_squares`; the noise is the variance of a detection, both axes together.
+    """
+    least = LEAST_EXPECTED * noise
+    ratios, telling = squares / np.maximum(expected, least), expected >= least
+    return np.asarray(ratios <= (OUTLIER**2 * np.median(ratios[telling]) if telling.any() else np.inf))
 
 
 def expected_squares(camera: Camera, times: Array, states: Array, covariances: Array) -> Array:
@@ -73,6 +81,7 @@ class CameraSums:
     outside: int = 0  # Those that see nothing of the region, or are of tracks beside it
     explained: float = 0.0
     residuals: int = 0
+    outliers: int = 0
     total: Array = field(default_factory=lambda: np.zeros(2))
     # Squares of the residuals, and those that are expected. They are compared for points alone: the middle of a box is
     # not the image of the middle of a body, and its noise is a part of its size.
@@ -111,10 +120,11 @@ class CameraSums:
         usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
         found, expected = found[usable], expected[usable]
         squares = (found**2).sum(axis=1)
-        usual = are_usual(squares)
+        usual = are_usual(squares, expected, float((np.asarray(camera.detector.sigma) ** 2).sum()))
         found, squares = found[usual], squares[usual]
         self.expected += float(expected[usual].sum())
         self.residuals += len(found)
+        self.outliers += int((~usual).sum())
         self.total = self.total + found.sum(axis=0)
         self.squares += float(squares.sum())
         self.times, self.states, self.covariances, self.pixels = [], [], [], []
@@ -130,6 +140,7 @@ class CameraSums:
             "explained_detections": self.explained,
             "explained_share": finite_or_none(self.explained / self.detections) if self.detections else None,
             "residuals": count,
+            "outlier_share": self.outliers / (count + self.outliers) if count else None,
             # Root mean square of one axis.
             "residual_rms_px": float(np.sqrt(self.squares / (2 * count))) if count else None,
             # Over what the stated noise leads to expect of an estimate that has taken in the detection.

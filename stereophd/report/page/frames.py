@@ -10,8 +10,9 @@ from stereophd.core.bodies.outline import LOG_AXES, POSITION, STATE_SIZE, outlin
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.inspection.runs import Run
-from stereophd.pipeline.tracking.run_figures import PROBABLE, are_usual, residuals_px
+from stereophd.pipeline.tracking.run_figures import OUTLIER, PROBABLE, residuals_px
 from stereophd.report.page.columns import Paths, chosen, packed, paths_of
+from stereophd.report.summaries import tracking_part
 
 # A reprojected track further outside the image than this share of its size is not drawn.
 MARGIN = 0.1
@@ -89,16 +90,22 @@ def residuals(run: Run, paths: Paths, budget: int, start_s: float) -> list[dict[
     if by_camera is None:
         return None
     return [
-        {"t": packed(times - start_s), "u": packed(values[:, 0]), "v": packed(values[:, 1]), "track": packed(tracks)}
-        for times, values, tracks in by_camera
+        {
+            "t": packed(times - start_s),
+            "u": packed(values[:, 0]),
+            "v": packed(values[:, 1]),
+            "track": packed(tracks),
+            "outliers": outliers,
+        }
+        for times, values, tracks, outliers in by_camera
     ]
 
 
-def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Array, Integers]] | None:
+def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Array, Integers, int]] | None:
     """Return times (n,), residuals (n, 2) in px and tracks (n,) of every camera; None without associations or cameras.
 
     Only detections that belong to a track more probably than not are taken, at most `most` of each camera, evenly
-    spread, and of these no outliers.
+    spread; of these none beyond `OUTLIER` times the root mean square of the report, whose number stands last.
     """
     detections = run.associations
     if detections is None or not run.cameras:
@@ -106,7 +113,7 @@ def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Arr
     probable = np.flatnonzero(detections["probability"] > PROBABLE)
     place = {track_id: number for number, track_id in enumerate(paths.ids.tolist())}
     path = np.array([place.get(label, -1) for label in detections["track_id"][probable].tolist()], dtype=np.int64)
-    out = []
+    figures, out = tracking_part(run.report).get("cameras") or {}, []
     for camera in run.cameras:
         of_camera = (detections["camera"][probable] == camera.name) & (path >= 0)
         rows, owner = probable[of_camera], path[of_camera]
@@ -116,8 +123,9 @@ def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Arr
         pixels = np.column_stack([detections["u_px"][rows], detections["v_px"][rows]])
         values = residuals_px(camera, times, _states(paths, owner, times), pixels)
         known = np.flatnonzero(np.isfinite(values).all(axis=1))
-        known = known[are_usual((values[known] ** 2).sum(axis=1))]
-        out.append((times[known], values[known], owner[known]))
+        rms = figures.get(camera.name, {}).get("residual_rms_px") or np.inf
+        near = known[(values[known] ** 2).sum(axis=1) <= 2.0 * (OUTLIER * rms) ** 2]
+        out.append((times[near], values[near], owner[near], len(known) - len(near)))
     return out
 
 
