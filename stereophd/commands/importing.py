@@ -197,8 +197,8 @@ def _check(
             warn(f"camera {name}: all pixels lie between 0 and 1: they seem to be divided by the image size")
         if summary.pauses:
             recording.assumed.append(
-                f"{name}: nothing was recorded in {counted(summary.pauses, 'pause')}, {summary.paused_s:.4g} s in all, "
-                "which would have more frames than there are with detections: no empty frames are filled in there"
+                f"{name}: {counted(summary.pauses, 'pause')}, {summary.paused_s:.4g} s in all, would have more frames "
+                "than there are with detections: no empty frames are filled in there, as if nothing was recorded"
             )
         if summary.has_whole_times and rates[name] is None and 0.0 < (summary.rate_hz or 0.0) <= 1.0:
             warn(
@@ -234,12 +234,6 @@ def _camera_rows(
     cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary]
 ) -> dict[str, dict[str, Any]]:
     """Return the report's row of each camera."""
-    rows: dict[str, dict[str, Any]] = {}
-    for name in [*cameras, *(name for name in summaries if name not in cameras)]:
-        row: dict[str, Any] = {}
-        if name in summaries:
-            row = asdict(summaries[name])
-        if name in cameras:
-            row["image_size_px"] = list(cameras[name].image_size_px)
-        rows[name] = row
-    return rows
+    counts = {name: asdict(summary) for name, summary in summaries.items()}
+    sizes = {name: {"image_size_px": list(camera.image_size_px)} for name, camera in cameras.items()}
+    return {name: {**counts.get(name, {}), **sizes.get(name, {})} for name in {**cameras, **summaries}}

@@ -221,14 +221,13 @@ class _Camera:
 
     def _measure_stride(self) -> int:
         """Return the step of the frame numbers: the greatest that divides all differences; 1 of too few frames."""
-        stride, before, count = 0, None, 0
+        stride, count = 0, 0
+        last = np.empty(0, dtype=np.int64)
         for rows in read_rows(self._spool):
-            frames = np.unique(rows[:, FRAME]).astype(np.int64)
-            if before is not None:
-                stride = math.gcd(stride, int(frames[0] - before))
-            stride = math.gcd(stride, int(np.gcd.reduce(np.diff(frames)))) if len(frames) > 1 else stride
-            before = int(frames[-1])
-            count += len(frames)
+            frames = np.unique(np.append(last, rows[:, FRAME].astype(np.int64)))
+            stride = math.gcd(stride, int(np.gcd.reduce(np.diff(frames))))
+            count += len(frames) - len(last)
+            last = frames[-1:]
         return stride if stride and count >= LEAST_FRAMES_OF_A_STEP else 1
 
     def _measure_interval(self) -> tuple[float | None, int]:
@@ -253,7 +252,6 @@ class _Camera:
     def pieces(self) -> Iterator[Array]:
         """Yield the camera's rows as the log has them: whole frames, timed, without gaps, in order."""
         carry: Array | None = None
-        is_first = True
         for rows in read_rows(self._spool):
             if carry is not None:
                 rows = np.concatenate([carry, rows])
@@ -262,12 +260,11 @@ class _Camera:
             carry = rows[complete:]
             check_instant(len(carry), float(key[-1]), f"camera {self._name}")
             if complete:
-                yield self._finished(rows[:complete], is_first, False)
-                is_first = False
+                yield self._finished(rows[:complete], is_last=False)
         assert carry is not None
-        yield self._finished(carry, is_first, True)
+        yield self._finished(carry, is_last=True)
 
-    def _finished(self, rows: Array, is_first: bool, is_last: bool) -> Array:
+    def _finished(self, rows: Array, is_last: bool) -> Array:
         rows = self._timed(rows.copy())
         if LARGEST_TIME_S < (largest := float(np.abs(rows[:, TIME]).max())) < math.inf:
             raise InputError(f"camera {self._name}: expected times in seconds, found {largest:.4g}")
@@ -275,7 +272,7 @@ class _Camera:
         rows = _without_duplicates(rows)
         self._summary.duplicate_rows += count - len(rows)
         if self._fill and (self._spool.has_frames or self._interval_s is not None):
-            rows = self._filled(rows, is_first, is_last)
+            rows = self._filled(rows, is_last)
         self._last = rows[-1]
         self._summarise(rows)
         return rows
@@ -324,14 +321,14 @@ class _Camera:
     def _by_rate(self, frames: Array, rate: float) -> Array:
         return (frames - self._first_frame) / rate + self._offset
 
-    def _filled(self, rows: Array, is_first: bool, is_last: bool) -> Array:
+    def _filled(self, rows: Array, is_last: bool) -> Array:
         """Add a row for each frame that is missing after the last row before, between these, and at the ends."""
         known = rows if self._last is None else np.vstack([self._last, rows])
         frames, index = np.unique(known[:, FRAME], return_index=True)
         times = known[index, TIME]
         first, last = frames[0], frames[-1]
         if self._range is not None:
-            first = min(first, self._range[0]) if is_first else first
+            first = min(first, self._range[0]) if self._last is None else first
             last = max(last, self._range[1]) if is_last else last
         count = (last - first) / self._stride + 1
         if count > max(LARGEST_GROWTH * len(frames), FEW_FRAMES):

@@ -88,10 +88,8 @@ class CameraSums:
     squares: float = 0.0
     expected: float = 0.0
     of_points: bool = True
-    times: list[float] = field(default_factory=list)
-    states: list[Array] = field(default_factory=list)
-    covariances: list[Array] = field(default_factory=list)
-    pixels: list[Array] = field(default_factory=list)
+    # Time, state, covariance of the position and detection of residuals that wait to be computed.
+    waiting: list[tuple[float, Array, Array, Array]] = field(default_factory=list)
 
     def add(self, record: Record, sightings: Associated, camera: Camera) -> None:
         """Take in detections of this camera that tracks claim; those of the record's event have residuals."""
@@ -103,20 +101,19 @@ class CameraSums:
         ids = sightings.track_ids.tolist()
         for row in np.flatnonzero(sightings.probabilities > PROBABLE).tolist():
             if ids[row] in place:
-                self.times.append(record.time_s)
-                self.states.append(record.estimates.states[place[ids[row]]])
-                self.covariances.append(record.estimates.covariances[place[ids[row]], :3, :3])
-                self.pixels.append(sightings.pixels[row])
-        if len(self.times) >= BATCH:
+                track = place[ids[row]]
+                state, covariance = record.estimates.states[track], record.estimates.covariances[track, :3, :3]
+                self.waiting.append((record.time_s, state, covariance, sightings.pixels[row]))
+        if len(self.waiting) >= BATCH:
             self._compute(camera)
 
     def _compute(self, camera: Camera) -> None:
         """Compute the residuals that wait."""
-        if not self.times:
+        if not self.waiting:
             return
-        times, states = np.array(self.times), np.array(self.states)
-        found = residuals_px(camera, times, states, np.array(self.pixels))
-        expected = expected_squares(camera, times, states, np.array(self.covariances))
+        times, states, covariances, pixels = map(np.array, zip(*self.waiting, strict=True))
+        found = residuals_px(camera, times, states, pixels)
+        expected = expected_squares(camera, times, states, covariances)
         usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
         found, expected = found[usable], expected[usable]
         squares = (found**2).sum(axis=1)
@@ -127,7 +124,7 @@ class CameraSums:
         self.outliers += int((~usual).sum())
         self.total = self.total + found.sum(axis=0)
         self.squares += float(squares.sum())
-        self.times, self.states, self.covariances, self.pixels = [], [], [], []
+        self.waiting = []
 
     def report(self, camera: Camera) -> dict[str, Any]:
         """Return the figures for ``report.json``."""
@@ -307,14 +304,15 @@ class LastingTracks:
     def _without_short(self, record: Record) -> Record:
         least = self.min_length_s - same_time(record.time_s)
 
-        def lasts(track_ids: list[int]) -> list[bool]:
-            return [one in self.first and self.last[one] - self.first[one] >= least for one in track_ids]
+        def lasts(of: Estimates | Associated) -> Booleans:
+            ids = of.track_ids.tolist()
+            return np.array([i in self.first and self.last[i] - self.first[i] >= least for i in ids], dtype=bool)
 
         estimates, tentative = record.estimates, record.estimates.tentative
-        kept = np.array(lasts(estimates.track_ids.tolist()), dtype=bool)
+        kept = lasts(estimates)
         if tentative is not None:
-            tentative = tentative.take(np.array(lasts(tentative.track_ids.tolist()), dtype=bool))
-        rows = [(one, np.array(lasts(one.track_ids.tolist()), dtype=bool)) for one in record.associations]
+            tentative = tentative.take(lasts(tentative))
+        rows = [(one, lasts(one)) for one in record.associations]
         if not kept.all() or tentative is not None:
             estimates = replace(estimates.take(kept), tentative=tentative)
         return replace(

@@ -9,7 +9,7 @@ from stereophd.core.bodies.boxes import corners
 from stereophd.core.bodies.outline import LOG_AXES, POSITION, STATE_SIZE, outline_boxes
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
-from stereophd.pipeline.inspection.runs import Run
+from stereophd.pipeline.inspection.runs import Columns, Run
 from stereophd.pipeline.tracking.run_figures import OUTLIER, PROBABLE, residuals_px
 from stereophd.report.page.columns import Paths, chosen, packed, paths_of
 from stereophd.report.summaries import tracking_part
@@ -110,9 +110,7 @@ def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Arr
     detections = run.associations
     if detections is None or not run.cameras:
         return None
-    probable = np.flatnonzero(detections["probability"] > PROBABLE)
-    place = {track_id: number for number, track_id in enumerate(paths.ids.tolist())}
-    path = np.array([place.get(label, -1) for label in detections["track_id"][probable].tolist()], dtype=np.int64)
+    probable, path = _probable(detections, paths)
     figures, out = tracking_part(run.report).get("cameras") or {}, []
     for camera in run.cameras:
         of_camera = (detections["camera"][probable] == camera.name) & (path >= 0)
@@ -148,13 +146,18 @@ def paths_of_run(run: Run) -> Paths:
 
 def _owners(run: Run, paths: Paths) -> dict[tuple[str, int, float, float], int]:
     """Detection -> the track that it probably belongs to."""
-    detections = run.associations
-    if detections is None:
+    if run.associations is None:
         return {}
+    rows, path = _probable(run.associations, paths)
+    columns = [run.associations[name][rows].tolist() for name in ("camera", "frame", "u_px", "v_px")]
+    return dict(zip(zip(*columns, strict=True), path.tolist(), strict=True))
+
+
+def _probable(detections: Columns, paths: Paths) -> tuple[Integers, Integers]:
+    """Return the rows (n,) that belong to a track more probably than not, and the path of each; -1 for none."""
     rows = np.flatnonzero(detections["probability"] > PROBABLE)
     place = {track_id: number for number, track_id in enumerate(paths.ids.tolist())}
-    columns = [detections[name][rows].tolist() for name in ("camera", "frame", "u_px", "v_px", "track_id")]
-    return {(c, f, u, v): place.get(i, -1) for c, f, u, v, i in zip(*columns, strict=True)}
+    return rows, np.array([place.get(one, -1) for one in detections["track_id"][rows].tolist()], dtype=np.int64)
 
 
 def _tracks_at_a_time(paths: Paths) -> float:
@@ -171,11 +174,7 @@ def _reprojected(camera: Camera, paths: Paths, times: Array, up: Array) -> tuple
     """
     size = np.array([camera.width, camera.height])
     has_extents = "height" in paths.columns
-    ats, tracks, pixels = (
-        [np.empty(0, dtype=np.int64)],
-        [np.empty(0, dtype=np.int64)],
-        [np.empty((0, 6 if has_extents else 2))],
-    )
+    found = [np.empty((0, 8 if has_extents else 4))]
     for number in range(len(paths.ids)):
         positions = paths.at(number, times, ("x", "y", "z"))
         at = np.flatnonzero(np.isfinite(positions).all(axis=1))
@@ -189,12 +188,10 @@ def _reprojected(camera: Camera, paths: Paths, times: Array, up: Array) -> tuple
                 seen = np.concatenate([seen, _sides(frozen, positions[at[part]], extents[part], up)], axis=1)
             with np.errstate(invalid="ignore"):
                 inside = ((seen[:, :2] >= -MARGIN * size) & (seen[:, :2] <= (1.0 + MARGIN) * size)).all(axis=1)
-            ats.append(at[part][inside])
-            tracks.append(np.full(int(inside.sum()), number))
-            pixels.append(seen[inside])
-    at, track, pixel = np.concatenate(ats), np.concatenate(tracks), np.concatenate(pixels)
-    order = np.argsort(at, kind="stable")
-    return at[order], track[order], pixel[order]
+            found.append(np.column_stack([at[part], np.full(len(part), number), seen])[inside])
+    table = np.concatenate(found)
+    table = table[np.argsort(table[:, 0], kind="stable")]
+    return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:]
 
 
 def _sides(camera: Camera, positions: Array, extents: Array, up: Array) -> Array:

@@ -33,9 +33,8 @@ def test_the_share_that_is_left_out_is_reported() -> None:
     errors = rng.normal(size=(count, 2)) * np.asarray(camera.detector.sigma)
     errors[:300] += 50.0 * rng.normal(size=(300, 2))
     sums = CameraSums(frames=count, detections=count)
-    sums.times, sums.states = [0.0] * count, list(states)
-    sums.covariances = [1e-8 * np.eye(3)] * count
-    sums.pixels = list(camera.project_at(states[:, :3], np.zeros(count)) + errors)
+    pixels = camera.project_at(states[:, :3], np.zeros(count)) + errors
+    sums.waiting = [(0.0, state, 1e-8 * np.eye(3), pixel) for state, pixel in zip(states, pixels, strict=True)]
     report = sums.report(camera)
     left_out = round(report["outlier_share"] * count)
     assert 0.25 * count < left_out <= 0.3 * count
