@@ -247,12 +247,8 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
         tracks = tracking["tracks"]
         span = max((t["last_s"] for t in tracks), default=0.0) - min((t["first_s"] for t in tracks), default=0.0)
         count = len(tracks)
-        cameras = tracking.get("cameras") or {}
-        yield (
-            f"{counted(count, 'track')} in {number(span)} s from {counted(len(cameras), 'camera')}"
-            if count
-            else "No tracks"
-        )
+        cameras = counted(len(tracking.get("cameras") or {}), "camera")
+        yield f"{counted(count, 'track')} in {number(span)} s from {cameras}" if count else "No tracks"
         totals = fit_totals(tracking)
         if totals.explained is not None and count:
             yield f"they explain {share(totals.explained)} of {totals.detections:,} detections"

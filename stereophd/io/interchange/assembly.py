@@ -303,15 +303,12 @@ class _Camera:
                 f"camera {self._name}: expected times or `rates` (frames per second), found frame numbers only"
                 f"{self._untimed}"
             )
-        starts = np.flatnonzero(np.concatenate([[True], np.diff(rows[:, FRAME]) != 0]))
-        lengths = np.diff(np.append(starts, len(rows)))
-        rows[:, TIME] = np.repeat(rows[starts, TIME], lengths) + self._offset
-        times = rows[starts, TIME]
-        if self._last is not None:
-            times = np.append(self._last[TIME], times)
-        bad = np.flatnonzero(np.diff(times) <= 0)
+        _, starts, index = np.unique(rows[:, FRAME], return_index=True, return_inverse=True)
+        rows[:, TIME] = rows[starts[index], TIME] + self._offset
+        before = -np.inf if self._last is None else self._last[TIME]
+        bad = np.flatnonzero(np.diff(rows[starts, TIME], prepend=before) <= 0)
         if len(bad):
-            later = rows[starts[min(bad[0] + (self._last is None), len(starts) - 1)]]
+            later = rows[starts[bad[0]]]
             raise InputError(
                 f"camera {self._name}: expected times that increase with the frame number, found "
                 f"{instant(later[TIME], 9)} s at frame {later[FRAME]:.0f}, not after the frame before"
