@@ -35,7 +35,7 @@ from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.run import QUICK_FRAMES, report_findings
 from stereophd.pipeline.checks.run_figures import check_rows
 from stereophd.pipeline.inspection.cameras import summarise_cameras
-from stereophd.wording import LOGGER
+from stereophd.wording import LOGGER, counted, instant
 
 DETECTIONS_FILE, CAMERAS_FILE, REPORT_FILE = "detections.parquet", "cameras.yaml", "report.json"
 TRUTH_FILE = "truth.parquet"
@@ -193,11 +193,22 @@ def _check(
     for name, summary in summaries.items():
         if not summary.detections:
             warn(f"camera {name} has frames, but no detections")
-        if summary.rate_hz == 1.0 and rates[name] is None and (summary.first_s or 0.0).is_integer():
+        elif name not in recording.cameras and 1 < summary.detections == summary.in_unit_square:
+            warn(f"camera {name}: all pixels lie between 0 and 1: they seem to be divided by the image size")
+        if summary.pauses:
+            recording.assumed.append(
+                f"{name}: {counted(summary.pauses, 'pause')}, {summary.paused_s:.4g} s in all, would have more frames "
+                "than there are with detections: no empty frames are filled in there, as if nothing was recorded"
+            )
+        if summary.has_whole_times and rates[name] is None and 0.0 < (summary.rate_hz or 0.0) <= 1.0:
             warn(
-                f"camera {name}: times are whole numbers, 1 s apart: if they number the frames, read them as `columns` "
+                f"camera {name}: times are whole numbers of seconds: if they number the frames, read them as `columns` "
                 "frame=COLUMN, and state `rates`"
             )
+    spans = {name: (one.first_s or 0.0, one.last_s or 0.0) for name, one in summaries.items()}
+    if spans and not recording.cameras and max(spans.values())[0] > min(last for _, last in spans.values()):
+        listed = ", ".join(f"{name} {instant(first)} to {instant(last)} s" for name, (first, last) in spans.items())
+        warn(f"the cameras have no time in common ({listed}): check rates, offsets and the unit of times")
 
 
 def _check_files(
@@ -223,12 +234,6 @@ def _camera_rows(
     cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary]
 ) -> dict[str, dict[str, Any]]:
     """Return the report's row of each camera."""
-    rows: dict[str, dict[str, Any]] = {}
-    for name in [*cameras, *(name for name in summaries if name not in cameras)]:
-        row: dict[str, Any] = {}
-        if name in summaries:
-            row = asdict(summaries[name])
-        if name in cameras:
-            row["image_size_px"] = list(cameras[name].image_size_px)
-        rows[name] = row
-    return rows
+    counts = {name: asdict(summary) for name, summary in summaries.items()}
+    sizes = {name: {"image_size_px": list(camera.image_size_px)} for name, camera in cameras.items()}
+    return {name: {**counts.get(name, {}), **sizes.get(name, {})} for name in {**cameras, **summaries}}

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from stereophd.pipeline.checks.run_figures import MOST_OUTLIERS
 from stereophd.report.tables import CHECKS, SummaryTable, table_text
 from stereophd.wording import counted, number, percent
 
@@ -50,6 +51,7 @@ class FitTotals(NamedTuple):
     explained: float | None  # Share of the detections
     residual_px: float | None  # Root mean square of one axis
     ratio: float | None  # Of the residuals to what the noise leads to expect
+    outliers: float  # The largest share of a camera's residuals that is left out
 
 
 def fit_totals(tracking: Mapping[str, Any]) -> FitTotals:
@@ -64,7 +66,14 @@ def fit_totals(tracking: Mapping[str, Any]) -> FitTotals:
         # products of floats that are too large are infinite; powers would raise
         return (sum(n * value * value for n, value in known) / residuals) ** 0.5 if known and residuals else None
 
-    return FitTotals(detections, explained, rms("residual_rms_px"), rms("residual_ratio"))
+    outliers = max((camera.get("outlier_share") or 0.0 for camera in cameras), default=0.0)
+    return FitTotals(detections, explained, rms("residual_rms_px"), rms("residual_ratio"), outliers)
+
+
+def residual_text(rms_px: float | None, outliers: float | None, unit: str = "") -> str:
+    """Return the root mean square of residuals, and the share that is left out of it where that is large."""
+    left_out = f" ({percent(outliers)} left out)" if outliers is not None and outliers > MOST_OUTLIERS else ""
+    return f"{number(rms_px, 2)}{unit}{left_out}"
 
 
 def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN) -> list[SummaryTable]:
@@ -164,7 +173,7 @@ def _cameras(
                 str(camera["detections"]),
                 number(a_frame, 2),
                 share(camera["explained_share"]),
-                number(camera["residual_rms_px"], 2),
+                residual_text(camera["residual_rms_px"], camera.get("outlier_share")),
                 "-" if mean is None else f"{mean[0]:+.2f}, {mean[1]:+.2f}",
                 " x ".join(dict.fromkeys(number(s, 2) for s in detector.get("sigma_px") or ())) or "-",
                 clocks.get(name, "-"),
@@ -238,18 +247,14 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
         tracks = tracking["tracks"]
         span = max((t["last_s"] for t in tracks), default=0.0) - min((t["first_s"] for t in tracks), default=0.0)
         count = len(tracks)
-        cameras = tracking.get("cameras") or {}
-        yield (
-            f"{counted(count, 'track')} in {number(span)} s from {counted(len(cameras), 'camera')}"
-            if count
-            else "No tracks"
-        )
+        cameras = counted(len(tracking.get("cameras") or {}), "camera")
+        yield f"{counted(count, 'track')} in {number(span)} s from {cameras}" if count else "No tracks"
         totals = fit_totals(tracking)
         if totals.explained is not None and count:
             yield f"they explain {share(totals.explained)} of {totals.detections:,} detections"
             if totals.residual_px is not None:
                 of_noise = "" if totals.ratio is None else f", {totals.ratio:.2f} times what the noise leads to expect"
-                yield f"residual {number(totals.residual_px, 2)} px{of_noise}"
+                yield f"residual {residual_text(totals.residual_px, totals.outliers, ' px')}{of_noise}"
     if evaluation is not None:
         ospa = evaluation["ospa"]
         scale = f" {unit}" if ospa["base"] == "euclidean" else ""

@@ -7,6 +7,8 @@ import gzip
 import io
 import os
 import resource
+import signal
+import threading
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -24,6 +26,8 @@ from stereophd.io import documents
 
 # Beyond what this process has: far more than a command takes, and far less than what these documents expand to.
 MOST_CPU_S, MOST_MEMORY_BYTES = 20, 3_000_000_000
+# A fork that waits for a thread which it does not have takes no time of the processor.
+MOST_WALL_S = 300
 
 ALIASES = "a: &a [1,2,3,4,5,6,7,8,9]\n" + "".join(
     f"{b}: &{b} [{','.join(9 * [f'*{a}'])}]\n" for a, b in zip("abcdefgh", "bcdefghi", strict=True)
@@ -106,6 +110,8 @@ def run_bounded(words: list[str], said: Path) -> int:
     if pid == 0:
         code = 3
         try:
+            signal.signal(signal.SIGALRM, signal.SIG_DFL)
+            signal.alarm(MOST_WALL_S)
             resource.setrlimit(resource.RLIMIT_CPU, (MOST_CPU_S, MOST_CPU_S))
             resource.setrlimit(resource.RLIMIT_AS, (most_memory, most_memory))
             with said.open("w") as stream, contextlib.redirect_stderr(stream):
@@ -113,6 +119,12 @@ def run_bounded(words: list[str], said: Path) -> int:
         finally:
             os._exit(code)
     return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+
+
+def test_a_command_that_never_ends_is_ended(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(f"{__name__}.MOST_WALL_S", 1)
+    monkeypatch.setattr(f"{__name__}.run", lambda words: threading.Event().wait())
+    assert run_bounded([], tmp_path / "said") == -signal.SIGALRM
 
 
 @pytest.mark.parametrize("name", HARMFUL)

@@ -42,6 +42,7 @@ class Spool:
     last: float = -math.inf
     in_order: bool = True
     has_frames: bool = True
+    has_whole_times: bool = True
 
     def discard(self) -> None:
         """Close the file and remove it."""
@@ -90,6 +91,7 @@ def _append(spool: Spool, piece: Piece) -> None:
     if (np.abs(identities[~np.isnan(identities)]) > MAX_FRAME).any():
         raise InputError(f"camera {piece.camera}: expected whole identities of objects, found one beyond 2^53")
     spool.has_frames &= piece.frame is not None
+    spool.has_whole_times &= bool((rows[:, TIME] % 1.0 == 0.0).all())
     key: Array = rows[:, FRAME] if spool.has_frames else rows[:, TIME]
     if not np.isfinite(key).all():
         what = "frame numbers" if spool.has_frames else "times"
@@ -142,7 +144,12 @@ class CameraSummary:
     duplicate_rows: int = 0
     first_s: float | None = None
     last_s: float | None = None
-    rate_hz: float | None = None
+    rate_hz: float | None = None  # Without the pauses
+    has_whole_times: bool = False  # In the source
+    in_unit_square: int = 0  # Detections whose pixels lie between 0 and 1
+    # `pauses`, `paused_s`: Gaps in even times that are no frames without detections, and how long they last together.
+    pauses: int = 0
+    paused_s: float = 0.0
 
 
 def write_native_log(
@@ -182,6 +189,7 @@ class _Camera:
         self, name: str, spool: Spool, recording: ForeignRecording, options: ImportOptions, summary: CameraSummary
     ) -> None:
         self._name, self._spool, self._summary = name, spool, summary
+        summary.has_whole_times = spool.has_whole_times
         stated = options.rates.get(name)
         self._rate = stated if stated is not None else recording.rates.get(name)
         if self._rate is not None and not 0.0 < self._rate < math.inf:
@@ -198,7 +206,7 @@ class _Camera:
         if not options.fill and options.frames.get(name):
             raise InputError("`frames`: expected `fill`, which adds the frames without rows, found it turned off")
         self._stride = self._measure_stride() if spool.has_frames else 1
-        self._interval_s = None if spool.has_frames or not self._fill else self._measure_interval()
+        self._interval_s, self._longest_gap = self._measure_interval()
         if self._interval_s is not None:
             recording.assumed.append(
                 f"{name}: frames come every {self._interval_s:.4g} s, and have no detection where the source has none: "
@@ -213,31 +221,37 @@ class _Camera:
 
     def _measure_stride(self) -> int:
         """Return the step of the frame numbers: the greatest that divides all differences; 1 of too few frames."""
-        stride, before, count = 0, None, 0
+        stride, count = 0, 0
+        last = np.empty(0, dtype=np.int64)
         for rows in read_rows(self._spool):
-            frames = np.unique(rows[:, FRAME]).astype(np.int64)
-            if before is not None:
-                stride = math.gcd(stride, int(frames[0] - before))
-            stride = math.gcd(stride, int(np.gcd.reduce(np.diff(frames)))) if len(frames) > 1 else stride
-            before = int(frames[-1])
-            count += len(frames)
+            frames = np.unique(np.append(last, rows[:, FRAME].astype(np.int64)))
+            stride = math.gcd(stride, int(np.gcd.reduce(np.diff(frames))))
+            count += len(frames) - len(last)
+            last = frames[-1:]
         return stride if stride and count >= LEAST_FRAMES_OF_A_STEP else 1
 
-    def _measure_interval(self) -> float | None:
-        """Return the interval of frames that have times only, s; None where their times are uneven, or few."""
+    def _measure_interval(self) -> tuple[float | None, int]:
+        """Return the interval of frames that have times only, s; None where their times are uneven, or few.
+
+        Also the longest step that misses may explain, in intervals: as many as there are frames with detections. In a
+        longer one nobody knows whether the camera looked.
+        """
+        if self._spool.has_frames or not self._fill:
+            return None, 0
         rows = next(read_rows(self._spool))
         steps = np.diff(np.unique(rows[:, TIME]))
         if len(steps) < LEAST_FRAMES_OF_A_STEP:
-            return None
+            return None, 0
         shortest = float(np.quantile(steps, SHORT_STEP))
         count = np.rint(steps / shortest)
-        even = np.abs(steps / shortest - count) < EVEN_PART
-        return float(steps[even].sum() / count[even].sum()) if even.mean() >= EVEN_SHARE else None
+        within = count <= len(steps)
+        even = within & (np.abs(steps / shortest - count) < EVEN_PART)
+        is_even = even.sum() >= EVEN_SHARE * within.sum()
+        return (float(steps[even].sum() / count[even].sum()) if is_even else None), len(steps)
 
     def pieces(self) -> Iterator[Array]:
         """Yield the camera's rows as the log has them: whole frames, timed, without gaps, in order."""
         carry: Array | None = None
-        is_first = True
         for rows in read_rows(self._spool):
             if carry is not None:
                 rows = np.concatenate([carry, rows])
@@ -246,12 +260,11 @@ class _Camera:
             carry = rows[complete:]
             check_instant(len(carry), float(key[-1]), f"camera {self._name}")
             if complete:
-                yield self._finished(rows[:complete], is_first, False)
-                is_first = False
+                yield self._finished(rows[:complete], is_last=False)
         assert carry is not None
-        yield self._finished(carry, is_first, True)
+        yield self._finished(carry, is_last=True)
 
-    def _finished(self, rows: Array, is_first: bool, is_last: bool) -> Array:
+    def _finished(self, rows: Array, is_last: bool) -> Array:
         rows = self._timed(rows.copy())
         if LARGEST_TIME_S < (largest := float(np.abs(rows[:, TIME]).max())) < math.inf:
             raise InputError(f"camera {self._name}: expected times in seconds, found {largest:.4g}")
@@ -259,7 +272,7 @@ class _Camera:
         rows = _without_duplicates(rows)
         self._summary.duplicate_rows += count - len(rows)
         if self._fill and (self._spool.has_frames or self._interval_s is not None):
-            rows = self._filled(rows, is_first, is_last)
+            rows = self._filled(rows, is_last)
         self._last = rows[-1]
         self._summarise(rows)
         return rows
@@ -271,7 +284,13 @@ class _Camera:
             times, index = np.unique(rows[:, TIME], return_inverse=True)
             before, number = (times[0], 0.0) if self._last is None else (self._last[TIME], self._last[FRAME])
             steps = np.diff(times, prepend=before)
-            count = steps > 0.0 if self._interval_s is None else np.rint(steps / self._interval_s).clip(steps > 0.0)
+            count = (steps > 0.0).astype(np.float64)
+            if self._interval_s is not None:
+                count = np.rint(steps / self._interval_s).clip(count)
+                pauses = count > self._longest_gap
+                count[pauses] = 1.0
+                self._summary.pauses += int(pauses.sum())
+                self._summary.paused_s += float(steps[pauses].sum())
             rows[:, FRAME] = number + np.cumsum(count)[index]
             return rows
         has_times = np.isfinite(rows[:, TIME]).all()
@@ -284,15 +303,12 @@ class _Camera:
                 f"camera {self._name}: expected times or `rates` (frames per second), found frame numbers only"
                 f"{self._untimed}"
             )
-        starts = np.flatnonzero(np.concatenate([[True], np.diff(rows[:, FRAME]) != 0]))
-        lengths = np.diff(np.append(starts, len(rows)))
-        rows[:, TIME] = np.repeat(rows[starts, TIME], lengths) + self._offset
-        times = rows[starts, TIME]
-        if self._last is not None:
-            times = np.append(self._last[TIME], times)
-        bad = np.flatnonzero(np.diff(times) <= 0)
+        _, starts, index = np.unique(rows[:, FRAME], return_index=True, return_inverse=True)
+        rows[:, TIME] = rows[starts[index], TIME] + self._offset
+        before = -np.inf if self._last is None else self._last[TIME]
+        bad = np.flatnonzero(np.diff(rows[starts, TIME], prepend=before) <= 0)
         if len(bad):
-            later = rows[starts[min(bad[0] + (self._last is None), len(starts) - 1)]]
+            later = rows[starts[bad[0]]]
             raise InputError(
                 f"camera {self._name}: expected times that increase with the frame number, found "
                 f"{instant(later[TIME], 9)} s at frame {later[FRAME]:.0f}, not after the frame before"
@@ -302,14 +318,14 @@ class _Camera:
     def _by_rate(self, frames: Array, rate: float) -> Array:
         return (frames - self._first_frame) / rate + self._offset
 
-    def _filled(self, rows: Array, is_first: bool, is_last: bool) -> Array:
+    def _filled(self, rows: Array, is_last: bool) -> Array:
         """Add a row for each frame that is missing after the last row before, between these, and at the ends."""
         known = rows if self._last is None else np.vstack([self._last, rows])
         frames, index = np.unique(known[:, FRAME], return_index=True)
         times = known[index, TIME]
         first, last = frames[0], frames[-1]
         if self._range is not None:
-            first = min(first, self._range[0]) if is_first else first
+            first = min(first, self._range[0]) if self._last is None else first
             last = max(last, self._range[1]) if is_last else last
         count = (last - first) / self._stride + 1
         if count > max(LARGEST_GROWTH * len(frames), FEW_FRAMES):
@@ -351,9 +367,11 @@ class _Camera:
         summary.detections += int((~is_empty).sum())
         summary.first_s = float(rows[0, TIME]) if summary.first_s is None else summary.first_s
         summary.last_s = float(rows[-1, TIME])
-        if summary.frames > 1 and summary.last_s > summary.first_s:
+        summary.in_unit_square += int(((rows[:, U : V + 1] >= 0.0) & (rows[:, U : V + 1] <= 1.0)).all(axis=1).sum())
+        lasted, steps = summary.last_s - summary.first_s - summary.paused_s, summary.frames - 1 - summary.pauses
+        if steps > 0 and lasted > 0.0:
             # without the round-off of the times, which files of cameras would show
-            summary.rate_hz = float(f"{(summary.frames - 1) / (summary.last_s - summary.first_s):.12g}")
+            summary.rate_hz = float(f"{steps / lasted:.12g}")
 
 
 def _without_duplicates(rows: Array) -> Array:

@@ -14,6 +14,8 @@ from stereophd.wording import instant, percent
 LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
 # Residuals over what the stated noise leads to expect, outside which the noise is wrong, and the fewest that show it.
 RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
+# Share of the residuals from which it matters that these are left out as outliers.
+MOST_OUTLIERS = 0.1
 # Checks before the run whose warnings look like a knock, and causes among them that a knock looks like.
 LIKE_KNOCKS = ("detector.sigma", "geometry.cause", "geometry.residuals")
 OF_KNOCKS = ("pose_inaccurate", "detections_shifted")
@@ -151,6 +153,8 @@ def check_noise(
 ) -> Iterator[Finding]:
     """Yield a finding for every camera: do the residuals of the tracks have the size that the stated noise promises?
 
+    Before it a warning where many are left out as outliers.
+
     Of the figures of the run, as in ``report.json``, ``cameras`` are used. With `noise_in_log` the log states the noise
     of every detection, so that the detectors state none. Tracks break where the stated noise is too small, and their
     residuals say little of it: the checks `before` the run measured it about one-camera tracks.
@@ -158,7 +162,14 @@ def check_noise(
     measured = {one.camera: one.expected for one in before if one.name == "detector.sigma" and one.expected}
     for camera in cameras:
         figures = summary["cameras"][camera.name]
-        ratio, name = figures["residual_ratio"], camera.name
+        ratio, name, outliers = figures["residual_ratio"], camera.name, figures["outlier_share"] or 0.0
+        if figures["residuals"] >= LEAST_RESIDUALS and outliers > MOST_OUTLIERS:
+            yield Finding(
+                "tracking.outliers", "warning",
+                f"{name}: {percent(outliers)} of the residuals are far beyond all others, and left out of their "
+                "figures: tracks take false detections, or those of other objects", round(outliers, 3), MOST_OUTLIERS,
+                name, "look at the residuals in the report, at the clutter and at motion.acceleration_std", "outliers",
+            )  # fmt: skip
         if noise_in_log or ratio is None or figures["residuals"] < LEAST_RESIDUALS:
             why = "the log states the noise" if noise_in_log else "too few detections of tracks"
             yield Finding("tracking.noise", "not checked", f"{name}: {why}", camera=name)

@@ -78,6 +78,7 @@ class _CameraFigures(TypedDict):
     residual_rms_px: float | None
     residual_mean_px: tuple[float, float] | None
     residual_ratio: NotRequired[float | None]
+    outlier_share: NotRequired[float | None]
 
 
 class _TrackFigures(TypedDict):

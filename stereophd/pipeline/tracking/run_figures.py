@@ -25,9 +25,12 @@ from stereophd.pipeline.tracking.loop import Record
 PROBABLE = 0.5
 # Residuals computed at a time.
 BATCH = 2048
-# Residuals above this many times the median are those of wrong detections or of tracks that hardly know where they
-# are. They say nothing about the noise, and a few of them would outweigh all others.
+# Residuals that exceed what is expected by this many times the median excess are those of wrong detections or of tracks
+# that are elsewhere. They say nothing about the noise, and a few of them would outweigh all others.
 OUTLIER = 8.0
+# An estimate that was little more than its detection has next to no residual, which shows neither noise nor outliers:
+# one is judged if at least this share of the variance of the noise is expected of it.
+LEAST_EXPECTED = 0.1
 # Step of the derivatives of a projection, over the standard deviation of the position.
 DERIVATIVE_STEP = 0.1
 
@@ -44,9 +47,14 @@ def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> 
     return np.asarray(pixels - camera.project_at(states[:, :3] + delays[:, None] * states[:, 3:], times + delays))
 
 
-def are_usual(squares: Array) -> Booleans:
-    """Return whether each of these squares of residuals (n,) is that of none of the outliers."""
-    return np.asarray(squares <= OUTLIER**2 * np.median(squares) if len(squares) else squares > 0.0)
+def are_usual(squares: Array, expected: Array, noise: float) -> Booleans:
+    """Return whether each of these squares of residuals (n,) is that of none of the outliers, px^2.
+
+    Expected are those of `expected_squares`; the noise is the variance of a detection, both axes together.
+    """
+    least = LEAST_EXPECTED * noise
+    ratios, telling = squares / np.maximum(expected, least), expected >= least
+    return np.asarray(ratios <= (OUTLIER**2 * np.median(ratios[telling]) if telling.any() else np.inf))
 
 
 def expected_squares(camera: Camera, times: Array, states: Array, covariances: Array) -> Array:
@@ -73,16 +81,15 @@ class CameraSums:
     outside: int = 0  # Those that see nothing of the region, or are of tracks beside it
     explained: float = 0.0
     residuals: int = 0
+    outliers: int = 0
     total: Array = field(default_factory=lambda: np.zeros(2))
     # Squares of the residuals, and those that are expected. They are compared for points alone: the middle of a box is
     # not the image of the middle of a body, and its noise is a part of its size.
     squares: float = 0.0
     expected: float = 0.0
     of_points: bool = True
-    times: list[float] = field(default_factory=list)
-    states: list[Array] = field(default_factory=list)
-    covariances: list[Array] = field(default_factory=list)
-    pixels: list[Array] = field(default_factory=list)
+    # Time, state, covariance of the position and detection of residuals that wait to be computed.
+    waiting: list[tuple[float, Array, Array, Array]] = field(default_factory=list)
 
     def add(self, record: Record, sightings: Associated, camera: Camera) -> None:
         """Take in detections of this camera that tracks claim; those of the record's event have residuals."""
@@ -94,30 +101,30 @@ class CameraSums:
         ids = sightings.track_ids.tolist()
         for row in np.flatnonzero(sightings.probabilities > PROBABLE).tolist():
             if ids[row] in place:
-                self.times.append(record.time_s)
-                self.states.append(record.estimates.states[place[ids[row]]])
-                self.covariances.append(record.estimates.covariances[place[ids[row]], :3, :3])
-                self.pixels.append(sightings.pixels[row])
-        if len(self.times) >= BATCH:
+                track = place[ids[row]]
+                state, covariance = record.estimates.states[track], record.estimates.covariances[track, :3, :3]
+                self.waiting.append((record.time_s, state, covariance, sightings.pixels[row]))
+        if len(self.waiting) >= BATCH:
             self._compute(camera)
 
     def _compute(self, camera: Camera) -> None:
         """Compute the residuals that wait."""
-        if not self.times:
+        if not self.waiting:
             return
-        times, states = np.array(self.times), np.array(self.states)
-        found = residuals_px(camera, times, states, np.array(self.pixels))
-        expected = expected_squares(camera, times, states, np.array(self.covariances))
+        times, states, covariances, pixels = map(np.array, zip(*self.waiting, strict=True))
+        found = residuals_px(camera, times, states, pixels)
+        expected = expected_squares(camera, times, states, covariances)
         usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
         found, expected = found[usable], expected[usable]
         squares = (found**2).sum(axis=1)
-        usual = are_usual(squares)
+        usual = are_usual(squares, expected, float((np.asarray(camera.detector.sigma) ** 2).sum()))
         found, squares = found[usual], squares[usual]
         self.expected += float(expected[usual].sum())
         self.residuals += len(found)
+        self.outliers += int((~usual).sum())
         self.total = self.total + found.sum(axis=0)
         self.squares += float(squares.sum())
-        self.times, self.states, self.covariances, self.pixels = [], [], [], []
+        self.waiting = []
 
     def report(self, camera: Camera) -> dict[str, Any]:
         """Return the figures for ``report.json``."""
@@ -130,6 +137,7 @@ class CameraSums:
             "explained_detections": self.explained,
             "explained_share": finite_or_none(self.explained / self.detections) if self.detections else None,
             "residuals": count,
+            "outlier_share": self.outliers / (count + self.outliers) if count else None,
             # Root mean square of one axis.
             "residual_rms_px": float(np.sqrt(self.squares / (2 * count))) if count else None,
             # Over what the stated noise leads to expect of an estimate that has taken in the detection.
@@ -296,14 +304,15 @@ class LastingTracks:
     def _without_short(self, record: Record) -> Record:
         least = self.min_length_s - same_time(record.time_s)
 
-        def lasts(track_ids: list[int]) -> list[bool]:
-            return [one in self.first and self.last[one] - self.first[one] >= least for one in track_ids]
+        def lasts(of: Estimates | Associated) -> Booleans:
+            ids = of.track_ids.tolist()
+            return np.array([i in self.first and self.last[i] - self.first[i] >= least for i in ids], dtype=bool)
 
         estimates, tentative = record.estimates, record.estimates.tentative
-        kept = np.array(lasts(estimates.track_ids.tolist()), dtype=bool)
+        kept = lasts(estimates)
         if tentative is not None:
-            tentative = tentative.take(np.array(lasts(tentative.track_ids.tolist()), dtype=bool))
-        rows = [(one, np.array(lasts(one.track_ids.tolist()), dtype=bool)) for one in record.associations]
+            tentative = tentative.take(lasts(tentative))
+        rows = [(one, lasts(one)) for one in record.associations]
         if not kept.all() or tentative is not None:
             estimates = replace(estimates.take(kept), tentative=tentative)
         return replace(

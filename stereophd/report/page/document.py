@@ -14,7 +14,7 @@ from stereophd.errors import InputError
 from stereophd.io.outputs.json_text import plain
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.data import run_data
-from stereophd.report.summaries import fit_totals, run_tables, share, tracking_part, verdict
+from stereophd.report.summaries import fit_totals, residual_text, run_tables, share, tracking_part, verdict
 from stereophd.report.tables import CHECKS, SummaryTable
 from stereophd.wording import number
 
@@ -91,7 +91,8 @@ def _figures(run: Run) -> Iterator[tuple[str, str | None]]:
     yield "estimates", str(tracking["estimates"]) if "estimates" in tracking else None
     yield "detections", str(totals.detections) if tracking.get("cameras") else None
     yield "explained", None if totals.explained is None else share(totals.explained)
-    yield "residual", None if totals.residual_px is None else f"{number(totals.residual_px, 2)} px"
+    known = totals.residual_px is not None
+    yield "residual", residual_text(totals.residual_px, totals.outliers, " px") if known else None
     yield "log-likelihood", f"{tracking['log_likelihood']:.1f}" if "log_likelihood" in tracking else None
     checks = run.report.get("checks")
     yield "warnings", None if checks is None else str(sum(check["status"] == "warning" for check in checks))

@@ -9,9 +9,10 @@ from stereophd.core.bodies.boxes import corners
 from stereophd.core.bodies.outline import LOG_AXES, POSITION, STATE_SIZE, outline_boxes
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
-from stereophd.pipeline.inspection.runs import Run
-from stereophd.pipeline.tracking.run_figures import PROBABLE, are_usual, residuals_px
+from stereophd.pipeline.inspection.runs import Columns, Run
+from stereophd.pipeline.tracking.run_figures import OUTLIER, PROBABLE, residuals_px
 from stereophd.report.page.columns import Paths, chosen, packed, paths_of
+from stereophd.report.summaries import tracking_part
 
 # A reprojected track further outside the image than this share of its size is not drawn.
 MARGIN = 0.1
@@ -89,24 +90,28 @@ def residuals(run: Run, paths: Paths, budget: int, start_s: float) -> list[dict[
     if by_camera is None:
         return None
     return [
-        {"t": packed(times - start_s), "u": packed(values[:, 0]), "v": packed(values[:, 1]), "track": packed(tracks)}
-        for times, values, tracks in by_camera
+        {
+            "t": packed(times - start_s),
+            "u": packed(values[:, 0]),
+            "v": packed(values[:, 1]),
+            "track": packed(tracks),
+            "outliers": outliers,
+        }
+        for times, values, tracks, outliers in by_camera
     ]
 
 
-def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Array, Integers]] | None:
+def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Array, Integers, int]] | None:
     """Return times (n,), residuals (n, 2) in px and tracks (n,) of every camera; None without associations or cameras.
 
     Only detections that belong to a track more probably than not are taken, at most `most` of each camera, evenly
-    spread, and of these no outliers.
+    spread; of these none beyond `OUTLIER` times the root mean square of the report, whose number stands last.
     """
     detections = run.associations
     if detections is None or not run.cameras:
         return None
-    probable = np.flatnonzero(detections["probability"] > PROBABLE)
-    place = {track_id: number for number, track_id in enumerate(paths.ids.tolist())}
-    path = np.array([place.get(label, -1) for label in detections["track_id"][probable].tolist()], dtype=np.int64)
-    out = []
+    probable, path = _probable(detections, paths)
+    figures, out = tracking_part(run.report).get("cameras") or {}, []
     for camera in run.cameras:
         of_camera = (detections["camera"][probable] == camera.name) & (path >= 0)
         rows, owner = probable[of_camera], path[of_camera]
@@ -116,8 +121,9 @@ def camera_residuals(run: Run, paths: Paths, most: int) -> list[tuple[Array, Arr
         pixels = np.column_stack([detections["u_px"][rows], detections["v_px"][rows]])
         values = residuals_px(camera, times, _states(paths, owner, times), pixels)
         known = np.flatnonzero(np.isfinite(values).all(axis=1))
-        known = known[are_usual((values[known] ** 2).sum(axis=1))]
-        out.append((times[known], values[known], owner[known]))
+        rms = figures.get(camera.name, {}).get("residual_rms_px") or np.inf
+        near = known[(values[known] ** 2).sum(axis=1) <= 2.0 * (OUTLIER * rms) ** 2]
+        out.append((times[near], values[near], owner[near], len(known) - len(near)))
     return out
 
 
@@ -140,13 +146,18 @@ def paths_of_run(run: Run) -> Paths:
 
 def _owners(run: Run, paths: Paths) -> dict[tuple[str, int, float, float], int]:
     """Detection -> the track that it probably belongs to."""
-    detections = run.associations
-    if detections is None:
+    if run.associations is None:
         return {}
+    rows, path = _probable(run.associations, paths)
+    columns = [run.associations[name][rows].tolist() for name in ("camera", "frame", "u_px", "v_px")]
+    return dict(zip(zip(*columns, strict=True), path.tolist(), strict=True))
+
+
+def _probable(detections: Columns, paths: Paths) -> tuple[Integers, Integers]:
+    """Return the rows (n,) that belong to a track more probably than not, and the path of each; -1 for none."""
     rows = np.flatnonzero(detections["probability"] > PROBABLE)
     place = {track_id: number for number, track_id in enumerate(paths.ids.tolist())}
-    columns = [detections[name][rows].tolist() for name in ("camera", "frame", "u_px", "v_px", "track_id")]
-    return {(c, f, u, v): place.get(i, -1) for c, f, u, v, i in zip(*columns, strict=True)}
+    return rows, np.array([place.get(one, -1) for one in detections["track_id"][rows].tolist()], dtype=np.int64)
 
 
 def _tracks_at_a_time(paths: Paths) -> float:
@@ -163,11 +174,7 @@ def _reprojected(camera: Camera, paths: Paths, times: Array, up: Array) -> tuple
     """
     size = np.array([camera.width, camera.height])
     has_extents = "height" in paths.columns
-    ats, tracks, pixels = (
-        [np.empty(0, dtype=np.int64)],
-        [np.empty(0, dtype=np.int64)],
-        [np.empty((0, 6 if has_extents else 2))],
-    )
+    found = [np.empty((0, 8 if has_extents else 4))]
     for number in range(len(paths.ids)):
         positions = paths.at(number, times, ("x", "y", "z"))
         at = np.flatnonzero(np.isfinite(positions).all(axis=1))
@@ -181,12 +188,10 @@ def _reprojected(camera: Camera, paths: Paths, times: Array, up: Array) -> tuple
                 seen = np.concatenate([seen, _sides(frozen, positions[at[part]], extents[part], up)], axis=1)
             with np.errstate(invalid="ignore"):
                 inside = ((seen[:, :2] >= -MARGIN * size) & (seen[:, :2] <= (1.0 + MARGIN) * size)).all(axis=1)
-            ats.append(at[part][inside])
-            tracks.append(np.full(int(inside.sum()), number))
-            pixels.append(seen[inside])
-    at, track, pixel = np.concatenate(ats), np.concatenate(tracks), np.concatenate(pixels)
-    order = np.argsort(at, kind="stable")
-    return at[order], track[order], pixel[order]
+            found.append(np.column_stack([at[part], np.full(len(part), number), seen])[inside])
+    table = np.concatenate(found)
+    table = table[np.argsort(table[:, 0], kind="stable")]
+    return table[:, 0].astype(np.int64), table[:, 1].astype(np.int64), table[:, 2:]
 
 
 def _sides(camera: Camera, positions: Array, extents: Array, up: Array) -> Array:

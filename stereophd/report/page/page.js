@@ -310,7 +310,8 @@
       r.residuals.forEach((one, k) => { for (const value of numbers(one[name])) { x.push(r.cameras[k].name); y.push(value); } });
       return { type: "box", name: `along ${name}`, x, y, marker: { size: 2, color: COLOURS[n] }, line: { width: 1.5 }, boxpoints: false, boxmean: true };
     });
-    draw("residual-cameras", boxes, layout("Residuals by camera", "", "residual [px]", { boxmode: "group" }));
+    const hidden = r.residuals.reduce((sum, one) => sum + one.outliers, 0);
+    draw("residual-cameras", boxes, layout(`Residuals by camera${hidden ? `, ${hidden} far larger ones not shown` : ""}`, "", "residual [px]", { boxmode: "group" }));
     const traces = [], total = r.residuals.reduce((sum, one) => sum + numbers(one.t).length, 0), step = Math.ceil(total / MARKERS);
     r.residuals.forEach((one, k) => {
       const t = numbers(one.t), u = numbers(one.u), v = numbers(one.v), order = Array.from(t.keys()).sort((i, j) => t[i] - t[j]);

@@ -108,7 +108,7 @@ def _draw_residuals(run: Run, tracks: Paths) -> Figure:
     by_camera = camera_residuals(run, tracks, MOST_RESIDUALS) or []
     figure = new_figure(9.0, 0.9 + 1.7 * max(len(by_camera), 1))
     grid = figure.subplots(max(len(by_camera), 1), 1, sharex=True, squeeze=False)[:, 0]
-    for axes, camera, (times, values, _) in zip(grid, run.cameras, by_camera, strict=False):
+    for axes, camera, (times, values, _, outliers) in zip(grid, run.cameras, by_camera, strict=False):
         order = np.argsort(times, kind="stable")
         parts = [part for part in np.array_split(order, max(1, min(40, len(order) // 15))) if len(part)]
         middle = [float(times[part].mean()) for part in parts]
@@ -118,7 +118,8 @@ def _draw_residuals(run: Run, tracks: Paths) -> Figure:
             axes.plot(middle, mean, color=colour, linewidth=1.6, label=f"mean along {name}")
         axes.legend(loc="upper right", fontsize=7, ncols=2)
         rms = float(np.sqrt(np.mean(values**2))) if len(values) else float("nan")
-        axes.set_title(f"{camera.name}: root mean square {rms:.2f} px", fontsize=10)
+        beyond = f", {outliers} far larger ones not shown" if outliers else ""
+        axes.set_title(f"{camera.name}: root mean square {rms:.2f} px{beyond}", fontsize=10)
         axes.set_ylabel("px")
     grid[-1].set_xlabel("time [s]")
     if not by_camera:

@@ -84,6 +84,19 @@ def test_even_times_without_frame_numbers_tell_frames_without_detections(tmp_pat
     assert len(log_rows(out / "detections.parquet")) == len(seen)
 
 
+def test_pauses_between_clips_are_no_frames_without_detections(tmp_path: Path, imported: Import) -> None:
+    """Three clips an hour apart are not 180,200 frames in which the camera looked and saw nothing."""
+    clip = np.delete(np.arange(200), [50, 51, 120]) / 25.0
+    times = np.concatenate([clip + start for start in (0.0, 3600.01, 7200.0)])
+    source = write(tmp_path / "c.csv", "time_s,u_px,v_px\n" + "".join(f"{time:.4f},1,1\n" for time in times))
+    report, out = imported("csv", source)
+    row = report["cameras"]["c"]
+    assert (row["frames"], row["filled_frames"], row["pauses"]) == (600, 9, 2)
+    assert row["rate_hz"] == pytest.approx(25.0)
+    assert "c: 2 pauses, 7184 s in all, would have more frames" in str(report["assumed"])
+    assert [r[2] for r in log_rows(out / "detections.parquet")] == list(range(600))
+
+
 def test_uneven_times_without_frame_numbers_are_told(tmp_path: Path, imported: Import) -> None:
     times = np.cumsum(np.random.default_rng(2).exponential(0.02, 200))
     source = write(tmp_path / "c.csv", "time_s,u_px,v_px\n" + "".join(f"{time:.5f},1,1\n" for time in times))
@@ -183,6 +196,30 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, imported: Import, text: st
     with pytest.raises(InputError, match=message.replace("(", r"\(")):
         imported("csv", source, **stated)
     assert not (tmp_path / "imported").exists()
+
+
+def test_warnings_name_pixels_and_times_that_cannot_be(tmp_path: Path, imported: Import) -> None:
+    """Without cameras too, where no check looks at the log."""
+    sources = [
+        write(tmp_path / f"{name}.csv", f"t,u,v\n{first + 0.5},0.1,0.2\n{first + 1},0.5,{v}\n")
+        for name, first, v in (("c", 0, 0.5), ("d", 1e4, 2.0))
+    ]
+    report, _ = imported("csv", *sources)
+    pixels, times = report["warnings"]
+    assert pixels.startswith("camera c: all pixels lie between 0 and 1: they seem to be divided by the image size")
+    assert times.startswith("the cameras have no time in common (c 0.5 to 1 s, d 10000.5 to 10001 s)")
+    assert imported("csv", sources[1])[0]["warnings"] == []
+
+
+@pytest.mark.parametrize("fill", [True, False])
+@pytest.mark.parametrize(("missing", "factor", "is_warned"), [(0, 1, True), (7, 1, True), (7, 0.5, False)])
+def test_whole_numbers_may_be_frames_where_one_is_missing_too(
+    tmp_path: Path, imported: Import, fill: bool, missing: int, factor: float, is_warned: bool
+) -> None:
+    times = [factor * number for number in range(40) if number != missing]
+    source = write(tmp_path / "c.csv", "t,u,v\n" + "".join(f"{time},9,9\n" for time in times))
+    report, _ = imported("csv", source, fill=fill)
+    assert ["times are whole numbers" in sentence for sentence in report["warnings"]] == [True] * is_warned
 
 
 def test_cameras_of_other_names_only_are_refused(tmp_path: Path, imported: Import) -> None:

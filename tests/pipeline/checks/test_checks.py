@@ -503,7 +503,7 @@ def test_a_crowd_that_moves_far_between_frames_is_no_clutter(seed: int, clutter:
 
 @pytest.mark.parametrize(("ratio", "status"), [(0.12, "warning"), (0.9, "ok"), (1.3, "ok"), (24.0, "warning")])
 def test_residuals_are_compared_with_the_stated_noise(ratio: float, status: str) -> None:
-    figures = {camera.name: {"residual_ratio": ratio, "residuals": 500} for camera in CAMERAS}
+    figures = {camera.name: {"residual_ratio": ratio, "residuals": 500, "outlier_share": 0.05} for camera in CAMERAS}
     found = list(check_noise({"cameras": figures}, tuple(CAMERAS), False))
     assert {finding.status for finding in found} == {status}
     assert {finding.status for finding in check_noise({"cameras": figures}, tuple(CAMERAS), True)} == {"not checked"}
@@ -517,10 +517,17 @@ def test_residuals_are_compared_with_the_stated_noise(ratio: float, status: str)
 )
 def test_the_noise_of_broken_tracks_is_that_of_one_camera_tracks(scatter: float | None, change: str | None) -> None:
     """Residuals of tracks that break are those of the detections that they kept: sigma 0.2 was proposed for 0.8."""
-    figures = {CAMERAS[0].name: {"residual_ratio": 2.5, "residuals": 500}}
+    figures = {CAMERAS[0].name: {"residual_ratio": 2.5, "residuals": 500, "outlier_share": 0.0}}
     before = Finding("detector.sigma", "ok", "", 1.0, scatter, "left")
     (found,) = check_noise({"cameras": figures}, CAMERAS[:1], False, (before,))
     assert (found.status, found.change) == ("warning", change)
+
+
+@pytest.mark.parametrize(("share", "causes"), [(0.29, ["outliers", None]), (0.09, [None]), (None, [None])])
+def test_many_residuals_that_are_left_out_are_told(share: float | None, causes: list[str | None]) -> None:
+    """Else 1.2 px stand for residuals of which three in ten are 50 px."""
+    figures = {CAMERAS[0].name: {"residual_ratio": 1.1, "residuals": 500, "outlier_share": share}}
+    assert [found.cause for found in check_noise({"cameras": figures}, CAMERAS[:1], False)] == causes
 
 
 @pytest.mark.parametrize("p_detect", [0.95, 0.99999])

@@ -1,0 +1,43 @@
+"""Figures of a run: which residuals they leave out."""
+
+import numpy as np
+
+from stereophd.pipeline.tracking.run_figures import CameraSums, are_usual
+from tests.scenes import build_camera
+
+
+def test_outliers_are_judged_by_what_is_expected_of_each() -> None:
+    """Most residuals may be those of one-camera tracks, which are next to nothing: the others are no outliers."""
+    rng = np.random.default_rng(0)
+    scale = np.where(np.arange(2000) < 1100, 0.05, 1.0)
+    scale[:20] = 0.0
+    squares = ((scale[:, None] * rng.normal(size=(2000, 2))) ** 2).sum(axis=1)
+    assert are_usual(squares, 2.0 * scale**2, 2.0).all()
+    squares[1990:] += 50.0**2
+    squares[20:30] += 50.0**2
+    wrong = np.flatnonzero(~are_usual(squares, 2.0 * scale**2, 2.0))
+    assert wrong.tolist() == [*range(20, 30), *range(1990, 2000)]
+
+
+def test_a_noise_that_is_stated_too_small_makes_no_outliers() -> None:
+    squares = (np.random.default_rng(1).normal(size=(2000, 2)) ** 2).sum(axis=1)
+    assert are_usual(squares, np.full(2000, 2e-4), 2e-4).all()
+    assert are_usual(squares, np.zeros(2000), 2.0).all()
+    assert are_usual(np.empty(0), np.empty(0), 2.0).shape == (0,)
+
+
+def test_the_share_that_is_left_out_is_reported() -> None:
+    """Three in ten detections are 50 px off."""
+    rng, camera, count = np.random.default_rng(2), build_camera("left", (0.0, 0.0, -5.0)), 1000
+    states = np.hstack([rng.normal(0.0, 0.3, (count, 3)), np.zeros((count, 3))])
+    errors = rng.normal(size=(count, 2)) * np.asarray(camera.detector.sigma)
+    errors[:300] += 50.0 * rng.normal(size=(300, 2))
+    sums = CameraSums(frames=count, detections=count)
+    pixels = camera.project_at(states[:, :3], np.zeros(count)) + errors
+    sums.waiting = [(0.0, state, 1e-8 * np.eye(3), pixel) for state, pixel in zip(states, pixels, strict=True)]
+    report = sums.report(camera)
+    left_out = round(report["outlier_share"] * count)
+    assert 0.25 * count < left_out <= 0.3 * count
+    assert report["residuals"] == count - left_out
+    assert report["residual_ratio"] < 2.0
+    assert CameraSums().report(camera)["outlier_share"] is None
