@@ -195,7 +195,7 @@ def _one(name: str, change: Callable[[dict[str, Any]], None]) -> Callable[[Setup
     return lambda setup: change(setup.cameras["cameras"][name])
 
 
-LENS = ("lens_missing", "lens_sign", "lens_inaccurate")
+LENS = ("lens_missing", "lens_inaccurate")
 # Mistake -> how it is made, and the causes that name it rightly.
 MISTAKES: dict[str, tuple[Callable[[Setup], None], tuple[str, ...]]] = {
     "rotation transposed": (_each(_transposed), ("rotation_transposed",)),

@@ -3,9 +3,10 @@
 One-camera tracks of two cameras that meet most of the time belong to one object. The signed distance of their rays from
 meeting, in standard deviations, is white noise of mean 0 if the set-up is right. Whatever is wrong with a camera shifts
 its pixels: a late clock by what the object moves in that time, a shutter by that times the row, a lens from the centre
-outwards, a turn all alike. All distances of a camera are regressed on these shifts. Of causes
-that explain much the same the simplest is named. Standard errors follow from the spread between tracks, so that errors
-that last are no evidence.
+outwards, a turn all alike. All distances of a camera are regressed on these shifts. Of causes that explain much the
+same the simplest is named. Standard errors follow from the spread between one-camera tracks, so that an error that
+lasts for one of them counts once. An object whose detections lie beside it all the time has several of these tracks,
+and that is evidence.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.wording import percent
 
 # Share of the logs of right set-ups in which chance may let any of the causes pass, the shift that any camera may have,
-# in standard deviations of a detection (a track is several times as certain as one), and the square of each number, in
-# variances, below which no such chance is left.
+# in standard deviations of a detection (a track is several times as certain as one), and the square of each part of
+# it, in variances, below which no such chance is left.
 FALSE_ALARMS, TOLERATED, LEAST_SQUARE = 0.001, 0.1, 9.0
 # A cause explains as much as another if what they explain differs by less than this many times its root, by which
 # noise changes it, in deviations of what is left.
@@ -39,10 +40,8 @@ ALIKE = 2.0
 # Root mean square of distances, standard deviations, and their correlation, from which a pair of cameras is wrong
 # without a cause that explains it: that of chance is 3.5 where most rays meet within three.
 LARGEST_DISTANCE, LARGEST_CORRELATION = 2.5, 0.6
-# Tracks, beside one for each number of a cause, or pairs of them, from which anything is said.
+# Pairs of tracks from which that is said.
 LEAST_TRACKS = 8
-# Parts of the time, each predicted from the others; least eigenvalue, over the largest, of what distances determine.
-PARTS, DETERMINED = 8, 1e-4
 # Steps of numerical derivatives: px, and of the numbers that change a camera.
 STEP_PX, STEP = 0.01, 1e-5
 PRIORS = "let calibrate estimate it (calibration.priors.NAME"
@@ -86,7 +85,7 @@ CAUSES = (
     ),
     Cause(
         "detections_shifted", "place of the detections", TURNS[:2],
-        "are alike all over the image: its detections seem to lie about {size:.2g} px from where they belong, because "
+        "are alike all over the image: its detections seem to lie {size} px from where they belong, because "
         "of the detector, the principal point or a turn of the camera",
         f"look at where the detector puts its points, or {REFINE}", of_boxes=False,
     ),
@@ -130,13 +129,13 @@ def check_residuals(geometry: Geometry) -> Iterator[Finding]:
         return
     for pair in pairs:
         names = f"{samples[pair.a].camera.name} and {samples[pair.b].camera.name}"
-        mean, spread = float(pair.distance.mean()), float(pair.distance.std())
+        mean, spread, count = float(pair.distance.mean()), float(pair.distance.std()), len(np.unique(pair.tracks))
         text = (
-            f"{names}: the rays of {pair.track_count} pairs of tracks miss each other by {mean:+.2f} +- {spread:.2f} "
+            f"{names}: the rays of {count} pairs of tracks miss each other by {mean:+.2f} +- {spread:.2f} "
             f"standard deviations, correlation from frame to frame {pair.correlation:.2f}"
         )
         lasts = np.hypot(mean, spread) > LARGEST_DISTANCE and pair.correlation > LARGEST_CORRELATION
-        if lasts and pair.track_count >= LEAST_TRACKS and not boxes:
+        if lasts and count >= LEAST_TRACKS and not boxes:
             yield Finding(
                 "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
                 "alone explains it, or the errors of detections last, as those of smoothed labels do",
@@ -163,14 +162,10 @@ def _warning(samples: list[CameraSample], pairs: list[Partners], boxes: bool) ->
     cause, same = best.cause, [fit for fit in (fits if len(pairs) == 1 else alike) if fit.cause is best.cause]
     if boxes and not cause.of_boxes:
         return None
+    remedy, change = cause.remedy, None
     if cause.name == "clock_offset":
         best = max(same, key=lambda fit: fit.value)
-    remedy, change, pixel = cause.remedy, None, 0.0
-    if best.camera is not None:
-        sample = samples[best.camera]
-        pixel = float(sample.camera.detector.sigma.mean())
-        if cause.name == "clock_offset":
-            remedy, change = shift_remedy(-best.value), shifted(sample, -best.value)
+        remedy, change = shift_remedy(-best.value), shifted(samples[best.camera or 0], -best.value)
 
     def names(of: list[CauseFit]) -> str:
         cameras = sorted({fit.camera for fit in of if fit.camera is not None})
@@ -179,12 +174,15 @@ def _warning(samples: list[CameraSample], pairs: list[Partners], boxes: bool) ->
     others = [fit for fit in alike if not set(cause.numbers) <= set(fit.cause.numbers)]
     what = " or ".join(dict.fromkeys(fit.cause.what for fit in others))
     instead = f"; the {what} of {names(others)} would explain as much" if others else ""
-    text = cause.text.format(value=best.value, factor=1.0 + best.value, size=best.shift * pixel)
+    # what all cameras have alike is one number, and no shift
+    shift, error = (best.shift * samples[best.camera or 0].camera.detector.sigma.mean()).tolist()
+    size = f"at least {shift:.2g} +- {error:.1g}"
+    text = cause.text.format(value=best.value, factor=1.0 + best.value, size=size)
     return Finding(
         "geometry.residuals", "warning",
         f"{names(same)}: the distances of rays from those of other cameras {text} (this explains "
         f"{percent(best.share)} of their squares{instead}); tracks are less certain than they state",
-        round(best.value if len(cause.numbers) == 1 else best.shift * pixel, 5), 0.0,
+        round(best.value if len(cause.numbers) == 1 else shift, 5), 0.0,
         names(same) if best.camera is not None and len({fit.camera for fit in (*same, *others)}) == 1 else None, remedy,
         cause.name, change,
     )  # fmt: skip
@@ -196,50 +194,45 @@ class CauseFit:
 
     cause: Cause
     camera: int | None  # None: all of them
-    numbers: Array  # (k,): Those that fit best, as far as they are determined
-    covariance: Array  # (k, k): Of these
-    squares: Array  # (k, k): The mean square of the shift is this form of the numbers, variances of a detection
-    groups: int  # Parts of tracks whose spread the covariance is from
-    explained: float  # Of the squared distances, predicted from other parts of the time
+    parts: Array  # (k,): Sizes that fit best of independent parts of the shift, standard deviations of a detection
+    variances: Array  # (k,): Of these
+    freedom: Array  # (k,): Degrees of freedom of the variances
+    explained: float  # Of the squared distances, predicted from other tracks
     share: float  # The same over all of them
     left: float  # Mean square of what is left
     value: float  # The number of a cause that has one
 
     @property
-    def shift(self) -> float:
-        """Root mean square of the shift of pixels, standard deviations of a detection."""
-        return float(np.sqrt(self.numbers @ self.squares @ self.numbers))
+    def shift(self) -> Array:
+        """Root mean square of the shift of pixels as far as it is more than chance, and its standard error."""
+        parts = self.parts * (self.parts**2 > LEAST_SQUARE * self.variances)
+        size = np.linalg.norm(parts)
+        return np.array([size, np.sqrt(parts**2 @ self.variances) / max(size, 1e-12)])
 
     def is_certain(self, probability: float) -> bool:
-        """Whether the numbers are further from 0 than chance and what is tolerated bring them with this probability.
+        """Whether a part is further from 0 than chance and what is tolerated bring any with this probability.
 
-        By the distribution of squares in a covariance that is itself estimated (H. Hotelling, 1931).
+        By Student's distribution, since the variances are themselves estimated.
         """
-        count, rest = len(self.numbers), self.groups - len(self.numbers)
-        if self.explained <= 0.0 or count == 0 or rest < 1:
-            return False
-        covariance = self.covariance + TOLERATED**2 * np.linalg.inv(self.squares)
-        square = float(self.numbers @ np.linalg.solve(covariance, self.numbers))
-        if square < LEAST_SQUARE * count:
+        squares = self.parts**2 / (self.variances + TOLERATED**2)
+        if self.explained <= 0.0 or squares.max(initial=0.0) < LEAST_SQUARE:
             return False
         from scipy.special import fdtri  # costly to import, and rarely needed
 
-        return square > count * (self.groups - 1) / rest * float(fdtri(count, rest, 1.0 - probability))
+        return bool((squares > fdtri(1, self.freedom, 1.0 - probability / len(self.parts))).any())
 
 
 def explanations(samples: list[CameraSample], pairs: list[Partners]) -> Iterator[CauseFit]:
     """Yield how each cause explains the distances: of each camera, and of all that state nothing."""
     cameras = [sample.camera for sample in samples]
-    rows = [Shifts.of(pair, cameras[pair.a], cameras[pair.b]) for pair in pairs]
+    rows = [(pair.a, pair.b, *Shifts.of(pair, cameras[pair.a], cameras[pair.b])) for pair in pairs]
+    rows = [row for row in rows if len(row[2].tracks)]
     for camera in range(len(samples)):
-        own = [
-            both[side] for pair, both in zip(pairs, rows, strict=True)
-            for side in (0, 1) if (pair.a, pair.b)[side] == camera and len(both[side].tracks)
-        ]  # fmt: skip
+        own = [first if a == camera else second for a, b, first, second in rows if camera in (a, b)]
         if own:
             together = Regression.of(own)
             yield from (together.fit(cause, camera) for cause in CAUSES)
-    alike = [first.with_other(second) for first, second in rows if len(first.tracks)]
+    alike = [first.with_other(second) for _, _, first, second in rows]
     states = (any(c.lens.model != "none" for c in cameras), any(c.readout_s != 0.0 for c in cameras))
     if alike and not all(states):
         together = Regression.of(alike)
@@ -253,17 +246,19 @@ class Shifts:
     slopes: Array  # (n, 8): Derivatives of the distance with respect to the numbers, and the distance
     squares: Array  # (7, 7): Products of the shifts, summed, variances of a detection
     tracks: Integers  # (n,): One-camera tracks
-    parts: Integers  # (n,): Parts of the time
 
     @staticmethod
     def of(pair: Partners, first: Camera, second: Camera) -> tuple[Shifts, Shifts]:
         """Return the rows of both cameras of a pair."""
-        parts = np.arange(len(pair.distance)) * PARTS // max(len(pair.distance), 1)
+        a, b = (motion.places for motion in pair.sides)
+        slopes = [
+            (signed_distances(first, second, a + da, b + db) - signed_distances(first, second, a - da, b - db))
+            / (2.0 * STEP_PX) for da, db in STEP_PX * np.eye(4).reshape(4, 2, 2)
+        ]  # fmt: skip
         cameras, tables, squares = (first, second), [], []
-        for side, (camera, motion) in enumerate(zip(cameras, pair.sides, strict=True)):
+        for camera, motion, slope in zip(cameras, pair.sides, (slopes[:2], slopes[2:]), strict=True):
             shifts = shifts_of(camera, motion.places, motion.velocity)
-            slopes = np.stack([_slope(pair, cameras, side, step) for step in STEP_PX * np.eye(2)], axis=1)
-            tables.append(np.column_stack([np.einsum("na,nak->nk", slopes, shifts), pair.distance]))
+            tables.append(np.column_stack([np.einsum("an,nak->nk", slope, shifts), pair.distance]))
             relative = shifts / camera.detector.sigma[:, None]
             squares.append(np.einsum("nai,naj->nij", relative, relative))
         # what moves while both look is where their rays meet: the mean of what both see of it knows its speed better
@@ -272,7 +267,7 @@ class Shifts:
             table[:, CLOCK], table[:, SHUTTER] = slope, -slope * motion.places[:, 1] / camera.height
         usable = np.isfinite(np.hstack(tables)).all(axis=1)
         first_rows, second_rows = (
-            Shifts(table[usable], square[usable].sum(axis=0), motion.tracks[usable], parts[usable])
+            Shifts(table[usable], square[usable].sum(axis=0), motion.tracks[usable])
             for table, square, motion in zip(tables, squares, pair.sides, strict=True)
         )
         return first_rows, second_rows
@@ -282,16 +277,6 @@ class Shifts:
         slopes = self.slopes + other.slopes
         slopes[:, -1] = self.slopes[:, -1]
         return replace(self, slopes=slopes, squares=0.5 * (self.squares + other.squares))
-
-
-def _slope(pair: Partners, cameras: tuple[Camera, Camera], side: int, step: Array) -> Array:
-    """Return the derivative of the distances of a pair with respect to pixels of one side, moved by a step (2,)."""
-    places = [motion.places for motion in pair.sides]
-    ends = []
-    for way in (step, -step):
-        moved = [place + way * (k == side) for k, place in enumerate(places)]
-        ends.append(signed_distances(*cameras, *moved))
-    return np.asarray((ends[0] - ends[1]) / (2.0 * STEP_PX))
 
 
 def shifts_of(camera: Camera, pixels: Array, velocity: Array) -> Array:
@@ -322,61 +307,51 @@ def _changed(camera: Camera, number: int, step: float) -> Camera:
 
 @dataclass(frozen=True)
 class Regression:
-    """Distances and their derivatives, as sums of products over parts of tracks."""
+    """Distances and their derivatives, as sums of products over one-camera tracks."""
 
     sums: Array  # (g, 8, 8)
     squares: Array  # (7, 7): Mean products of shifts
-    parts: Integers  # (g,): Part of the time of each
     noise: float  # Mean square of the distances
 
     @staticmethod
     def of(rows: list[Shifts]) -> Regression:
         """Return the sums over rows of the same camera."""
         table = np.concatenate([one.slopes for one in rows])
-        key = np.concatenate([one.tracks * PARTS + one.parts for one in rows])
-        order = np.argsort(key, kind="stable")
-        keys, starts = np.unique(key[order], return_index=True)
-        blocks = np.split(table[order], starts[1:])
+        tracks = np.concatenate([one.tracks for one in rows])
+        order = np.argsort(tracks, kind="stable")
+        _, starts = np.unique(tracks[order], return_index=True)
+        sums = np.stack([block.T @ block for block in np.split(table[order], starts[1:])])
         squares = np.sum([one.squares for one in rows], axis=0) / len(table)
-        return Regression(
-            np.stack([block.T @ block for block in blocks]),
-            squares,
-            keys % PARTS,
-            float((table[:, -1] ** 2).mean()),
-        )
+        return Regression(sums, squares, float((table[:, -1] ** 2).mean()))
 
     def fit(self, cause: Cause, camera: int | None) -> CauseFit:
         """Fit the numbers of a cause; of several, the combinations that the data determine."""
         chosen, total = list(cause.numbers), self.sums.sum(axis=0)
-        scale = np.sqrt(np.maximum(total.diagonal()[chosen], 1e-300))
-        values, vectors = np.linalg.eigh(total[np.ix_(chosen, chosen)] / np.outer(scale, scale))
-        kept = values > max(DETERMINED * values[-1], 1e-12)
+        squares = self.squares[np.ix_(chosen, chosen)]
+        # combinations that shift pixels by one deviation, independent of each other in white noise
+        whole = np.linalg.inv(np.linalg.cholesky(squares + 1e-9 * np.diag(squares.diagonal() + 1e-9)))
+        values, vectors = np.linalg.eigh(whole @ total[np.ix_(chosen, chosen)] @ whole.T)
+        # determined is what is known better than the place of one detection
+        kept = values > self.noise
         # of these combinations the sum of all products is one
-        basis = vectors[:, kept] / np.sqrt(values[kept]) / scale[:, None]
-        count = basis.shape[1]
-
-        def in_basis(sums: Array) -> tuple[Array, Array]:
-            return basis.T @ sums[:, chosen][:, :, chosen] @ basis, -(sums[:, chosen, -1] @ basis)
-
-        def without(sums: Array) -> Array:
-            """Return what fits the rest (n, k), without each of the groups."""
-            products, pull = in_basis(sums)
-            rest = (1.0 + 1e-6) * np.eye(count) - products
-            return np.asarray(np.linalg.solve(rest, (pull.sum(axis=0) - pull)[:, :, None])[:, :, 0])
-
-        numbers = in_basis(total[None])[1][0]
-        away, groups = without(self.sums) - numbers, len(self.sums)
-        of_parts = np.stack([self.sums[self.parts == part].sum(axis=0) for part in range(PARTS)])
-        products, pull = in_basis(of_parts)
-        predicted = without(of_parts)
-        explained = float((2.0 * pull * predicted).sum() - np.einsum("pi,pij,pj", predicted, products, predicted))
+        size = 1.0 / np.sqrt(values[kept])
+        basis = whole.T @ vectors[:, kept] * size
+        products = basis.T @ self.sums[:, chosen][:, :, chosen] @ basis
+        pull = -(self.sums[:, chosen, -1] @ basis)
+        numbers, groups = pull.sum(axis=0), len(self.sums)
+        # what fits the other tracks
+        rest = (1.0 + 1e-6) * np.eye(len(numbers)) - products
+        others = np.linalg.solve(rest, (numbers - pull)[:, :, None])[:, :, 0]
+        explained = float((2.0 * pull * others).sum() - np.einsum("gi,gij,gj", others, products, others))
         share = explained / max(float(total[-1, -1]), 1e-12)
         # few tracks may happen to agree more than the noise of their detections lets them
-        variances, axes = np.linalg.eigh(away.T @ away * (groups - 1) / groups)
-        covariance = axes * np.maximum(variances, self.noise) @ axes.T
+        away = others - numbers
+        variances = np.maximum((away**2).sum(axis=0) * (groups - 1) / groups, self.noise)
+        # only what exceeds that noise has so few degrees of freedom (B. L. Welch, 1947)
+        freedom = max(groups - 1, 0.1) / np.maximum(1.0 - self.noise / variances, 1e-3) ** 2
         return CauseFit(
-            cause, camera, numbers, covariance, basis.T @ self.squares[np.ix_(chosen, chosen)] @ basis, groups,
-            explained, share, self.noise * (1.0 - share), float((basis @ numbers)[0]),
+            cause, camera, size * numbers, size**2 * variances, freedom, explained, share, self.noise * (1.0 - share),
+            float((basis @ numbers)[0]),
         )  # fmt: skip
 
 
@@ -396,16 +371,10 @@ class Partners:
     # `a`, `b`: The cameras.
     a: int
     b: int
-    sides: tuple[
-        TrackMotion, TrackMotion
-    ]  # Of the detections of A, and of those of B at the same times, between its frames
+    # Of the detections of A, and of those of B at the same times, between its frames
+    sides: tuple[TrackMotion, TrackMotion]
     distance: Array  # (n,): Signed distance of the rays, standard deviations
     tracks: Integers  # (n,) of int: Number of the pair of one-camera tracks
-
-    @property
-    def track_count(self) -> int:
-        """Number of pairs of one-camera tracks."""
-        return len(np.unique(self.tracks))
 
     @property
     def correlation(self) -> float:
@@ -431,7 +400,6 @@ def track_motion(sample: CameraSample) -> TrackMotion:
     for index, track in enumerate(sample.tracks):
         times = sample.times[sample.frame_of[track]]
         table = np.column_stack([times - times[0], sample.pixels[track]])
-        places = np.arange(len(track))
         frames = np.arange(len(track))
         low, high = np.maximum(frames - HALF_WINDOW, 0), np.minimum(frames + HALF_WINDOW + 1, len(track))
         count = (high - low - 1).astype(float)[:, None]
@@ -474,13 +442,11 @@ def partners(
     weight = passed[:, None, None]
     pixels_b = (1.0 - weight) * second.pixels[index] + weight * second.pixels[following]
     pixels_a = np.repeat(first.pixels[chosen], width, axis=0)
-    found = signed_distances(first.camera, second.camera, pixels_a, pixels_b.reshape(-1, 2)).reshape(index.shape)
-    found = np.where(present & np.isfinite(found), found, np.inf)
-    rows = np.arange(len(chosen))
-    best = np.abs(found).argmin(axis=1)
-    near = np.abs(found[rows, best]) <= farthest
-    near &= _nearest_of_frame(first.frame_of[chosen], index[rows, best], np.abs(found[rows, best]))
+    found = np.abs(signed_distances(first.camera, second.camera, pixels_a, pixels_b.reshape(-1, 2)))
+    found = np.where(present & np.isfinite(found.reshape(index.shape)), found.reshape(index.shape), np.inf)
+    rows, best, nearest = np.arange(len(chosen)), found.argmin(axis=1), found.min(axis=1)
     index, following = index[rows, best], following[rows, best]
+    near = (nearest <= farthest) & _nearest_of_frame(first.frame_of[chosen], index, nearest)
     lasting, tracks = _lasting(track_a[chosen][near], track_b[index][near])
     if lasting.sum() < LEAST_DETECTIONS:
         return None

@@ -1,6 +1,7 @@
 """Checks of a finished tracking run: is the log explained, by more than one camera; what was left out; detectors."""
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -106,8 +107,8 @@ def check_knocks(
     """Yield a warning for a camera that was knocked during the recording (``knocks`` of the figures of the run).
 
     A noise stated too small, a lens or a clock of these cameras, of which the checks `before` the run warn, looks like
-    a knock. So do times that jump, as where frames were lost: the same checks, `since` a time, tell a clock that is off
-    from then on.
+    a knock. So do times that jump, as where frames were lost: the same checks, `since` a time, tell a clock of these
+    cameras that is off from then on.
     """
     alike = [
         one for one in warnings_of(before)
@@ -115,37 +116,32 @@ def check_knocks(
     ]  # fmt: skip
     rays = [one.value for one in before if one.name == "geometry.rays" and isinstance(one.value, float)]
     met = float(np.mean(rays)) if rays else 0.0
+    since = cache(since)
     for knock in summary["knocks"]:
-        doubts = [one.name for one in alike if one.camera in (None, knock["camera"], *knock["others"])]
+        names, when = (knock["camera"], *knock["others"]), f"from {instant(knock['since_s'])} s on"
+        doubts = [one.name for one in alike if one.camera in (None, *names)]
         if doubts:
-            why = f"{knock['camera']} seems to be knocked; what {doubts[0]} warns of looks the same: mend that first"
+            why = f"{names[0]} seems to be knocked; what {doubts[0]} warns of looks the same: mend that first"
             yield Finding("tracking.knocked", "not checked", why)
             continue
-        name, others = knock["camera"], "".join(f", or {other}" for other in knock["others"])
-        when = f"from {instant(knock['since_s'])} s on"
         jumped = [
             one for one in warnings_of(since(knock["time_s"]))
-            if one.cause == "clock_offset" and isinstance(one.expected, float)
+            if one.cause == "clock_offset" and one.camera in (None, *names) and isinstance(one.expected, float)
             and (one.name == "geometry.residuals" or one.expected >= MET_AGAIN * met)
         ]  # fmt: skip
+        camera, cause = names[0], "knocked"
+        text = (
+            f"{', or '.join(names)}: {when} its detections lie where a camera would see the tracks that is turned by "
+            f"about {knock['turn_deg']:.2g} degrees (noticed at {instant(knock['time_s'])} s): it was knocked, or "
+            "moved; tracks after that are doubtful"
+        )
+        remedy = f"calibrate cameras.{camera} anew from the log after that, and give it as poses with from_s"
         if jumped:
-            yield Finding(
-                "tracking.knocked", "warning",
-                f"the times of a camera jump {when}, as where frames were lost: after that {jumped[0].message}",
-                round(knock["since_s"], 3), None, None,
-                "import with the times of the frames, or with frame numbers that count the lost ones too",
-                "times_jump",
-            )  # fmt: skip
-            continue
-        yield Finding(
-            "tracking.knocked", "warning",
-            f"{name}{others}: {when} its detections lie where a camera would see the tracks that is turned by about "
-            f"{knock['turn_deg']:.2g} degrees (noticed at {instant(knock['time_s'])} s): it was knocked, or moved; "
-            "tracks after that are doubtful",
-            round(knock["since_s"], 3), None, name,
-            f"calibrate cameras.{name} anew from the part of the log after that, and give it as poses with from_s",
-            "knocked",
-        )  # fmt: skip
+            camera, cause = None, "times_jump"
+            text = f"the times of a camera jump {when}, as where frames were lost: after that {jumped[0].message}"
+            remedy = "import with the times of the frames, or with frame numbers that count the lost ones too"
+        since_s = round(knock["since_s"], 3)
+        yield Finding("tracking.knocked", "warning", text, since_s, None, camera, remedy, cause)
 
 
 def check_noise(

@@ -96,8 +96,8 @@ def test_a_knocked_camera_is_named(
     assert finding.camera == name
     # a clock that is off from then on makes rays meet again if times jump, and hardly if the camera was turned
     before = Finding("geometry.rays", "ok", "", 0.8, 0.9)
-    for met, cause in ((0.7, "times_jump"), (0.3, "knocked")):
-        clock = Finding("geometry.cause", "warning", "its clock is off", 0.2, met, name, None, "clock_offset")
+    for met, late, cause in ((0.7, name, "times_jump"), (0.3, name, "knocked"), (0.7, "another", "knocked")):
+        clock = Finding("geometry.cause", "warning", "its clock is off", 0.2, met, late, None, "clock_offset")
         (finding,) = check_knocks(figures.report({}, 0, 0), (before,), {knock.time_s: (clock,)}.__getitem__)
         assert finding.cause == cause
     # a wrong noise or clock looks the same
