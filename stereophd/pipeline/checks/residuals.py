@@ -16,7 +16,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
@@ -26,6 +25,7 @@ from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Findin
 from stereophd.pipeline.checks.geometry.alternatives import posed
 from stereophd.pipeline.checks.geometry.causes import shift_remedy, shifted
 from stereophd.pipeline.checks.geometry.findings import CHANCE_SCORE
+from stereophd.pipeline.checks.geometry.partners import FARTHEST, Partners, partners, track_motion
 from stereophd.pipeline.checks.geometry.rays import TOLERANCES, Geometry, signed_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.wording import percent
@@ -40,13 +40,12 @@ ALIKE = 2.0
 # Root mean square of distances, standard deviations, and their correlation, from which a pair of cameras is wrong
 # without a cause that explains it: that of chance is 3.5 where most rays meet within three.
 LARGEST_DISTANCE, LARGEST_CORRELATION = 2.5, 0.6
-# Pairs of tracks from which that is said.
+# Pairs of tracks from which that is a warning.
 LEAST_TRACKS = 8
 # Steps of numerical derivatives: px, and of the numbers that change a camera.
 STEP_PX, STEP = 0.01, 1e-5
 PRIORS = "let calibrate estimate it (calibration.priors.NAME"
 ESTIMATE_LENS, ESTIMATE_READOUT = f"{PRIORS}.distortion_std: {{k1: 0.1}})", f"{PRIORS}.readout_std_s)"
-
 REFINE = "let calibrate refine the poses, starting from these cameras"
 
 
@@ -353,136 +352,3 @@ class Regression:
             cause, camera, size * numbers, size**2 * variances, freedom, explained, share, self.noise * (1.0 - share),
             float((basis @ numbers)[0]),
         )  # fmt: skip
-
-
-# Detections of a camera that are examined, and candidates of all of them together.
-MOST_DETECTIONS, MOST_PAIRS, LEAST_DETECTIONS = 3000, 200_000, 100
-# Frames on either side from which an image velocity is fitted.
-HALF_WINDOW = 4
-# Largest distance of partners, over that at which most rays meet beyond chance; frames, and share of a track, in which
-# two tracks must meet.
-FARTHEST, LEAST_COMMON, LEAST_SHARE = 2.0, 8, 0.5
-
-
-@dataclass(frozen=True)
-class Partners:
-    """Detections of two cameras that belong to the same object."""
-
-    # `a`, `b`: The cameras.
-    a: int
-    b: int
-    # Of the detections of A, and of those of B at the same times, between its frames
-    sides: tuple[TrackMotion, TrackMotion]
-    distance: Array  # (n,): Signed distance of the rays, standard deviations
-    tracks: Integers  # (n,) of int: Number of the pair of one-camera tracks
-
-    @property
-    def correlation(self) -> float:
-        """Correlation of the distances in successive detections of a pair of tracks."""
-        order = np.argsort(self.tracks, kind="stable")
-        values, same = self.distance[order], np.diff(self.tracks[order]) == 0
-        products = (values[1:] * values[:-1])[same]
-        return float(products.mean() / max((values**2).mean(), 1e-12)) if len(products) else 0.0
-
-
-class TrackMotion(NamedTuple):
-    """Where the one-camera tracks of a camera are, and how they move, by the detections beside each."""
-
-    places: Array  # (n, 2), px: Of each detection, by lines through those before and after it, without it
-    velocity: Array  # (n, 2), px/s: Of these lines
-    tracks: Integers  # (n,): Track of each detection, -1 of none
-
-
-def track_motion(sample: CameraSample) -> TrackMotion:
-    """Return the motion about each detection of a one-camera track, which its own noise does not change."""
-    places, velocity = np.full((2, len(sample.pixels), 2), np.nan)
-    found = TrackMotion(places, velocity, np.full(len(sample.pixels), -1, dtype=np.int64))
-    for index, track in enumerate(sample.tracks):
-        times = sample.times[sample.frame_of[track]]
-        table = np.column_stack([times - times[0], sample.pixels[track]])
-        frames = np.arange(len(track))
-        low, high = np.maximum(frames - HALF_WINDOW, 0), np.minimum(frames + HALF_WINDOW + 1, len(track))
-        count = (high - low - 1).astype(float)[:, None]
-
-        def windowed(values: Array, low: Integers = low, high: Integers = high) -> Array:
-            sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-            return np.asarray(sums[high] - sums[low] - values)
-
-        mean = windowed(table) / count
-        products = windowed(table[:, :1] * table) - count * mean[:, :1] * mean
-        found.velocity[track] = products[:, 1:] / np.maximum(products[:, :1], 1e-12)
-        found.places[track] = mean[:, 1:] + (table[:, :1] - mean[:, :1]) * found.velocity[track]
-        found.tracks[track] = index
-    return found
-
-
-def partners(
-    samples: list[CameraSample], motion: list[TrackMotion], a: int, b: int, farthest: float
-) -> Partners | None:
-    """Return detections of A with those of B on one-camera tracks that meet them most of the time; None for few.
-
-    Rays meet within the distance `farthest`, standard deviations.
-    """
-    first, second = samples[a], samples[b]
-    if len(second.times) < 4 or not len(first.pixels):
-        return None
-    times, track_a, track_b = first.times[first.frame_of], motion[a].tracks, motion[b].tracks
-    usable = np.flatnonzero((track_a >= 0) & (times >= second.times[0]) & (times <= second.times[-1]))
-    width = int(np.diff(second.first).max(initial=0))
-    most = min(MOST_DETECTIONS, max(LEAST_DETECTIONS, MOST_PAIRS // max(width, 1)), len(usable))
-    if len(usable) < LEAST_DETECTIONS or not width:
-        return None
-    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, most).astype(int))]
-    interval, passed = second.around(times[chosen])
-    index = second.first[interval][:, None] + np.arange(width)
-    present = index < second.first[interval + 1][:, None]
-    index = np.where(present, index, 0)
-    present &= (second.links[index] >= 0) & (track_b[index] >= 0)
-    following = np.where(present, second.links[index], index)
-    weight = passed[:, None, None]
-    pixels_b = (1.0 - weight) * second.pixels[index] + weight * second.pixels[following]
-    pixels_a = np.repeat(first.pixels[chosen], width, axis=0)
-    found = np.abs(signed_distances(first.camera, second.camera, pixels_a, pixels_b.reshape(-1, 2)))
-    found = np.where(present & np.isfinite(found.reshape(index.shape)), found.reshape(index.shape), np.inf)
-    rows, best, nearest = np.arange(len(chosen)), found.argmin(axis=1), found.min(axis=1)
-    index, following = index[rows, best], following[rows, best]
-    near = (nearest <= farthest) & _nearest_of_frame(first.frame_of[chosen], index, nearest)
-    lasting, tracks = _lasting(track_a[chosen][near], track_b[index][near])
-    if lasting.sum() < LEAST_DETECTIONS:
-        return None
-    own, index, following = chosen[near][lasting], index[near][lasting], following[near][lasting]
-    speed = 0.5 * (motion[b].velocity[index] + motion[b].velocity[following])
-    pixels_a, pixels_b = first.pixels[own], pixels_b[rows, best][near][lasting]
-    weight = passed[near][lasting][:, None]
-    places_b = (1.0 - weight) * motion[b].places[index] + weight * motion[b].places[following]
-    # rolling shutters: from the times of frames to those of rows
-    delay = speed * (_delays(first.camera, pixels_a) - _delays(second.camera, pixels_b))[:, None]
-    distance = signed_distances(first.camera, second.camera, pixels_a, pixels_b + delay)
-    sides = (
-        TrackMotion(motion[a].places[own], motion[a].velocity[own], track_a[own]),
-        TrackMotion(places_b + delay, speed, track_b[index]),
-    )
-    return Partners(a, b, sides, distance, tracks[lasting])
-
-
-def _nearest_of_frame(frames: Integers, others: Integers, distances: Array) -> NDArray[np.bool_]:
-    """Return which detections (n,) of these frames are nearest to their partner of all that have the same."""
-    order = np.lexsort((distances, others, frames))
-    repeated = (np.diff(frames[order], prepend=-1) == 0) & (np.diff(others[order], prepend=-1) == 0)
-    nearest = np.empty(len(frames), dtype=np.bool_)
-    nearest[order] = ~repeated
-    return nearest
-
-
-def _delays(camera: Camera, pixels: Array) -> Array:
-    """Return how long after its frame each detection (n,) was made, s."""
-    delays = camera.row_delays(pixels[:, 1])
-    return np.zeros(len(pixels)) if delays is None else delays
-
-
-def _lasting(track_a: Integers, track_b: Integers) -> tuple[NDArray[np.bool_], Integers]:
-    """Return which partners belong to tracks that meet most of the time, and the number of each pair of tracks."""
-    _, number, count = np.unique(np.stack([track_a, track_b]), axis=1, return_inverse=True, return_counts=True)
-    _, own, total = np.unique(track_a, return_inverse=True, return_counts=True)
-    number = number.ravel()
-    return (count[number] >= LEAST_COMMON) & (count[number] >= LEAST_SHARE * total[own]), number

@@ -238,6 +238,17 @@ def test_it_says_where_the_bound_of_its_work_ended_it(monkeypatch: pytest.Monkey
     assert stopped[turns].all()
 
 
+@pytest.mark.parametrize("seed", range(3, 12))
+def test_what_it_says_of_its_bound_is_near_to_what_stays_wrong(monkeypatch: pytest.MonkeyPatch, seed: int) -> None:
+    events, own = _scene(seed)
+    run = _run(events)
+    monkeypatch.setattr(swaps, "MOST_WORK", 1)
+    found, stopped = choose_anew(_tracks(run, _swapped(own, 0, 1, range(0, 16))), run)
+    holds_own = [(event, place == own[0].get(event)) for event, place in sorted(_found(found)[0].items())]
+    for (event, now), (_, then) in pairwise(holds_own):
+        assert now == then or stopped[max(event - 2, 0) : event + 3].any()
+
+
 def test_a_track_takes_a_detection_that_nobody_has() -> None:
     events, own = _scene(2, missed=0.0)
     given = [dict(detections) for detections in own]

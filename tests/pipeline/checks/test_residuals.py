@@ -12,6 +12,7 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
+from stereophd.pipeline.checks.geometry.partners import _nearest_of_frame
 from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, distances, measure, signed_distances
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.residuals import (
@@ -20,7 +21,6 @@ from stereophd.pipeline.checks.residuals import (
     CauseFit,
     Regression,
     Shifts,
-    _nearest_of_frame,
     check_residuals,
 )
 from tests.scenes import build_camera
