@@ -41,6 +41,8 @@ SEARCHED_PART = 0.1
 # Iterations of an adjustment, of one that others follow or that is for the history, and of one for the history where
 # more than poses is unknown.
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
+# Steps of the knots, whatever the loss says, before an adjustment.
+SETTLING_STEPS = 3
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 25
 # Passes in which fitted trajectories choose their detections.
@@ -225,10 +227,6 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
-    # one step whatever the loss says: it would leave out at once what a trajectory has to reach out for, beyond its
-    # last detection so far
-    without_loss = Linearisation.of(replace(problem, loss=SQUARED))
-    states = settled_knots(without_loss, fit.adjustment.values, states, most=1)
     found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations)
     standing = ~_collapsed(task, found)
     if standing.all():
@@ -297,6 +295,9 @@ def _fit(
     max_iterations: int = MOST_ITERATIONS,
 ) -> Fit:
     """Adjust, and time the detections by the cameras found."""
+    # the loss would leave out at once what knots have to reach out for: detections beyond the last one so far, or
+    # nearly all where the knots begin at points whose depths rays hardly show
+    states = settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=SETTLING_STEPS)
     found = adjust(problem, values, states, max_iterations)
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:

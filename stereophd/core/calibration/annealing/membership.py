@@ -17,7 +17,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import Observations, Problem
 from stereophd.core.calibration.adjustment.recording import Scans
-from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, factor_knots
+from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, factor_knots, within_prior
 from stereophd.core.calibration.adjustment.trajectories import straying
 from stereophd.core.calibration.adjustment.volume import inverse_in_band, summed_covariances
 
@@ -36,6 +36,7 @@ class Predictions:
     adjustment: Adjustment
     inverse: Array  # (12, 6 k): Covariance of the knots within the band
     following: Array  # (6 k, m): How the knots follow the values
+    covariance: Array  # (m, m): Of the values, all of them free, whatever the fit has held
 
     @staticmethod
     def of(problem: Problem, adjustment: Adjustment) -> Predictions:
@@ -45,7 +46,9 @@ class Predictions:
         factor = factor_knots(equations.bands)
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
-        return Predictions(weighted, adjustment, inverse, Eliminated.of(equations, factor).following())
+        eliminated = Eliminated.of(equations, factor)
+        covariance = within_prior(eliminated.schur, problem.parameters.prior_std)
+        return Predictions(weighted, adjustment, inverse, eliminated.following(), covariance)
 
     def judged(self, seen: Observations, weights: Array) -> tuple[Array, Array]:
         """Squared distances (n,) of detections from their predictions without them, and the log of the densities there.
@@ -71,7 +74,7 @@ class Predictions:
             used = columns >= 0
             total[np.ix_(here, np.arange(2), columns[used])] += by_value[here][:, :, used]
         predicted = by_point @ spread @ by_point.swapaxes(1, 2)
-        predicted += total @ self.adjustment.covariance @ total.swapaxes(1, 2)
+        predicted += total @ self.covariance @ total.swapaxes(1, 2)
         left = (1.0 + LEAST_LEFT) * np.eye(2) - weights[:, None, None] * (predicted @ seen.precisions)
         covariance = np.linalg.inv(seen.precisions) + np.linalg.solve(left, predicted)
         covariance += by_point @ astray @ by_point.swapaxes(1, 2)

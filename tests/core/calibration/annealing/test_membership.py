@@ -54,3 +54,13 @@ def test_cameras_that_are_wrong_within_their_uncertainty_lose_no_detections(
     judged, _ = Predictions.of(weighted, wrong).judged(seen.take(rows), np.zeros(len(rows)))
     assert (by_noise > GATE).mean() > 0.3
     assert (judged < GATE).mean() > 0.97
+
+
+def test_what_a_pass_has_held_does_not_count_as_uncertain_as_its_prior(solved: tuple[Problem, Adjustment]) -> None:
+    problem, found = solved
+    names = problem.parameters.names
+    still = replace(problem, held=np.array([not name.endswith("focal") for name in names]))
+    passed = adjust(still, found.values, found.states)
+    seen = problem.observations
+    free, held = (Predictions.of(problem, fit).judged(seen, np.ones(len(seen)))[0] for fit in (found, passed))
+    np.testing.assert_allclose(held, free, rtol=0.05, atol=0.05)
