@@ -19,7 +19,7 @@ from stereophd.core.alignment.to_points import ControlPoints, adjust_to_points, 
 from stereophd.core.alignment.to_track import align_to_track
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.solver import Eliminated, factor_knots
+from stereophd.core.calibration.adjustment.solver import Eliminated, factor_knots, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.controlled_linearisation import WORLD, ControlledLinearisation
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, at_values, problem_of
@@ -167,12 +167,9 @@ def _adjusted_to_points(task: Task, answer: Fit, fit: Fit, points: ControlPoints
     values, alignment, covariance = adjust_to_points(
         points, task.parameters.build, fit.adjustment.values, means, precision, any_scale
     )
-    problem, states = problem_of(task, fit), fit.adjustment.states
+    problem = problem_of(task, fit)
     alone = Linearisation.of(problem.weighted(problem.weights(answer.adjustment.distances)))
-    for _ in range(ROUNDS):
-        equations = alone.at(values, states)
-        eliminated = Eliminated.of(equations, factor_knots(equations.bands))
-        states = states + eliminated.knots_after(np.zeros(len(values))).reshape(states.shape)
+    states = settled_knots(alone, values, fit.adjustment.states)
     std = float(np.median(points.precisions[points.precisions > 0.0]) ** -0.5)
-    count = len(values)
-    return at_values(task, fit, values, states, covariance[:count, :count]), World(alignment, covariance, std)
+    of_values = covariance[: len(values), : len(values)]
+    return at_values(task, fit, values, states, of_values), World(alignment, covariance, std)

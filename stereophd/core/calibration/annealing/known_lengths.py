@@ -26,7 +26,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.solver import Eliminated, factor_knots
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.fits import at_values, problem_of
@@ -199,7 +199,9 @@ class _Answer:
 
     def factors(self, values: Array, states: Array) -> _Factors:
         """Return it as seen from values (m,) and knots (k, 2, 3)."""
-        return _Factors.of(self.linearisation.at(values, states), self.values - values, self.covariance)
+        equations, step = self.linearisation.at(values, states), self.values - values
+        eliminated = Eliminated.of(equations, factor_knots(equations.bands, DAMPING))
+        return _Factors(step, eliminated.knots_after(step), self.covariance, equations.coupling, eliminated)
 
 
 @dataclass(frozen=True)
@@ -211,11 +213,6 @@ class _Factors:
     covariance: Array
     coupling: Array
     eliminated: Eliminated
-
-    @staticmethod
-    def of(equations: NormalEquations, value_step: Array, covariance: Array) -> _Factors:
-        eliminated = Eliminated.of(equations, factor_knots(equations.bands, DAMPING))
-        return _Factors(value_step, eliminated.knots_after(value_step), covariance, equations.coupling, eliminated)
 
     def gains(self, slopes: Array) -> tuple[Array, Array]:
         """N G^T by values (m, k) and knots (size, k), with G the slopes (k, size)."""

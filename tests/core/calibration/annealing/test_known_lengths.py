@@ -11,7 +11,6 @@ from stereophd.core.calibration.adjustment.trajectories import fit_states, inter
 from stereophd.core.calibration.annealing.known_lengths import (
     _Answer,
     _distances,
-    _Factors,
     _odds_of_lengths,
     _sampled,
     _step,
@@ -58,10 +57,25 @@ def test_a_step_is_that_of_the_dense_equations_of_the_answer_with_the_distances_
     right = np.append(right[:size], precision @ back + coupling.T @ followed[:, -1])
     dense = dense + across.T @ np.linalg.solve(noise, across)
     expected = np.linalg.solve(dense, right + across.T @ np.linalg.solve(noise, missing))
-    steps, after, _ = _step(_Factors.of(found, back, covariance), slopes, missing, STD)
+    linearisation: Any = SimpleNamespace(at=lambda _values, _states: found)
+    factors = _Answer(linearisation, back, covariance).factors(np.zeros(values), np.zeros((size // 6, 2, 3)))
+    steps, after, _ = _step(factors, slopes, missing, STD)
     np.testing.assert_allclose(steps[values:], expected[:size], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(steps[:values], expected[size:], rtol=1e-6, atol=1e-9)
     np.testing.assert_allclose(after, np.linalg.inv(dense)[size:, size:], rtol=1e-6, atol=1e-9)
+
+
+def test_lengths_that_say_nothing_leave_the_answer_and_what_it_was_widened_by() -> None:
+    """The joint optimum is elsewhere, and the normal equations are more certain: both are of another question."""
+    size, values = 24, 3
+    found, whole, _ = equations(4, size, values)
+    widened = 9.0 * np.linalg.inv(whole)[size:, size:]
+    linearisation: Any = SimpleNamespace(at=lambda _values, _states: found)
+    factors = _Answer(linearisation, np.zeros(values), widened).factors(np.zeros(values), np.zeros((size // 6, 2, 3)))
+    steps, after, cost = _step(factors, np.ones((5, size)), np.ones(5), 1e6)
+    np.testing.assert_allclose(steps[:values], 0.0, atol=1e-9)
+    np.testing.assert_allclose(after, widened, rtol=1e-9)
+    assert cost < 1e-9
 
 
 def test_a_free_scale_leaves_what_is_known_beside_it() -> None:
