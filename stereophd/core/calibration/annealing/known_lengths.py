@@ -8,9 +8,8 @@ derivative G by the knots and the covariance R of the known lengths, in an itera
 
     N = [[C, C F^T], [F C, A^-1 + F C F^T]],    step = step_0 + N G^T (R + G N G^T)^-1 (length - d - G step_0),
 
-with step_0 back to the answer. The bias of the joint optimum that integrating out removes (`adjustment.marginal`) does
-not come back, and what the answer was widened by stays. Its scale was measured by the same distances: it counts as no
-better known than beforehand.
+with step_0 back to the answer. It keeps what it was widened by, and the bias of the joint optimum does not come back
+(`adjustment.marginal`). Its scale was measured by the same distances, and counts as known by the prior alone.
 
 A pair that keeps about the known length by chance would pull everything. Which pairs are taken is therefore decided by
 their odds (`calibration.annealing.known_scale`) and by the distances over the whole common time: y = length - d -
@@ -81,10 +80,7 @@ def with_lengths(task: Task, fit: Fit, length: float, std: float) -> tuple[Fit, 
 
 
 def with_free_scale(covariance: Array, gradient: Array, std: float) -> Array:
-    """Return a covariance (m, m) in which the logarithm of the scale, of a gradient (m,), is known no better than std.
-
-    What the values are beside the scale is as certain as before: detections do not show it.
-    """
+    """Return a covariance (m, m) in which the log scale, of a gradient (m,), is known to std; the rest is as before."""
     with_scale = covariance @ gradient
     variance = float(gradient @ with_scale)
     more = max(std**2 - variance, 0.0) / max(variance, 1e-300) ** 2
