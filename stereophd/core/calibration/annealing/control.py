@@ -19,11 +19,10 @@ from stereophd.core.alignment.to_points import ControlPoints, adjust_to_points, 
 from stereophd.core.alignment.to_track import align_to_track
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.problem import true_times
-from stereophd.core.calibration.adjustment.solver import Eliminated, factor_knots
+from stereophd.core.calibration.adjustment.solver import Eliminated, factor_knots, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.controlled_linearisation import WORLD, ControlledLinearisation
-from stereophd.core.calibration.annealing.fits import FITTED_LOSS, problem_of
+from stereophd.core.calibration.annealing.fits import FITTED_LOSS, at_values, problem_of
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.unknowns.scale import can_be_enlarged, enlarged, scale_is_free
 from stereophd.core.metrics.truth.interpolation import Truth
@@ -157,7 +156,7 @@ def _adjusted(task: Task, answer: Fit, fit: Fit, control: WorldControl, found: A
         found, registration=registration, covariance=covariance[count:, count:],
         distances=np.linalg.norm(errors, axis=1),
     )  # fmt: skip
-    moved = _at(task, fit, alone, values[:count], states[0], covariance)
+    moved = at_values(task, fit, values[:count], states[0], covariance[:count, :count])
     return moved, World(alignment, covariance, std)
 
 
@@ -168,22 +167,9 @@ def _adjusted_to_points(task: Task, answer: Fit, fit: Fit, points: ControlPoints
     values, alignment, covariance = adjust_to_points(
         points, task.parameters.build, fit.adjustment.values, means, precision, any_scale
     )
-    problem, states = problem_of(task, fit), fit.adjustment.states
+    problem = problem_of(task, fit)
     alone = Linearisation.of(problem.weighted(problem.weights(answer.adjustment.distances)))
-    for _ in range(ROUNDS):
-        equations = alone.at(values, states)
-        eliminated = Eliminated.of(equations, factor_knots(equations.bands))
-        states = states + eliminated.knots_after(np.zeros(len(values))).reshape(states.shape)
+    states = settled_knots(alone, values, fit.adjustment.states)
     std = float(np.median(points.precisions[points.precisions > 0.0]) ** -0.5)
-    return _at(task, fit, alone, values, states, covariance), World(alignment, covariance, std)
-
-
-def _at(task: Task, fit: Fit, alone: Linearisation, values: Array, states: Array, covariance: Array) -> Fit:
-    """Return a fit at other values and trajectories, with the covariance of values and world."""
-    count = task.parameters.size
-    adjustment = replace(
-        fit.adjustment, values=values, states=states, covariance=covariance[:count, :count],
-        distances=alone.at(values, states).distances,
-    )  # fmt: skip
-    seen = replace(fit.observations, times=true_times(task.parameters.build(values), fit.observations))
-    return replace(fit, adjustment=adjustment, observations=seen, held=None)
+    of_values = covariance[: len(values), : len(values)]
+    return at_values(task, fit, values, states, of_values), World(alignment, covariance, std)

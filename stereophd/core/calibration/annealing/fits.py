@@ -251,6 +251,14 @@ def problem_of(task: Task, fit: Fit) -> Problem:
     return Problem(task.parameters, task.reference, fit.knots, fit.observations, FITTED_LOSS, task.scale)
 
 
+def at_values(task: Task, fit: Fit, values: Array, states: Array, covariance: Array) -> Fit:
+    """Return a fit at other values (m,) of a covariance (m, m), and at other knots (k, 2, 3)."""
+    seen = replace(fit.observations, times=true_times(task.parameters.build(values), fit.observations))
+    distances = Linearisation.of(problem_of(task, fit)).at(values, states).distances
+    adjustment = replace(fit.adjustment, values=values, states=states, covariance=covariance, distances=distances)
+    return replace(fit, adjustment=adjustment, observations=seen, held=None)
+
+
 def marginal_fit(task: Task, fit: Fit) -> Fit:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion along each axis.
 

@@ -1,31 +1,34 @@
 """Known lengths as measurements at all times: corners of a board, or the ends of a wand, keep their distance.
 
 The scale needs one number of them (`calibration.annealing.known_scale`). But two objects whose distance is known
-at all times also measure depth at all times, and with it focal lengths and lenses. The distances couple trajectories,
-which the normal equations of an adjustment keep apart. They are therefore added as an iterated Kalman update of cameras
-and trajectories together: with N the matrix of the normal equations, G the derivative of the distances d by the knots
-and R the covariance of the known lengths,
+at all times also measure depth at all times, and with it focal lengths and lenses. The answer states N(v, C) for the
+values of the cameras, the trajectories integrated out, and trajectories follow values: x = x(v) + A^-1/2 noise, with A
+the matrix of the knots in the normal equations and F = dx/dv. Beside it the distances d are measurements, of the
+derivative G by the knots and the covariance R of the known lengths, in an iterated Kalman update:
 
-    step = step_0 + N^-1 G^T (R + G N^-1 G^T)^-1 (length - d - G step_0).
+    N = [[C, C F^T], [F C, A^-1 + F C F^T]],    step = step_0 + N G^T (R + G N G^T)^-1 (length - d - G step_0),
+
+with step_0 back to the answer. It keeps what it was widened by, and the bias of the joint optimum does not come back
+(`adjustment.marginal`). Its scale was measured by the same distances, and counts as known by the prior alone.
 
 A pair that keeps about the known length by chance would pull everything. Which pairs are taken is therefore decided by
 their odds (`calibration.annealing.known_scale`) and by the distances over the whole common time: y = length - d -
-G step_0 has the covariance S = R + G N^-1 G^T of a rigid pair of that length, or S + B B^T, where a distance of chance
+G step_0 has the covariance S = R + G N G^T of a rigid pair of that length, or S + B B^T, where a distance of chance
 deviates by a constant and a steady change (the columns of B) of up to the tolerance.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve
+from scipy.linalg import LinAlgError
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.solver import Eliminated, factor_knots
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
-from stereophd.core.calibration.annealing.fits import problem_of
+from stereophd.core.calibration.annealing.fits import at_values, problem_of
 from stereophd.core.calibration.annealing.known_scale import (
     PEAK_WIDTH,
     PRIOR_REACH,
@@ -57,23 +60,31 @@ def with_lengths(task: Task, fit: Fit, length: float, std: float) -> tuple[Fit, 
     Each distance may deviate by `std`, and all of them together by as much. The scale of the fit is known already.
     Returns the fit given, and 0, if no pair keeps that distance or the detections contradict it.
     """
-    # the scale is what the lengths measure
-    linearisation = Linearisation.of(replace(problem_of(task, fit), scale=None))
-    before = linearisation.at(fit.adjustment.values, fit.adjustment.states).cost
-    _, gradient = log_scale(task.parameters, task.reference, fit.adjustment.values)
-    reach = PRIOR_REACH * float(np.sqrt((gradient**2 * task.parameters.prior_std**2).sum()))
+    problem, parameters, values = problem_of(task, fit), task.parameters, fit.adjustment.values
+    _, gradient = log_scale(parameters, task.reference, values)
+    spread = float(np.sqrt((gradient**2 * parameters.prior_std**2).sum()))
+    linearisation = Linearisation.of(problem.weighted(problem.weights(fit.adjustment.distances)))
+    answer = _Answer(linearisation, values, with_free_scale(fit.adjustment.covariance, gradient, spread))
     best, count = fit, 0
     for _ in range(ROUNDS):
-        pairs, odds = _candidates(best, length, reach)
+        pairs, odds = _candidates(best, length, PRIOR_REACH * spread)
         if len(pairs) > count:
-            pairs = pairs[_odds_of_lengths(linearisation, best, pairs, length, std) + odds > 0.0]
+            pairs = pairs[_odds_of_lengths(answer, best, pairs, length, std) + odds > 0.0]
         if len(pairs) <= count:
             break  # with the lengths of some pairs others keep theirs, too
-        found = _updated(linearisation, best, pairs, length, std, before)
+        found = _updated(answer, best, pairs, length, std)
         if found is None:
             break
-        best, count = found, len(pairs)
+        best, count = at_values(task, *found), len(pairs)
     return best, count
+
+
+def with_free_scale(covariance: Array, gradient: Array, std: float) -> Array:
+    """Return a covariance (m, m) in which the log scale, of a gradient (m,), is known to std; the rest is as before."""
+    with_scale = covariance @ gradient
+    variance = float(gradient @ with_scale)
+    more = max(std**2 - variance, 0.0) / max(variance, 1e-300) ** 2
+    return np.asarray(covariance + more * np.outer(with_scale, with_scale))
 
 
 def _candidates(fit: Fit, length: float, reach: float) -> tuple[Integers, Array]:
@@ -89,14 +100,14 @@ def _candidates(fit: Fit, length: float, reach: float) -> tuple[Integers, Array]
     return every.members[places[near]], np.log(expected * peaks.odds[near]) + rarity
 
 
-def _odds_of_lengths(linearisation: Linearisation, fit: Fit, pairs: Integers, length: float, std: float) -> Array:
+def _odds_of_lengths(answer: _Answer, fit: Fit, pairs: Integers, length: float, std: float) -> Array:
     """Logarithms of the odds (p,) that pairs (p, 2) have the length at all common times, rather than by chance.
 
     Errors that no covariance contains, such as those of lenses, are taken as large as the better half of the pairs
     shows them. Zeros where the equations have no solution: the distances then say nothing.
     """
     try:
-        information, along = _deviations(linearisation, fit, pairs, length, std)
+        information, along = _deviations(answer, fit, pairs, length, std)
         squared = np.einsum("pi,pi->p", along, np.linalg.solve(information, along[:, :, None])[:, :, 0])
     except LinAlgError:
         return np.zeros(len(pairs))
@@ -107,16 +118,14 @@ def _odds_of_lengths(linearisation: Linearisation, fit: Fit, pairs: Integers, le
     return np.asarray(0.5 * np.linalg.slogdet(whole)[1] - 0.5 * pulled)
 
 
-def _deviations(
-    linearisation: Linearisation, fit: Fit, pairs: Integers, length: float, std: float
-) -> tuple[Array, Array]:
+def _deviations(answer: _Answer, fit: Fit, pairs: Integers, length: float, std: float) -> tuple[Array, Array]:
     """Constant and steady deviation of each pair: information (p, 2, 2), and information times estimate (p, 2).
 
     In units of the tolerance. The pairs are solved one by one, which bounds the memory.
     """
     states = fit.adjustment.states
     pair, times = _sampled(fit, pairs, states.size, LEAST_TIMES_FOR_ODDS)
-    factors = _Factors.of(linearisation.at(fit.adjustment.values, states))
+    factors = answer.factors(fit.adjustment.values, states)
     count = len(times) // len(pairs)
     steady = np.linspace(-np.sqrt(3.0), np.sqrt(3.0), count)
     basis = LARGEST_MEAN_DEVIATION * length * np.column_stack([np.ones(count), steady])
@@ -132,27 +141,19 @@ def _deviations(
 
 
 def _updated(
-    linearisation: Linearisation, fit: Fit, pairs: Integers, length: float, std: float, before: float
-) -> Fit | None:
-    """Adjust to the lengths of pairs (p, 2); None where they contradict the detections, whose cost was `before`."""
+    answer: _Answer, fit: Fit, pairs: Integers, length: float, std: float
+) -> tuple[Fit, Array, Array, Array] | None:
+    """Return a fit, and its values, knots and covariance by lengths of pairs (p, 2), too; None where these misfit."""
     values, states, covariance = fit.adjustment.values, fit.adjustment.states, fit.adjustment.covariance
-    pair, times = _sampled(fit, pairs, states.size)
+    (pair, times), cost = _sampled(fit, pairs, states.size), np.inf
     try:
         for _ in range(STEPS):
             found, slopes = _distances(fit, states, pairs[pair], times)
-            value_step, state_step, covariance = _step(linearisation.at(values, states), slopes, length - found, std)
-            values, states = values + value_step, states + state_step.reshape(states.shape)
+            step, covariance, cost = _step(answer.factors(values, states), slopes, length - found, std)
+            values, states = values + step[: len(values)], states + step[len(values) :].reshape(states.shape)
     except LinAlgError:
         return None
-    equations = linearisation.at(values, states)
-    left = length - _distances(fit, states, pairs[pair], times)[0]
-    if not equations.cost - before + float(((left - left.mean()) ** 2).sum()) / std**2 <= MOST_COST * len(left):
-        return None
-    adjustment = replace(
-        fit.adjustment, values=values, states=states, covariance=covariance, cost=equations.cost,
-        distances=equations.distances,
-    )  # fmt: skip
-    return replace(fit, adjustment=adjustment)
+    return (fit, values, states, covariance) if cost <= MOST_COST * len(times) else None
 
 
 def _sampled(fit: Fit, pairs: Integers, size: int, least: int = 1) -> tuple[Integers, Array]:
@@ -185,38 +186,43 @@ def _distances(fit: Fit, states: Array, pairs: Integers, times: Array) -> tuple[
 
 
 @dataclass(frozen=True)
+class _Answer:
+    """What detections and priors say: values (m,), their covariance (m, m), and how trajectories follow them."""
+
+    linearisation: Linearisation
+    values: Array
+    covariance: Array
+
+    def factors(self, values: Array, states: Array) -> _Factors:
+        """Return it as seen from values (m,) and knots (k, 2, 3)."""
+        equations, step = self.linearisation.at(values, states), self.values - values
+        eliminated = Eliminated.of(equations, factor_knots(equations.bands, DAMPING))
+        return _Factors(step, eliminated.knots_after(step), self.covariance, equations.coupling, eliminated)
+
+
+@dataclass(frozen=True)
 class _Factors:
-    """Factored normal equations: steps of values (m,) and knots (size,) without the lengths, and covariance (m, m)."""
+    """Steps of values (m,) and knots (size,) to the answer, its covariance (m, m), and how knots follow values."""
 
     value_step: Array
     state_step: Array
     covariance: Array
     coupling: Array
     eliminated: Eliminated
-    of_schur: tuple[Array, bool]
-
-    @staticmethod
-    def of(equations: NormalEquations) -> _Factors:
-        eliminated = Eliminated.of(equations, factor_knots(equations.bands, DAMPING))
-        of_schur = cho_factor(eliminated.schur)
-        value_step = cho_solve(of_schur, eliminated.right)
-        covariance = cho_solve(of_schur, np.eye(len(value_step)))
-        state_step = eliminated.knots_after(value_step)
-        return _Factors(value_step, state_step, covariance, equations.coupling, eliminated, of_schur)
 
     def gains(self, slopes: Array) -> tuple[Array, Array]:
-        """N^-1 G^T by values (m, k) and knots (size, k), with G the slopes (k, size)."""
+        """N G^T by values (m, k) and knots (size, k), with G the slopes (k, size)."""
         across = self.eliminated.of_knots(slopes.T)
-        of_values = -cho_solve(self.of_schur, self.coupling.T @ across)
+        of_values = -self.covariance @ (self.coupling.T @ across)
         return of_values, across + self.eliminated.followed(of_values)
 
 
-def _step(equations: NormalEquations, slopes: Array, missing: Array, std: float) -> tuple[Array, Array, Array]:
-    """Steps of values (m,) and knots (size,) with distances that miss the length by `missing` (k,); covariance."""
-    factors = _Factors.of(equations)
+def _step(factors: _Factors, slopes: Array, missing: Array, std: float) -> tuple[Array, Array, float]:
+    """Step of values and knots (m + size,) with distances that miss the length by `missing` (k,); covariance; cost."""
     of_values, of_states = factors.gains(slopes)
     spread = std**2 * (np.eye(len(missing)) + 1.0) + slopes @ of_states
-    weights = np.linalg.solve(spread, np.column_stack([missing - slopes @ factors.state_step, of_values.T]))
+    missing = missing - slopes @ factors.state_step
+    weights = np.linalg.solve(spread, np.column_stack([missing, of_values.T]))
     covariance = factors.covariance - of_values @ weights[:, 1:]
-    covariance = 0.5 * (covariance + covariance.T)
-    return factors.value_step + of_values @ weights[:, 0], factors.state_step + of_states @ weights[:, 0], covariance
+    steps = np.append(factors.value_step, factors.state_step) + np.concatenate([of_values, of_states]) @ weights[:, 0]
+    return steps, 0.5 * (covariance + covariance.T), float(missing @ weights[:, 0])

@@ -8,7 +8,14 @@ import pytest
 
 from stereophd.core.calibration.adjustment.linearisation import NormalEquations
 from stereophd.core.calibration.adjustment.trajectories import fit_states, interpolation, place_knots
-from stereophd.core.calibration.annealing.known_lengths import _distances, _odds_of_lengths, _sampled, _step
+from stereophd.core.calibration.annealing.known_lengths import (
+    _Answer,
+    _distances,
+    _odds_of_lengths,
+    _sampled,
+    _step,
+    with_free_scale,
+)
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 
 STD = 0.3
@@ -33,19 +40,55 @@ def equations(seed: int, size: int, values: int) -> tuple[NormalEquations, np.nd
     return found, whole, right
 
 
-def test_a_step_is_that_of_the_dense_equations_with_the_distances_added() -> None:
+def test_a_step_is_that_of_the_dense_equations_of_the_answer_with_the_distances_added() -> None:
+    """The values keep what the answer says of them, which is not what the normal equations say."""
     size, values, count = 24, 3, 5
     rng = np.random.default_rng(1)
     found, whole, right = equations(0, size, values)
     slopes, missing = rng.standard_normal((count, size)), rng.standard_normal(count)
+    back, root = rng.standard_normal(values), rng.standard_normal((values, values))
+    covariance = root @ root.T
     noise = STD**2 * (np.eye(count) + 1.0)
     across = np.column_stack([slopes, np.zeros((count, values))])
-    dense = whole + across.T @ np.linalg.solve(noise, across)
+    knots, coupling, precision = whole[:size, :size], whole[:size, size:], np.linalg.inv(covariance)
+    followed = np.linalg.solve(knots, np.column_stack([coupling, right[:size]]))
+    dense = whole.copy()
+    dense[size:, size:] = precision + coupling.T @ followed[:, :-1]
+    right = np.append(right[:size], precision @ back + coupling.T @ followed[:, -1])
+    dense = dense + across.T @ np.linalg.solve(noise, across)
     expected = np.linalg.solve(dense, right + across.T @ np.linalg.solve(noise, missing))
-    value_step, state_step, covariance = _step(found, slopes, missing, STD)
-    np.testing.assert_allclose(state_step, expected[:size], rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(value_step, expected[size:], rtol=1e-6, atol=1e-9)
-    np.testing.assert_allclose(covariance, np.linalg.inv(dense)[size:, size:], rtol=1e-6, atol=1e-12)
+    linearisation: Any = SimpleNamespace(at=lambda _values, _states: found)
+    factors = _Answer(linearisation, back, covariance).factors(np.zeros(values), np.zeros((size // 6, 2, 3)))
+    steps, after, _ = _step(factors, slopes, missing, STD)
+    np.testing.assert_allclose(steps[values:], expected[:size], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(steps[:values], expected[size:], rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(after, np.linalg.inv(dense)[size:, size:], rtol=1e-6, atol=1e-9)
+
+
+def test_lengths_that_say_nothing_leave_the_answer_and_what_it_was_widened_by() -> None:
+    """The joint optimum is elsewhere, and the normal equations are more certain: both are of another question."""
+    size, values = 24, 3
+    found, whole, _ = equations(4, size, values)
+    widened = 9.0 * np.linalg.inv(whole)[size:, size:]
+    linearisation: Any = SimpleNamespace(at=lambda _values, _states: found)
+    factors = _Answer(linearisation, np.zeros(values), widened).factors(np.zeros(values), np.zeros((size // 6, 2, 3)))
+    steps, after, cost = _step(factors, np.ones((5, size)), np.ones(5), 1e6)
+    np.testing.assert_allclose(steps[:values], 0.0, atol=1e-9)
+    np.testing.assert_allclose(after, widened, rtol=1e-9)
+    assert cost < 1e-9
+
+
+def test_a_free_scale_leaves_what_is_known_beside_it() -> None:
+    """In the coordinates of the scale and of what is independent of it, the scale alone is less certain."""
+    rng = np.random.default_rng(3)
+    root, gradient = rng.standard_normal((4, 4)), rng.standard_normal(4)
+    covariance = root @ root.T
+    with_scale = covariance @ gradient
+    freed = with_free_scale(covariance, gradient, 7.0)
+    assert gradient @ freed @ gradient == pytest.approx(49.0)
+    beside = np.eye(4) - np.outer(with_scale, gradient) / (gradient @ with_scale)  # of the scale's regression
+    np.testing.assert_allclose(beside @ freed @ beside.T, beside @ covariance @ beside.T, atol=1e-12)
+    np.testing.assert_array_equal(with_free_scale(covariance, gradient, 0.0), covariance)
 
 
 def test_derivatives_of_distances_are_the_numerical_ones() -> None:
@@ -97,7 +140,7 @@ def test_a_pair_of_about_the_length_is_told_from_one_of_the_length_where_the_tra
     equations = NormalEquations(0.0, bands, nothing, np.eye(1), np.zeros(size), np.zeros(1), np.empty(0))
     linearisation: Any = SimpleNamespace(at=lambda _values, _states: equations)
     fit: Any = SimpleNamespace(knots=knots, adjustment=SimpleNamespace(states=states, values=np.zeros(1)))
-    odds = _odds_of_lengths(linearisation, fit, np.arange(8).reshape(4, 2), 10.0, 0.01)
+    odds = _odds_of_lengths(_Answer(linearisation, np.zeros(1), np.eye(1)), fit, np.arange(8).reshape(4, 2), 10.0, 0.01)
     if noise < 1.0:
         assert (odds[:2] > 3.0).all()
         assert (odds[2:] < -10.0).all()
@@ -123,7 +166,9 @@ def test_any_number_of_rods_have_odds(count: int) -> None:
     equations = NormalEquations(0.0, bands, np.zeros((size, 1)), np.eye(1), np.zeros(size), np.zeros(1), np.empty(0))
     linearisation: Any = SimpleNamespace(at=lambda _values, _states: equations)
     fit: Any = SimpleNamespace(knots=knots, adjustment=SimpleNamespace(states=states, values=np.zeros(1)))
-    odds = _odds_of_lengths(linearisation, fit, np.arange(2 * count).reshape(count, 2), 10.0, 0.01)
+    odds = _odds_of_lengths(
+        _Answer(linearisation, np.zeros(1), np.eye(1)), fit, np.arange(2 * count).reshape(count, 2), 10.0, 0.01
+    )
     assert odds.shape == (count,)
     np.testing.assert_allclose(odds, odds[0], rtol=1e-6)
     assert odds[0] > 2.0
@@ -140,4 +185,6 @@ def test_equations_without_a_solution_leave_the_odds_as_they_are() -> None:
     linearisation: Any = SimpleNamespace(at=lambda _values, _states: equations)
     states = np.arange(float(size)).reshape(-1, 2, 3)
     fit: Any = SimpleNamespace(knots=knots, adjustment=SimpleNamespace(states=states, values=np.zeros(1)))
-    np.testing.assert_array_equal(_odds_of_lengths(linearisation, fit, np.array([[0, 1]]), 1.0, 0.1), [0.0])
+    np.testing.assert_array_equal(
+        _odds_of_lengths(_Answer(linearisation, np.zeros(1), np.eye(1)), fit, np.array([[0, 1]]), 1.0, 0.1), [0.0]
+    )
