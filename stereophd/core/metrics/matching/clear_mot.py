@@ -79,19 +79,20 @@ def follow(estimates: PointSets, truth: PointSets, near: NearPairs, order: float
     cost = near.ratio**order
     chosen = np.zeros(len(cost), dtype=np.bool_)
     chosen[least_cost(near.estimate, near.truth, cost, 1.0)] = True
-    optimal = chosen.tolist()
-    track, target = estimates.label[near.estimate].tolist(), truth.label[near.truth].tolist()
+    track, target = estimates.label[near.estimate], truth.label[near.truth]
     memory: dict[int, tuple[int, int]] = {}  # of each object: the track that it was last matched to, and the scan
     starts = np.searchsorted(near.scan, np.arange(estimates.scans + 1)).tolist()
     for scan, (first, end) in enumerate(pairwise(starts)):
-        pairs = [k for k in range(first, end) if optimal[k]]
-        kept = [k for k in range(first, end) if track[k] > UNLABELLED and memory.get(target[k], NOTHING)[0] == track[k]]
-        if not all(optimal[k] for k in kept):
-            kept.sort(key=lambda k: -memory[target[k]][1])
-            chosen[first:end] = False
-            chosen[_assign(near.take(np.arange(first, end)), cost[first:end], np.array(kept) - first) + first] = True
-            pairs = (first + np.flatnonzero(chosen[first:end])).tolist()
-        memory.update({target[k]: (track[k], scan) for k in pairs if track[k] > UNLABELLED})
+        rows = slice(first, end)
+        tracks, targets, matched = track[rows].tolist(), target[rows].tolist(), chosen[rows].tolist()
+        kept = [k for k, one in enumerate(tracks) if one > UNLABELLED and memory.get(targets[k], NOTHING)[0] == one]
+        if not all(matched[k] for k in kept):
+            since = {k: memory[targets[k]][1] for k in kept}
+            latest_first = sorted(kept, key=since.__getitem__, reverse=True)
+            chosen[rows] = False
+            chosen[first + _assign(near.take(rows), cost[rows], np.array(latest_first))] = True
+            matched = chosen[rows].tolist()
+        memory.update({targets[k]: (one, scan) for k, one in enumerate(tracks) if matched[k] and one > UNLABELLED})
     return near.take(np.flatnonzero(chosen))
 
 
