@@ -164,6 +164,41 @@ def test_what_is_no_output_is_refused(folders: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "page.html").exists()
 
 
+@pytest.mark.parametrize(
+    ("name", "key", "value"),
+    [
+        ("pmb", ("provenance", "config", "object"), [1]),
+        ("pmb", ("tracks",), [{"track_id": 1}]),
+        ("score", ("ospa", "order"), 1e308),
+        ("score", ("gospa",), None),
+    ],
+)
+def test_a_report_of_another_shape_is_refused_by_its_name(
+    folders: Path, tmp_path: Path, name: str, key: tuple[str, ...], value: object
+) -> None:
+    for folder in ("pmb", "score"):
+        shutil.copytree(folders / folder, tmp_path / folder)
+    path = tmp_path / name / "report.json"
+    document = json.loads(path.read_text())
+    place = document
+    for part in key[:-1]:
+        place = place[part]
+    place[key[-1]] = value
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=rf"{name}.report\.json.*: expected a report of stereophd, found"):
+        page(read_runs([tmp_path / "pmb", tmp_path / "score"]))
+
+
+def test_what_is_no_mapping_has_no_cameras(folders: Path, tmp_path: Path) -> None:
+    shutil.copytree(folders / "pmb", tmp_path / "pmb")
+    path = tmp_path / "pmb" / "report.json"
+    document = json.loads(path.read_text())
+    document["provenance"]["config"] = "none"
+    path.write_text(json.dumps(document))
+    (run,) = read_runs([tmp_path / "pmb"])
+    assert run.cameras == ()
+
+
 def test_a_thousand_tracks_fit_in_ten_megabytes(folders: Path) -> None:
     (run,) = read_runs([folders / "pmb"])
     rng, tracks, rows = np.random.default_rng(1), 1000, 60

@@ -1,8 +1,9 @@
 """Results of an experiment: the summaries of every method in every case, gathered from runs, written and read."""
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,6 @@ import numpy as np
 
 from stereophd.config.experiment import ExperimentConfig
 from stereophd.config.loading import LoadedConfig
-from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.experiments.engine.base import Series
 from stereophd.experiments.engine.summary import Summary, summarise, with_windows
@@ -18,7 +18,7 @@ from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, Part, Run
 from stereophd.io.outputs.atomic import OutputFolder, output_folder
 from stereophd.io.outputs.json_text import write_json
 from stereophd.io.outputs.provenance import from_metadata, provenance, to_metadata
-from stereophd.io.tables.reading import read_metadata, read_table
+from stereophd.io.tables.reading import arrays_of, read_metadata, read_table
 from stereophd.io.tables.schemas import FLOAT, INTEGER, RUNS, STRING, SUMMARY
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
@@ -128,9 +128,17 @@ def write_results(results: Results, runs: Sequence[RunResult], loaded: LoadedCon
 def read_results(loaded: LoadedConfig, settings: ExperimentConfig, out: Path) -> Results:
     """Return the results of a finished experiment from its files."""
     names = {case: points for case, points, _ in cases_of(settings)}
+    texts = ("method", "case", "quantity", "unit")
+    required = {**dict.fromkeys(texts, STRING), "runs": INTEGER}
+    optional = dict.fromkeys(("time_s", *STATISTICS), FLOAT)
+    columns = arrays_of(read_table(out / SUMMARY_FILE, required, optional, what="summary of an experiment"))
+    keys = list(zip(*(columns[name].tolist() for name in texts), np.isnan(columns["time_s"]).tolist(), strict=True))
     by_cell: dict[tuple[str, str], list[Summary]] = {}
-    for method, case, summary in read_summaries(out / SUMMARY_FILE):
-        by_cell.setdefault((method, case), []).append(summary)
+    for (method, case, quantity, unit, is_whole), numbers in groupby(range(len(keys)), keys.__getitem__):
+        rows = list(numbers)
+        times_s = None if is_whole else columns["time_s"][rows]
+        values = {name: columns[name][rows] for name in ("runs", *STATISTICS)}
+        by_cell.setdefault((method, case), []).append(Summary(quantity, unit, times_s, **values))
     cells = tuple(Cell(*key, names[key[1]], tuple(summaries)) for key, summaries in by_cell.items())
     try:
         timing = json.loads((out / TIMING_FILE).read_text(encoding="utf-8"))
@@ -165,28 +173,3 @@ def _columns(
     times: Any = [None] if of.times_s is None else of.times_s
     key = {"experiment": experiment, "method": method, "case": case}
     return {**key, "time_s": times, "quantity": of.quantity, "unit": of.unit, **values}
-
-
-def read_summaries(path: Path) -> Iterator[tuple[str, str, Summary]]:
-    """Yield method, case and summary of every quantity of a ``summary.parquet``; errors as of `read_table`."""
-    texts = ("method", "case", "quantity", "unit")
-    numbers = ("time_s", *STATISTICS)
-    required = {**dict.fromkeys(texts, STRING), "runs": INTEGER}
-    table = read_table(path, required, dict.fromkeys(numbers, FLOAT), what="summary of an experiment")
-    text = {name: table.column(name).to_pylist() for name in texts}
-    number = {name: table.column(name).to_numpy(zero_copy_only=False) for name in numbers}
-    runs = table.column("runs").to_numpy()
-    keys = list(zip(*text.values(), strict=True))
-    for piece in pieces(keys, number["time_s"]):
-        method, case, quantity, unit = keys[piece.start]
-        times_s = None if np.isnan(number["time_s"][piece.start]) else number["time_s"][piece]
-        values = {name: number[name][piece] for name in STATISTICS}
-        yield method, case, Summary(quantity, unit, times_s, runs[piece], **values)
-
-
-def pieces(keys: Sequence[Any], times_s: Array) -> Iterator[slice]:
-    """Yield the rows of each series: those with one key and times (NaN: no time, one row)."""
-    whole = np.isnan(times_s)
-    starts = [i for i in range(len(keys)) if i == 0 or keys[i] != keys[i - 1] or bool(whole[i]) or bool(whole[i - 1])]
-    for start, end in zip(starts, [*starts, len(keys)][1:], strict=False):
-        yield slice(start, end)

@@ -8,7 +8,7 @@ at a time.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -20,6 +20,7 @@ from stereophd.core.settings import LARGEST_TIME_S
 from stereophd.errors import InputError
 from stereophd.io.documents import check_instant
 from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, ImportOptions, Piece
+from stereophd.io.logs.checks import repeated_rows
 from stereophd.io.logs.rows import log_schema
 from stereophd.io.tables.writing import TableWriter
 from stereophd.wording import instant
@@ -43,21 +44,12 @@ class Spool:
     in_order: bool = True
     has_frames: bool = True
     has_whole_times: bool = True
+    extra: set[str] = field(default_factory=set)  # Extra columns that have a value in some row
 
     def discard(self) -> None:
         """Close the file and remove it."""
         self.stream.close()
         self.path.unlink(missing_ok=True)
-
-
-def extra_columns(spools: Mapping[str, Spool]) -> list[str]:
-    """Return the extra columns that have a value in some row."""
-    found = np.zeros(len(EXTRA_COLUMNS), dtype=bool)
-    for spool in spools.values():
-        spool.stream.flush()
-        for rows in read_rows(spool):
-            found |= ~np.isnan(rows[:, 4:]).all(axis=0)
-    return [name for name, is_there in zip(EXTRA_COLUMNS, found, strict=True) if is_there]
 
 
 def spool_pieces(recording: ForeignRecording, folder: Path) -> dict[str, Spool]:
@@ -87,6 +79,8 @@ def _append(spool: Spool, piece: Piece) -> None:
         raise InputError(f"camera {piece.camera}: expected finite pixels, found infinity")
     for name, values in piece.extra.items():
         rows[:, 4 + EXTRA_COLUMNS.index(name)] = values
+        if not np.isnan(values).all():
+            spool.extra.add(name)
     identities = rows[:, 4 + EXTRA_COLUMNS.index("object_id")]
     if (np.abs(identities[~np.isnan(identities)]) > MAX_FRAME).any():
         raise InputError(f"camera {piece.camera}: expected whole identities of objects, found one beyond 2^53")
@@ -166,7 +160,7 @@ def write_native_log(
     try:
         if not spools:
             raise InputError(f"{next(iter(recording.files), 'the source')}: expected detections, found none")
-        extra = extra_columns(spools)
+        extra = [name for name in EXTRA_COLUMNS if any(name in spool.extra for spool in spools.values())]
         if "score" in extra and options.least_score is None:
             recording.assumed.append("scores (likelihoods) are not used: `least_score` leaves out what has a lower one")
         order = [name for name in recording.cameras if name in spools]
@@ -269,7 +263,7 @@ class _Camera:
         if LARGEST_TIME_S < (largest := float(np.abs(rows[:, TIME]).max())) < math.inf:
             raise InputError(f"camera {self._name}: expected times in seconds, found {largest:.4g}")
         count = len(rows)
-        rows = _without_duplicates(rows)
+        rows = rows[~repeated_rows(rows[:, FRAME], rows[:, U : V + 1], np.arange(count))]
         self._summary.duplicate_rows += count - len(rows)
         if self._fill and (self._spool.has_frames or self._interval_s is not None):
             rows = self._filled(rows, is_last)
@@ -372,18 +366,6 @@ class _Camera:
         if steps > 0 and lasted > 0.0:
             # without the round-off of the times, which files of cameras would show
             summary.rate_hz = float(f"{steps / lasted:.12g}")
-
-
-def _without_duplicates(rows: Array) -> Array:
-    """Remove detections at the pixels of another of their frame, and empty rows beside others. Keeps the order."""
-    order = np.lexsort((np.arange(len(rows)), rows[:, V], rows[:, U], rows[:, FRAME]))
-    ordered = rows[order]
-    same_frame = ordered[1:, FRAME] == ordered[:-1, FRAME]
-    # NaN sorts last, so an empty row beside another row comes after it
-    repeats = same_frame & (np.isnan(ordered[1:, U]) | (ordered[1:, U : V + 1] == ordered[:-1, U : V + 1]).all(axis=1))
-    keep = np.ones(len(rows), dtype=bool)
-    keep[order[1:][repeats]] = False
-    return rows[keep]
 
 
 def _merged(streams: Sequence[Iterator[Array]]) -> Iterator[tuple[NDArray[np.int64], Array]]:

@@ -171,6 +171,20 @@ def frame_starts(rows: Rows) -> Integers:
     return np.flatnonzero(new)
 
 
+def repeated_rows(frames: Array | Integers, pixels: Array, number: Integers) -> Booleans:
+    """Return which rows (n,) repeat one of their frame with a lower number, or are empty (NaN) beside another.
+
+    Those that repeat have exactly its pixels (n, 2).
+    """
+    # one sort puts equal pixels of a frame side by side, NaN last, lower numbers first
+    order = np.lexsort((number, pixels[:, 1], pixels[:, 0], frames))
+    before, after = order[:-1], order[1:]
+    alike = np.isnan(pixels[after, 0]) | (pixels[after] == pixels[before]).all(axis=1)
+    repeated = np.zeros(len(order), dtype=bool)
+    repeated[after] = alike & (frames[after] == frames[before])
+    return repeated
+
+
 def duplicate_fault(rows: Rows) -> Fault:
     """Return the rows that repeat another of their frame, in rows sorted by frame.
 
@@ -178,15 +192,8 @@ def duplicate_fault(rows: Rows) -> Fault:
     another row.
     """
     starts = frame_starts(rows)
-    sizes = np.diff(np.concatenate([starts, [len(rows)]]))
-    group = np.repeat(np.arange(len(starts)), sizes)
-    # One sort puts equal pixels of a frame side by side, empty rows last, earlier rows first.
-    order = np.lexsort((rows.row, rows.pixels[:, 1], rows.pixels[:, 0], rows.empty, group))
-    same_frame = group[order][1:] == group[order][:-1]
-    pixels, empty = rows.pixels[order], rows.empty[order]
-    repeats = same_frame & (empty[1:] | ((pixels[1:] == pixels[:-1]).all(axis=1) & ~empty[1:]))
-    bad = np.zeros(len(rows), dtype=bool)
-    bad[order[1:][repeats]] = True
+    frames = np.repeat(np.arange(len(starts)), np.diff(starts, append=len(rows)))
+    bad = repeated_rows(frames, rows.pixels, rows.row)
 
     def say(i: int) -> str:
         if rows.empty[i]:

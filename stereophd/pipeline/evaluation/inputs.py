@@ -179,13 +179,11 @@ def cameras_of_record(record: Mapping[str, Any] | None) -> list[Camera] | None:
 
     from stereophd.io.cameras.models import CameraConfig
 
-    described = ((record or {}).get("config") or {}).get("cameras")
-    if not isinstance(described, dict) or not described:
-        return None
     try:
-        return [CameraConfig.model_validate(value).build(name) for name, value in described.items()]
-    except (ValidationError, ValueError):
-        # Written by another version: the tracks can be scored all the same.
+        described = ((record or {}).get("config") or {}).get("cameras") or {}
+        return [CameraConfig.model_validate(value).build(name) for name, value in described.items()] or None
+    except (AttributeError, ValidationError, ValueError):
+        # Written by another version, or no mapping: the tracks can be scored all the same.
         return None
 
 

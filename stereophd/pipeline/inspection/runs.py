@@ -1,24 +1,17 @@
-"""Output folders of `track`, `calibrate` and `evaluate`, read back and put together: what a report shows.
-
-What a page needs of a ``report.json`` is stated as types: a report of another shape is refused where it is read. What a
-page does not show is not stated, and may hold anything.
-"""
+"""Output folders of `track`, `calibrate` and `evaluate`, read back and put together: what a report shows."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, NotRequired, TypedDict
+from typing import Any
 
-import msgspec
 import numpy as np
 import pyarrow.compute as pc
-from msgspec import Meta
 from numpy.typing import NDArray
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.errors import InputError
-from stereophd.io.documents import expecting
 from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.io.outputs.json_text import read_report
 from stereophd.io.outputs.provenance import file_sha256
@@ -26,145 +19,6 @@ from stereophd.io.tables.reading import arrays_of, finite_column, open_parquet, 
 from stereophd.io.tables.schemas import ASSOCIATIONS, CONFIRMED, FLOAT, INTEGER, SCANS, TRACKS, kinds_of
 from stereophd.pipeline.evaluation.inputs import cameras_of_record, read_truth
 from stereophd.pipeline.inspection.tables import kind_of
-
-_Numbers = dict[str, float | None]
-
-
-class _Detector(TypedDict):
-    sigma_px: NotRequired[list[float] | None]
-
-
-class _Clock(TypedDict):
-    offset_s: NotRequired[float | None]
-    rate: NotRequired[float | None]
-
-
-class _DescribedCamera(TypedDict):
-    clock: NotRequired[_Clock | None]
-    detector: NotRequired[_Detector | None]
-
-
-class _Config(TypedDict):
-    cameras: NotRequired[dict[str, _DescribedCamera] | None]
-    filter: NotRequired[dict[str, Any] | None]
-
-
-class _Record(TypedDict):
-    config: _Config
-    inputs: dict[str, str]
-    seed: int | None
-
-
-class _Finding(TypedDict):
-    name: str
-    status: str
-    camera: str | None
-    message: str
-    remedy: str | None
-
-
-class _Report(TypedDict):
-    provenance: _Record
-    length_unit: NotRequired[str | None]
-    checks: NotRequired[list[_Finding]]
-
-
-class _CameraFigures(TypedDict):
-    frames: int
-    detections: int
-    explained_detections: float
-    explained_share: float | None
-    residuals: int
-    residual_rms_px: float | None
-    residual_mean_px: tuple[float, float] | None
-    residual_ratio: NotRequired[float | None]
-    outlier_share: NotRequired[float | None]
-
-
-class _TrackFigures(TypedDict):
-    track_id: int
-    first_s: float
-    last_s: float
-    n_detections: dict[str, int]
-    mean_existence: float | None
-    mean_speed: NotRequired[float | None]
-    mean_position_std: NotRequired[float | None]
-
-
-class _Figures(TypedDict):
-    tracks: NotRequired[list[_TrackFigures] | int]
-    cameras: NotRequired[dict[str, _CameraFigures] | None]
-    log_likelihood: NotRequired[float]
-    cameras_part: NotRequired[_Numbers | None]
-
-
-class _DetectorsUsed(TypedDict):
-    cameras: NotRequired[dict[str, _Detector | None]]
-
-
-class _Tracking(_Report, _Figures):
-    detectors: NotRequired[_DetectorsUsed | None]
-
-
-class _Pose(TypedDict):
-    rotation_std_deg: float
-    direction_std_deg: float
-    center_std: float
-
-
-class _Estimate(TypedDict):
-    name: str
-    unit: str
-    prior_std: float
-    mean: float | None
-    std: float
-    posterior_over_prior_std: float
-    determined_by_data: bool
-
-
-class _Direction(TypedDict):
-    posterior_over_prior_std: float
-    direction: dict[str, float]
-
-
-class _Observability(TypedDict):
-    directions: NotRequired[list[_Direction] | None]
-
-
-class _Calibration(_Report):
-    status: str
-    reason: NotRequired[str | None]
-    cameras: NotRequired[dict[str, _Pose] | None]
-    parameters: NotRequired[list[_Estimate]]
-    scale: NotRequired[dict[str, Any] | None]
-    observability: NotRequired[_Observability | None]
-    detectors: NotRequired[_DetectorsUsed | None]
-    tracking: NotRequired[_Figures]
-
-
-class _Ospa(TypedDict):
-    order: Annotated[float, Meta(ge=1)]
-    cutoff: Annotated[float, Meta(gt=0)]
-    base: str
-    mean: float | None
-
-
-class _Consistency(TypedDict):
-    position: float | None
-    without_cameras: NotRequired[float | None]
-
-
-class _Evaluation(_Report):
-    ospa: _Ospa
-    gospa: _Numbers
-    rmse: _Numbers
-    nees: _Consistency
-    identity_switches: int | None
-
-
-#: By the command that wrote the report.
-SHAPES: dict[str, Any] = {"track": _Tracking, "calibrate": _Calibration, "evaluate": _Evaluation}
-
 
 Columns = Mapping[str, NDArray[Any]]
 
@@ -202,6 +56,7 @@ class Run:
     evaluation: Evaluation | None = None
     truth: Truth | None = None  # True objects
     log: Path | None = None  # Detection log that the run was made from
+    files: tuple[Path, ...] = ()  # Reports of the run and of its evaluation
 
     @property
     def provenance(self) -> Mapping[str, Any]:
@@ -255,7 +110,8 @@ def read_runs(
     used = {id(run.evaluation) for run in runs}
     for folder, evaluation in found.evaluations:
         if id(evaluation) not in used:
-            runs.append(Run(folder.name, "evaluate", evaluation.report, evaluation=evaluation))
+            files = (folder / REPORT,)
+            runs.append(Run(folder.name, "evaluate", evaluation.report, evaluation=evaluation, files=files))
     if not runs:
         raise InputError(f"{', '.join(map(str, folders))}: expected an output folder of track, calibrate or evaluate")
     for log in logs:
@@ -272,7 +128,7 @@ def _read_folder(folder: Path, found: _Found) -> None:
         path = folder / f"{kind}.parquet"
         if path.exists() and kind_of(path) == kind:
             files[file_sha256(path)] = path
-    report = _report(folder / REPORT)
+    report = read_report(folder / REPORT)
     if report is None:
         if not any(path.parent == folder for path in [*found.logs.values(), *found.truths.values()]):
             raise InputError(f"{folder}: expected an output folder with a {REPORT}, found none")
@@ -286,14 +142,6 @@ def _read_folder(folder: Path, found: _Found) -> None:
         found.runs.append((folder, read_run(folder, command, report)))
     elif command != "import":
         raise InputError(f"{folder}: expected the output of track, calibrate or evaluate, found that of {command}")
-
-
-def _report(path: Path) -> dict[str, Any] | None:
-    if (document := read_report(path)) is None:
-        return None
-    with expecting("a report of stereophd", path):
-        msgspec.convert(document, SHAPES.get(str(document["provenance"].get("command")), dict))
-    return document
 
 
 def read_run(folder: Path, command: str, report: Mapping[str, Any]) -> Run:
@@ -310,6 +158,7 @@ def read_run(folder: Path, command: str, report: Mapping[str, Any]) -> Run:
         associations=_columns(held["associations"], kinds_of(ASSOCIATIONS)) if "associations" in held else None,
         history=_all_columns(held["history"]) if "history" in held else None,
         posterior=_all_columns(held["posterior"]) if "posterior" in held else None,
+        files=(folder / REPORT,),
     )
 
 
@@ -353,19 +202,26 @@ def _all_columns(path: Path) -> dict[str, NDArray[Any]]:
 
 def _complete(folder: Path, run: Run, found: _Found, named: Sequence[Path]) -> Run:
     """Add to a run the evaluation, log and truth that belong to it."""
-    log = found.logs.get(run.provenance["inputs"].get("detections"))
+    log = found.logs.get(_inputs(run.report).get("detections", ""))
     tracks = folder / "tracks.parquet"
     digest = file_sha256(tracks) if tracks.exists() else None
-    evaluation = next(
-        (one for _, one in found.evaluations if digest and one.report["provenance"]["inputs"].get("tracks") == digest),
-        None,
+    place, evaluation = next(
+        (one for one in found.evaluations if digest and _inputs(one[1].report).get("tracks") == digest), (None, None)
     )
-    truth = None if evaluation is None else found.truths.get(evaluation.report["provenance"]["inputs"].get("truth"))
+    truth = None if evaluation is None else found.truths.get(_inputs(evaluation.report).get("truth", ""))
     if truth is None and log is not None:
         truth = next((path for path in found.truths.values() if path.parent == log.parent), None)
     if truth is None and named:
         truth = named[0]
-    return replace(run, log=log, evaluation=evaluation, truth=None if truth is None else read_truth(truth)[0])
+    files = run.files if place is None else (*run.files, place / REPORT)
+    points = None if truth is None else read_truth(truth)[0]
+    return replace(run, log=log, evaluation=evaluation, truth=points, files=files)
+
+
+def _inputs(report: Mapping[str, Any]) -> Mapping[str, str]:
+    """Return the hashes of the inputs of a report by their roles."""
+    inputs = report["provenance"].get("inputs")
+    return {role: str(digest) for role, digest in inputs.items()} if isinstance(inputs, dict) else {}
 
 
 def _with_names(runs: Sequence[Run]) -> tuple[Run, ...]:

@@ -7,10 +7,12 @@ from hashlib import sha256
 from html import escape
 from importlib.resources import files
 from importlib.util import find_spec
+from typing import Any, NamedTuple
 
 import yaml
 
 from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 from stereophd.io.outputs.json_text import plain
 from stereophd.pipeline.inspection.runs import Run
 from stereophd.report.page.data import run_data
@@ -28,12 +30,13 @@ def page(runs: Sequence[Run], title: str = "stereophd report") -> str:
         raise InputError("the page needs plotly, which is not installed: pip install plotly")
     from plotly.offline import get_plotlyjs
 
-    data = {"runs": [run_data(run, len(runs)) for run in runs]}
+    shown = [_shown(run, number, len(runs)) for number, run in enumerate(runs)]
+    data = {"runs": [one.data for one in shown]}
     parts = {
         "TITLE": escape(title),
-        "VERDICTS": "\n".join(_verdict(run) for run in runs),
-        "COMPARISON": "" if len(runs) < 2 else _html(comparison(runs)),
-        "DETAILS": "\n".join(_details(run, number) for number, run in enumerate(runs)),
+        "VERDICTS": "\n".join(one.verdict for one in shown),
+        "COMPARISON": "" if len(runs) < 2 else _html(_comparison([run.name for run in runs], shown)),
+        "DETAILS": "\n".join(one.details for one in shown),
         "STYLE": _resource("page.css"),
         # "</script" inside a text of the script would end the element
         "PLOTLY": get_plotlyjs().replace("</script", "<\\/script"),
@@ -45,6 +48,21 @@ def page(runs: Sequence[Run], title: str = "stereophd report") -> str:
     for k, piece in enumerate(_resource("page.html").split("%%")):
         out.append(parts[piece] if k % 2 else piece)
     return "".join(out)
+
+
+class _Shown(NamedTuple):
+    """What the page shows of a run."""
+
+    data: dict[str, Any]  # For the script
+    verdict: str
+    details: str
+    figures: dict[str, str | None]  # Beside those of other runs
+
+
+def _shown(run: Run, index: int, runs: int) -> _Shown:
+    """Return what the page shows of one of `runs` runs, or raise InputError where its reports are none of stereophd."""
+    with expecting("a report of stereophd", ", ".join(map(str, run.files))):
+        return _Shown(run_data(run, runs), _verdict(run), _details(run, index), dict(_figures(run)))
 
 
 def script_hash(text: str) -> str:
@@ -68,15 +86,15 @@ def _verdict(run: Run) -> str:
     )
 
 
-def comparison(runs: Sequence[Run]) -> SummaryTable:
+def _comparison(names: Sequence[str], shown: Sequence[_Shown]) -> SummaryTable:
     """Return the figures of all runs side by side; rows that no run has are left out."""
-    columns = [dict(_figures(run)) for run in runs]
+    columns = [one.figures for one in shown]
     rows = [
         (name, *(column[name] or "-" for column in columns))
         for name in columns[0]
         if any(column[name] is not None for column in columns)
     ]
-    return SummaryTable("Summary", ("", *(run.name for run in runs)), tuple(rows))
+    return SummaryTable("Summary", ("", *names), tuple(rows))
 
 
 def _figures(run: Run) -> Iterator[tuple[str, str | None]]:

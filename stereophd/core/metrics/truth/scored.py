@@ -1,6 +1,7 @@
 """What is scored: objects that enough cameras have seen lately, on a plane, and within a region."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,35 +28,18 @@ def cameras_that_saw(sightings: Sightings, time_s: Array, object_id: Integers, w
 
     The times and objects asked about are (n,), and so is the result.
     """
+    asked, detected = object_id, sightings.object_id
+    if detected is None:
+        asked, detected = np.zeros_like(object_id), np.zeros(len(sightings.time_s), dtype=np.int64)
     count = np.zeros(len(time_s), dtype=np.int64)
-    for camera in np.unique(sightings.camera):
-        of_camera = sightings.camera == camera
-        detected_at = sightings.time_s[of_camera]
-        if sightings.object_id is None:
-            latest = _latest_before(detected_at, np.zeros(len(detected_at), dtype=np.int64), time_s, None)
-        else:
-            latest = _latest_before(detected_at, sightings.object_id[of_camera], time_s, object_id)
-        count += time_s - latest <= within_s + SAME_TIME_S
+    order = np.lexsort((sightings.time_s, detected, sightings.camera))
+    seen_at, names = sightings.time_s[order], np.stack([sightings.camera, detected], axis=1)[order]
+    ends = np.append(np.flatnonzero((names[1:] != names[:-1]).any(axis=1)) + 1, len(names))
+    for start, end in pairwise([0, *ends]) if len(names) else ():
+        times, rows = seen_at[start:end], np.flatnonzero(asked == names[start, 1])
+        latest = np.append(-np.inf, times)[np.searchsorted(times, time_s[rows] + SAME_TIME_S, side="right")]
+        count[rows] += time_s[rows] - latest <= within_s + SAME_TIME_S
     return count
-
-
-def _latest_before(detected_at: Array, detected: Integers, time_s: Array, object_id: Integers | None) -> Array:
-    """Return the time of the last detection of each object up to each time, -inf if there is none.
-
-    Detections and questions are sorted together by object and time; the last detection before each question
-    is then a running maximum.
-    """
-    asked = np.zeros(len(time_s), dtype=np.int64) if object_id is None else object_id
-    label = np.concatenate([detected, asked])
-    time = np.concatenate([detected_at, time_s + SAME_TIME_S])
-    is_question = np.arange(len(label)) >= len(detected)
-    order = np.lexsort((is_question, time, label))
-    place = np.maximum.accumulate(np.where(is_question[order], -1, np.arange(len(order))))
-    source = order[np.maximum(place, 0)]
-    was_detected = (place >= 0) & (label[source] == label[order])
-    latest = np.empty(len(order))
-    latest[order] = np.where(was_detected, time[source], -np.inf)
-    return latest[len(detected) :]
 
 
 def leave_out_unseen(

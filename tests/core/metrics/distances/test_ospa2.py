@@ -178,8 +178,7 @@ def random_scans(random: np.random.Generator, scans: int, names: int, stay: floa
     ("window", "order", "cutoff"), [(1, 1.0, 5.0), (4, 2.0, 8.0), (10, 1.5, 3.0), (500, 2.0, 20.0)]
 )
 def test_windows_are_as_the_definition_says(window, order, cutoff, entries, monkeypatch):
-    for bound in ("WINDOW_ENTRIES", "MOST_ENTRIES"):
-        monkeypatch.setattr(ospa2_module, bound, entries)
+    monkeypatch.setattr(ospa2_module, "MOST_ENTRIES", entries)
     random = np.random.default_rng(5)
     truth, tracks = random_scans(random, 60, 3, 0.9), random_scans(random, 60, 4, 0.8)
     found = windows_of(point_sets(tracks), point_sets(truth), window, order, cutoff)
@@ -201,19 +200,18 @@ def test_long_runs_in_pieces(monkeypatch):
 def test_only_tracks_of_the_window_come_together(monkeypatch):
     """Tracks that never meet cost no memory: tables stay below their bound however long the run is."""
     made = []
-    original = ospa2_module._base_distances
+    original = ospa2_module._summed
 
-    def watched(*arguments):
-        result = original(*arguments)
-        made.append(result[0].size)
-        return result
+    def watched(values, *arguments):
+        made.append(values.size)
+        return original(values, *arguments)
 
-    monkeypatch.setattr(ospa2_module, "_base_distances", watched)
+    monkeypatch.setattr(ospa2_module, "_summed", watched)
     scans = 5000
     truth = point_sets([{t // 2: 0.0, 100_000 + t // 3: 50.0} for t in range(scans)])
     tracks = point_sets([{t: 0.0, 100_000 + t: 50.0} for t in range(scans)])
     found = windows_of(tracks, truth, 10, 1.0, 10.0)
-    assert max(made) <= ospa2_module.WINDOW_ENTRIES
+    assert max(made) <= ospa2_module.MOST_ENTRIES
     assert sum(made) < 3000 * scans
     assert len(found.distance) == scans
 
