@@ -54,8 +54,8 @@ def check_log(
     # a quick check precedes a run, which states what it drops
     rows = (*check_rows(reader.counts), *check_rows(looked_at)) if thorough else ()
     findings = [*rows, *_of_files(loaded, samples, whole)]
-    if any(found.name == "detector.sigma" for found in warnings_of(tuple(findings))):
-        samples = [one.with_measured_noise for one in samples]
+    doubted = any(found.name == "detector.sigma" for found in warnings_of(tuple(findings)))
+    samples = [one.with_measured_noise if doubted else one.with_noise_shown for one in samples]
     if any(found.cause == "pixels_normalised" for found in findings):
         return tuple(findings)
     if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
