@@ -570,7 +570,7 @@ def test_less_noise_is_proposed_only_where_rays_then_meet(lasting_px: float, nam
 
 
 def test_a_noise_that_holds_the_error_of_a_pose_does_not_hide_it(tmp_path: Path) -> None:
-    """R and T of a pair taken the other way: by the noise that residuals then show, rays meet, and nothing seems off."""
+    """R and T of a pair taken the other way: by the noise that residuals then show, nothing seems to be off."""
     loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml")
     log, large = tmp_path / "log.parquet", Detector([3.9, 3.9], 0.95, 1.0)
     left = build_camera("left", [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], focal=650.0, frame_rate_hz=RATE)
