@@ -195,6 +195,11 @@ def _check(
             warn(f"camera {name} has frames, but no detections")
         elif name not in recording.cameras and 1 < summary.detections == summary.in_unit_square:
             warn(f"camera {name}: all pixels lie between 0 and 1: they seem to be divided by the image size")
+        if summary.repeated_labels:
+            warn(
+                f"camera {name}: {counted(summary.repeated_labels, 'detection')} of an object that has another one in "
+                "the same frame: give one file for the frames of a camera (not both filtered and raw predictions)"
+            )
         if summary.pauses:
             recording.assumed.append(
                 f"{name}: {counted(summary.pauses, 'pause')}, {summary.paused_s:.4g} s in all, would have more frames "

@@ -1,10 +1,11 @@
 """caliscope: its cameras (``camera_array.toml``) and 2-D points (``xy.csv``) with the times of all frames.
 
 Sources: the TOML file, ``xy.csv`` and ``timestamps.csv`` (or ``frame_time_history.csv``), a folder with them, or the
-folder of a session, whose points are in ``calibration/extrinsic``, one of its folders (``CHARUCO/xy_CHARUCO.csv``) or
-``recordings``. Cameras are named ``cam0``, ``cam1``, ... after their id (older versions: port). A frame is a
-``sync_index`` of a camera, or the number of its row where the times have none; a frame in the list of times without
-points is empty. Points are numbered by object and keypoint. Points in space (``xyz_....csv``) are the truth.
+folder of a session, whose points are in ``calibration/extrinsic``, one of its folders (``CHARUCO/xy_CHARUCO.csv``),
+``recordings``, or ``recording_...`` (older versions). Cameras are named ``cam0``, ``cam1``, ... after their id (older
+versions: port). A frame is a ``sync_index`` of a camera, or the number of its row where the times have none; a frame in
+the list of times without points is empty, and one that the list lacks was not recorded. Points are numbered by object
+and keypoint. Points in space (``xyz_....csv``) are the truth.
 
 Conventions: pixels and camera axes are the native ones; points are as detected, lens distortion included; ``x_camera
 = rotation x_world + translation``, the rotation a matrix or a rotation vector. Lengths are in metres, times in
@@ -27,7 +28,7 @@ from stereophd.io.interchange.truth import POINTS_OF_A_GROUP, long_truth, read_c
 CAMERA_FILES = ("camera_array.toml", "config.toml")
 POINT_FILES = "xy*.csv"
 #: Where a session has its points: the first of these with one table.
-POINT_FOLDERS = ("calibration/extrinsic", "calibration/extrinsic/*", "recordings/*", "recordings/*/*")
+POINT_FOLDERS = ("calibration/extrinsic", "calibration/extrinsic/*", "recordings/*", "recordings/*/*", "recording_*")
 TIME_FILES = ("timestamps.csv", "frame_time_history.csv", "frametimes.csv")
 #: Meaning -> column, that of the newest version first.
 CAMERA, SYNC, TIME = ("cam_id", "port"), ("sync_index", "frame_index"), ("frame_time",)
@@ -57,7 +58,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     if points:
         if len(points) > 1:
             raise InputError(f"expected one table of points, found {', '.join(map(str, points))}")
-        recording.pieces = _pieces(points[0], times, options)
+        recording.pieces, recording.lists_frames = _pieces(points[0], times, options), bool(times)
         if not times:
             recording.assumed.append("frames without points are not in the log, because no table of times lists them")
     elif tables:

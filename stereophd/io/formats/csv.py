@@ -1,10 +1,10 @@
-"""Comma-separated tables: detections of any columns in, tracks out.
+"""Tables, as text (CSV) or Parquet: detections of any columns in, tracks out.
 
-Detections: one row per detection, with a header. Tabs, semicolons and spaces separate columns as well. Columns of the
-native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_px``, ``sigma_v_px``, ``width_px``,
-``height_px``, ``score``, ``object_id``) or of usual other names are found by themselves; any others by `columns`. A row
-without u and v is a frame without detections. Without a column of cameras, each file is a camera, named as the file.
-Pixels are native (pixel (0, 0) is the centre of the top-left pixel) unless an option changes that.
+Detections: one row per detection, with a header or as Parquet. Tabs, semicolons and spaces separate columns as well.
+Columns of the native names (``time_s``, ``camera``, ``frame``, ``u_px``, ``v_px``, ``sigma_u_px``, ``sigma_v_px``,
+``width_px``, ``height_px``, ``score``, ``object_id``) or of usual other names are found by themselves; any others by
+`columns`. A row without u and v is a frame without detections. Without a column of cameras, each file is a camera,
+named as the file. Pixels are native (pixel (0, 0) is the centre of the top-left pixel) unless an option changes that.
 
 Points in space (`truth`): columns x, y and z, times or frames as the detections have them (also those of `columns`, and
 of `time_unit`), and where there are several objects their numbers (``object_id``, ``track_id``, ``id``).
@@ -113,11 +113,11 @@ def _find_columns(path: Path, header: Sequence[str], options: ImportOptions) -> 
         if name not in columns and found is not None and found not in columns.values():
             columns[name] = found
     missing = [name for name in ("u_px", "v_px") if name not in columns]
-    if missing or not {"time_s", "frame"} & columns.keys():
-        wanted = ", ".join(missing or ["time_s or frame"])
+    missing += [] if {"time_s", "frame"} & columns.keys() else ["time_s or frame"]
+    if missing:
         raise InputError(
-            f"{path}: expected columns for {wanted}, found {', '.join(header)}; state which they are by `columns` "
-            f"{(missing or ['frame'])[0]}=COLUMN"
+            f"{path}: expected columns for {', '.join(missing)}, found {', '.join(filter(None, header))}; state which "
+            f"they are by `columns` {missing[0].split()[-1]}=COLUMN"
         )
     return {name: columns[name] for name in USUAL_NAMES if name in columns}
 
@@ -184,4 +184,6 @@ def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str
     return []
 
 
-FORMAT = Format("a table of detections, any columns; tracks as a table", read=read, write_tracks=write_tracks)
+FORMAT = Format(
+    "a table of detections, any columns; tracks as a table", read=read, write_tracks=write_tracks, reads_parquet=True
+)

@@ -200,7 +200,8 @@ def recognises_cameras(path: Path) -> bool:
         found = _cameras_of(path)
     except InputError:
         return is_storage
-    return is_storage or any("matrix" in values and "rotation" in values for values in found.values())
+    # of a pair, R and T are of no camera alone
+    return is_storage or {"matrix", "rotation"} <= {quantity for values in found.values() for quantity in values}
 
 
 def write_cameras(cameras: Mapping[str, CameraConfig], length_unit: str, target: Path) -> list[str]:

@@ -26,7 +26,7 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.wording import instant
 
 FRAME, TIME, U, V = range(4)
-WIDTH = 4 + len(EXTRA_COLUMNS)
+WIDTH, LABEL = 4 + len(EXTRA_COLUMNS), 4 + EXTRA_COLUMNS.index("object_id")
 # Rows of a piece of a temporary file.
 PIECE_ROWS = 65536
 # Largest number of a frame, or of an object: beyond it not every whole number is a float.
@@ -79,9 +79,13 @@ def _append(spool: Spool, piece: Piece) -> None:
         raise InputError(f"camera {piece.camera}: expected finite pixels, found infinity")
     for name, values in piece.extra.items():
         rows[:, 4 + EXTRA_COLUMNS.index(name)] = values
+<<<<<<< HEAD
         if not np.isnan(values).all():
             spool.extra.add(name)
     identities = rows[:, 4 + EXTRA_COLUMNS.index("object_id")]
+=======
+    identities = rows[:, LABEL]
+>>>>>>> firsthour
     if (np.abs(identities[~np.isnan(identities)]) > MAX_FRAME).any():
         raise InputError(f"camera {piece.camera}: expected whole identities of objects, found one beyond 2^53")
     spool.has_frames &= piece.frame is not None
@@ -136,6 +140,7 @@ class CameraSummary:
     filled_frames: int = 0
     detections: int = 0
     duplicate_rows: int = 0
+    repeated_labels: int = 0  # Detections whose object has another detection in the same frame
     first_s: float | None = None
     last_s: float | None = None
     rate_hz: float | None = None  # Without the pauses
@@ -194,7 +199,7 @@ class _Camera:
         self._range = options.frames.get(name) or recording.frames.get(name)
         if self._range is not None and self._range[1] - self._range[0] > MOST_FRAMES:
             raise InputError(f"frames of camera {name}: expected at most {MOST_FRAMES}, found up to {self._range[1]}")
-        self._fill = options.fill
+        self._fill = options.fill and not recording.lists_frames
         if not spool.has_frames and (unused := [key for key in ("rates", "frames") if getattr(options, key).get(name)]):
             raise InputError(f"`{unused[0]}`: expected frame numbers of camera {name}, found times only")
         if not options.fill and options.frames.get(name):
@@ -265,6 +270,8 @@ class _Camera:
         count = len(rows)
         rows = rows[~repeated_rows(rows[:, FRAME], rows[:, U : V + 1], np.arange(count))]
         self._summary.duplicate_rows += count - len(rows)
+        labelled = rows[rows[:, LABEL] >= 0.0][:, [FRAME, LABEL]]
+        self._summary.repeated_labels += len(labelled) - len(np.unique(labelled, axis=0))
         if self._fill and (self._spool.has_frames or self._interval_s is not None):
             rows = self._filled(rows, is_last)
         self._last = rows[-1]

@@ -66,6 +66,7 @@ class ForeignRecording:
     # them.
     rates: dict[str, float] = field(default_factory=dict)
     frames: dict[str, tuple[int, int]] = field(default_factory=dict)
+    lists_frames: bool = False  # Whether it has a row for every recorded frame: what is missing was not recorded
     first_frame: int = 0  # Number of a frame at time 0, for times by rate
     untimed: str = ""  # Where a table has no times: how to name the column that has them
 
@@ -88,6 +89,7 @@ class Format:
     # `write_tracks`, `write_cameras`: Write files; None: the format has no such thing.
     write_tracks: TracksWriter | None = None
     write_cameras: CamerasWriter | None = None
+    reads_parquet: bool = False  # Whether tables of detections may be Parquet files
     folder_files: tuple[str, ...] = ()  # What `write_cameras` writes into a folder; of other formats it writes a file
 
 

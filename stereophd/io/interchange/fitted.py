@@ -98,9 +98,11 @@ def fitted_parts(
         errors = _errors(parts, points, pixels)
         middle, most = np.percentile(errors, [50, 99])
         if not most <= LARGEST_PX:
+            ways = "; a less deep volume, or glass that the camera looks through less obliquely, bends them less"
             raise InputError(
                 f"{where}: expected a camera that a pinhole with a lens follows to {LARGEST_PX:g} px, found "
                 f"{most:.3g} px (99 % of its pixels): rays that are bent so much have no single centre"
+                f"{ways if has_free_pose else ''}"
             )
         recording.assumed.append(
             f"{where}: the pinhole with a lens that fits its model best; median residual {middle:.2g} px, 99 % below "

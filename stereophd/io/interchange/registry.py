@@ -13,7 +13,9 @@ from stereophd.errors import InputError, did_you_mean
 from stereophd.io.documents import expecting
 from stereophd.io.file_kinds import PARQUET, kind_of_file
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
+from stereophd.io.interchange.documents.text_tables import header_of
 from stereophd.io.interchange.documents.toml_cameras import read_toml
+from stereophd.io.logs.rows import REQUIRED
 from stereophd.plugins import import_member, module_names
 
 PACKAGE = "stereophd.io.formats"
@@ -62,15 +64,17 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
     Raises InputError for no such format, one for export only, or files that are not of it (also while the pieces are
     consumed).
     """
-    read = find(form, readable=True).read
+    found = find(form, readable=True)
+    read = found.read
     if read is None:
         raise InputError(f"format {form}: expected a format that can be imported, found one for export only")
     for source in sources:
-        if kind_of_file(source) == PARQUET:
-            raise InputError(
-                f"{source}: expected a file of format {form}, found a Parquet file; a log needs no import (`stereophd "
-                "info` shows what a file holds)"
-            )
+        if kind_of_file(source) != PARQUET:
+            continue
+        is_log = set(REQUIRED) <= set(header_of(source)[1])
+        if is_log or not found.reads_parquet:
+            help_ = "a log needs no import" if is_log else "`stereophd import csv` reads tables of any columns"
+            raise InputError(f"{source}: expected a file of format {form}, found a Parquet file; {help_}")
     with _reading(form, sources):
         recording = read(sources, options)
     if recording.unit_is_assumed:

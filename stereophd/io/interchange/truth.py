@@ -74,12 +74,13 @@ def native_truth(path: Path, options: ImportOptions) -> TruePoints | None:
     Its times are in seconds. Raises InputError for a native truth as a Parquet file, which needs no import.
     """
     kind = kind_of_file(path)
-    if kind == PARQUET:
+    is_native = kind in (CSV, PARQUET) and set(NATIVE) <= set(header_of(path)[1])
+    if is_native and kind == PARQUET:
         raise InputError(
             f"{path}: expected a table of text, found a Parquet file; a truth in that form needs no import: "
             "`stereophd evaluate` takes it as it is"
         )
-    if kind != CSV or not set(NATIVE) <= set(header_of(path)[1]):
+    if not is_native:
         return None
     return long_truth(
         path,

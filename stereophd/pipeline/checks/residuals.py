@@ -37,9 +37,9 @@ FALSE_ALARMS, TOLERATED, LEAST_SQUARE = 0.001, 0.1, 9.0
 # A cause explains as much as another if what they explain differs by less than this many times its root, by which
 # noise changes it, in deviations of what is left.
 ALIKE = 2.0
-# Root mean square of distances, standard deviations, and their correlation, from which a pair of cameras is wrong
-# without a cause that explains it: that of chance is 3.5 where most rays meet within three.
-LARGEST_DISTANCE, LARGEST_CORRELATION = 2.5, 0.6
+# Part of the distances that lasts from frame to frame, standard deviations of a detection, from which a pair of cameras
+# is wrong without a cause that explains it: tracks, which average many detections, do not lie where they state.
+LARGEST_LASTING = 1.0
 # Pairs of tracks from which that is a warning.
 LEAST_TRACKS = 8
 # Steps of numerical derivatives: px, and of the numbers that change a camera.
@@ -129,12 +129,12 @@ def check_residuals(geometry: Geometry) -> Iterator[Finding]:
     for pair in pairs:
         names = f"{samples[pair.a].camera.name} and {samples[pair.b].camera.name}"
         mean, spread, count = float(pair.distance.mean()), float(pair.distance.std()), len(np.unique(pair.tracks))
+        lasting = max(pair.lasting, 0.0) ** 0.5
         text = (
             f"{names}: the rays of {count} pairs of tracks miss each other by {mean:+.2f} +- {spread:.2f} "
-            f"standard deviations, correlation from frame to frame {pair.correlation:.2f}"
+            f"standard deviations, of which {lasting:.2f} last from frame to frame"
         )
-        lasts = np.hypot(mean, spread) > LARGEST_DISTANCE and pair.correlation > LARGEST_CORRELATION
-        if lasts and count >= LEAST_TRACKS and not boxes:
+        if lasting > LARGEST_LASTING and count >= LEAST_TRACKS and not boxes:
             yield Finding(
                 "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
                 "alone explains it, or the errors of detections last, as those of smoothed labels do",

@@ -54,8 +54,8 @@ def check_log(
     # a quick check precedes a run, which states what it drops
     rows = (*check_rows(reader.counts), *check_rows(looked_at)) if thorough else ()
     findings = [*rows, *_of_files(loaded, samples, whole)]
-    if any(found.name == "detector.sigma" for found in warnings_of(tuple(findings))):
-        samples = [one.with_measured_noise for one in samples]
+    doubted = any(found.name == "detector.sigma" for found in warnings_of(tuple(findings)))
+    samples = [one.with_measured_noise if doubted else one.with_noise_shown for one in samples]
     if any(found.cause == "pixels_normalised" for found in findings):
         return tuple(findings)
     if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
@@ -71,8 +71,12 @@ def check_log(
             # of rays that nearly meet they tell more than that some turn explains them
             rays = [found for found in rays if found.name != "geometry.cause"]
         rays += residuals
-    if not warnings_of(tuple(rays)) and geometry.is_blurred():
-        rays = [*check_geometry(geometry, thorough, is_blurred=True)]
+    unnamed = {found.cause for found in warnings_of(tuple(rays))}
+    if unnamed <= {DO_NOT_MEET} and geometry.is_blurred():
+        sharp = [*check_geometry(geometry, thorough, is_blurred=True)]
+        # that some turn explains it tells no more than that rays miss each other for long
+        if not unnamed or {found.cause for found in sharp if found.name == "geometry.cause"} - {DO_NOT_MEET}:
+            rays = sharp
     blamed = {found.name for found in warnings_of((*findings, *rays))}
     if warnings_of(tuple(rays)):
         # more noise than about one-camera tracks may be what keeps these rays together: less would only part them

@@ -81,6 +81,17 @@ def test_a_session_finds_its_points(tmp_path: Path, imported: Import, place: str
     ]
 
 
+def test_a_frame_that_the_times_lack_was_not_recorded(tmp_path: Path, imported: Import) -> None:
+    """A camera that dropped a frame did not miss the object; the points are beside the times, as older versions do."""
+    write_session(tmp_path, 0)
+    (tmp_path / "recording_1").mkdir()
+    (tmp_path / "xy.csv").rename(tmp_path / "recording_1/xy.csv")
+    times = (tmp_path / "timestamps.csv").read_text().replace("6,0,100.5\n", "")
+    (tmp_path / "recording_1/frame_time_history.csv").write_text(times)
+    _, out = imported("caliscope", tmp_path)
+    assert [row[2] for row in log_rows(out / "detections.parquet") if row[1] == "cam0"] == [5, 5, 7]
+
+
 def test_a_session_without_points_says_so(tmp_path: Path, imported: Import) -> None:
     write_session(tmp_path, 1)
     (tmp_path / "xy.csv").unlink()

@@ -172,7 +172,7 @@ def test_a_large_unsorted_table_is_merged_in_order(
 @pytest.mark.parametrize(
     ("text", "stated", "message"),
     [
-        ("a,b\n1,2\n", {}, "expected columns for u_px, v_px, found a, b"),
+        ("a,b\n1,2\n", {}, "expected columns for u_px, v_px, time_s or frame, found a, b"),
         ("u,v\n1,2\n", {}, "expected columns for time_s or frame"),
         ("frame,u,v\n1,2,3\n", {}, "expected times or `rates`"),
         ("frame,u,v\n1.5,2,3\n", {"rates": 1.0}, "expected whole frame numbers, found 1.5"),
@@ -315,3 +315,28 @@ def test_cameras_far_from_each_other_make_metres_doubtful(
     source = write(tmp_path / "points.csv", "camera,time_s,u,v\na,0,5,5\nb,0,6,6\n")
     imported("csv", source, cameras=cameras, **({"length_unit": stated} if stated else {}))
     assert any(f"cameras are {distance} m apart" in text for text in caplog.messages) is warns
+
+
+def test_a_parquet_file_of_own_columns_is_a_table_like_any_other(tmp_path: Path, imported: Import) -> None:
+    rows = {"Camera": ["left", "right", "left"], "t_ms": [0, 10, 500], "cx": [1.0, 2.0, None], "cy": [5, 6, None]}
+    table = pa.table(rows)
+    pq.write_table(table.set_column(0, "Camera", table["Camera"].dictionary_encode()), tmp_path / "blobs.parquet")
+    named = {"u_px": "cx", "v_px": "cy", "time_s": "t_ms"}
+    _, out = imported("csv", tmp_path / "blobs.parquet", columns=named, time_unit="ms")
+    expected = [(0.0, "left", 0, 1.0, 5.0), (0.01, "right", 0, 2.0, 6.0), (0.5, "left", 1, None, None)]
+    assert log_rows(out / "detections.parquet") == expected
+    with pytest.raises(InputError, match="found a Parquet file; `stereophd import csv` reads tables of any columns"):
+        imported("mot", tmp_path / "blobs.parquet")
+    dated = pa.table({"u": [1.0], "v": [1.0], "t": pa.array([0], pa.timestamp("ns"))})
+    pq.write_table(dated, tmp_path / "dated.parquet")
+    with pytest.raises(InputError, match="expected rows of a table of numbers, found: Unsupported cast"):
+        imported("csv", tmp_path / "dated.parquet")
+
+
+def test_a_truth_as_parquet_of_own_columns_is_read(tmp_path: Path, imported: Import) -> None:
+    (tmp_path / "a.csv").write_text("time_s,u,v\n0,5,5\n")
+    points = {"time_s": [0.0], "track": [3], "x_m": [1.0], "y_m": [2.0], "z_m": [3.0]}
+    pq.write_table(pa.table(points), tmp_path / "points.parquet")
+    _, out = imported("csv", tmp_path / "a.csv", truth=tmp_path / "points.parquet")
+    found = pq.read_table(out / "truth.parquet").to_pylist()
+    assert found == [{"time_s": 0.0, "object_id": 3, "x": 1.0, "y": 2.0, "z": 3.0}]

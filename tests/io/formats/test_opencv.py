@@ -113,6 +113,19 @@ def test_a_stereo_pair_in_two_files(tmp_path: Path) -> None:
     np.testing.assert_allclose(second.pose.rotation @ -second.pose.center, translation, atol=1e-9)
 
 
+def test_a_stereo_pair_as_json_is_recognised(tmp_path: Path) -> None:
+    """R and T are of no camera alone; lists are nested as those of OpenCV's arrays."""
+    left, right = (take_apart(name, config) for name, config in rig().items())
+    rotation = right.rotation @ left.rotation.T
+    document = {"M1": left.matrix, "D1": left.coefficients[None], "M2": right.matrix, "D2": right.coefficients[None]}
+    document |= {"R": rotation, "T": (right.translation - rotation @ left.translation)[:, None]}
+    path = tmp_path / "stereo.json"
+    path.write_text(json.dumps({key: value.tolist() for key, value in document.items()}))
+    assert recognises_cameras(path)
+    path.write_text(json.dumps({"M1": left.matrix.tolist(), "M2": right.matrix.tolist()}))
+    assert not recognises_cameras(path)
+
+
 def test_json_of_plain_lists_a_file_a_camera(tmp_path: Path) -> None:
     paths = []
     for name, config in rig().items():

@@ -41,6 +41,16 @@ def test_deeplabcut_csv(tmp_path: Path, imported: Import) -> None:
     assert pq.read_table(out / "detections.parquet").column("object_id").to_pylist() == [0, 1, None, 0]
 
 
+def test_two_files_of_the_same_frames_are_warned_of(tmp_path: Path, imported: Import) -> None:
+    """DeepLabCut writes filtered predictions beside the raw ones, and a pattern finds both."""
+    (tmp_path / "topDLC_net.csv").write_text(SINGLE)
+    report, _ = imported("deeplabcut", tmp_path / "topDLC_net.csv", rates=2.0)
+    assert not report["warnings"]
+    (tmp_path / "topDLC_net_filtered.csv").write_text(SINGLE.replace("1.5,2.5", "1.55,2.5").replace("1.6,", "1.61,"))
+    report, _ = imported("deeplabcut", *sorted(tmp_path.glob("*.csv")), rates=2.0)
+    assert any("top: 2 detections of an object that has another one" in sentence for sentence in report["warnings"])
+
+
 def test_deeplabcut_of_several_animals(tmp_path: Path, imported: Import) -> None:
     head = "scorer,net,net,net,net\nindividuals,m1,m1,m2,m2\nbodyparts,nose,nose,nose,nose\ncoords,x,y,x,y\n"
     (tmp_path / "side.csv").write_text(head + "0,1,2,3,4\n1,,,5,6\n")

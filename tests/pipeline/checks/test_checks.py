@@ -569,6 +569,22 @@ def test_less_noise_is_proposed_only_where_rays_then_meet(lasting_px: float, nam
     assert names & {"detector.sigma", "geometry.residuals", "geometry.cause"} == named
 
 
+def test_a_noise_that_holds_the_error_of_a_pose_does_not_hide_it(tmp_path: Path) -> None:
+    """R and T of a pair taken the other way: by the noise that residuals then show, nothing seems to be off."""
+    loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml")
+    log, large = tmp_path / "log.parquet", Detector([3.9, 3.9], 0.95, 1.0)
+    left = build_camera("left", [0.0, 0.0, 0.0], [0.0, 0.0, 0.0], focal=650.0, frame_rate_hz=RATE)
+    right = build_camera("right", [3.0, 0.05, 0.2], [0.0, np.deg2rad(20.0), 0.0], focal=650.0, frame_rate_hz=RATE)
+    rotation = right.pose.rotation
+    inverse = _turned(right, rotation.T, -rotation @ right.pose.center)
+    with LogWriter(log) as table:
+        for frame in _frames((left, right), count=300, pace=0.3):
+            table.write(frame.time_s, (left, right)[frame.camera].name, frame.frame, frame.pixels)
+    for second, causes in ((right, set()), (inverse, {"camera_to_world"})):
+        found = check_log(loaded, log, cameras=tuple(replace(one, detector=large) for one in (left, second)))
+        assert {one.cause for one in found if one.status == "warning" and one.name.startswith("geometry")} == causes
+
+
 def test_a_check_that_cannot_be_made_is_listed(samples: list[CameraSample]) -> None:
     few = sample_log(_frames(CAMERAS)[:10], CAMERAS)
     assert [one.status for one in check_files(few) if one.name == "detector.sigma"] == ["not checked"] * 2

@@ -1,4 +1,4 @@
-"""Tables of text in pieces, with Arrow's reader; what is wrong with them is an `InputError`."""
+"""Tables of text, or Parquet files, in pieces, with Arrow's reader; what is wrong with them is an `InputError`."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from typing import IO, TYPE_CHECKING
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.documents import expecting
+from stereophd.io.file_kinds import PARQUET, kind_of_file
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -35,7 +36,12 @@ def first_lines(path: Path, count: int) -> list[str]:
 
 
 def header_of(path: Path) -> tuple[str, list[str]]:
-    """Return what separates the columns of a table, and the words of its first line."""
+    """Return what separates the columns of a table (`PARQUET` of a Parquet file), and their names in its first line."""
+    if kind_of_file(path) == PARQUET:
+        import pyarrow.parquet as pq
+
+        with expecting("a table", path):
+            return PARQUET, list(pq.read_schema(path).names)
     line = (first_lines(path, 1) or [""])[0]
     return separator_of(line), split_line(line)
 
@@ -63,14 +69,22 @@ def read_batches(
 ) -> Iterator[pa.RecordBatch]:
     """Yield the columns of `kinds` (column -> type) of a table in pieces.
 
-    `separator` is one character between columns; `names` are those of all columns where the file has no header; `skip`
+    `separator` is that of `header_of`; `names` are those of all columns where the file has no header; `skip`
     lines stand before the header (or the first row). Raises InputError, naming the file `where`, for a row with too
     many or too few columns, or a value of another type.
     """
     import pyarrow as pa
     import pyarrow.csv
+    import pyarrow.parquet as pq
 
     try:
+        if separator == PARQUET:
+            for batch in pq.ParquetFile(source).iter_batches(columns=list(kinds)):
+                columns = [batch.column(name).cast(kind) for name, kind in kinds.items()]
+                yield pa.record_batch(
+                    [one.fill_null("") if one.type == pa.string() else one for one in columns], list(kinds)
+                )
+            return
         yield from pyarrow.csv.open_csv(
             source,
             read_options=pyarrow.csv.ReadOptions(

@@ -85,6 +85,16 @@ class CameraSample:
         return self if sigma is None else self.with_camera(self.camera.with_noise(sigma))
 
     @property
+    def with_noise_shown(self) -> CameraSample:
+        """The frames with no more noise than leaves their third differences so small, whatever objects and poses do.
+
+        A noise that was estimated from residuals holds what poses, clocks and lenses add to them, and would hide it.
+        """
+        if self.measured_noise_px is None or not self.noise_px or self.noise_px[2] >= self.camera.detector.sigma.mean():
+            return self
+        return self.with_camera(self.camera.with_noise(self.noise_px[2]))
+
+    @property
     def measured_noise_px(self) -> float | None:
         """The noise about one-camera tracks, px; None where none shows."""
         if self.box_height_px is not None or self.noise_px is None or self.linking[1] > MOST_BY_CHANCE:
@@ -202,7 +212,8 @@ class CameraSample:
 
         From third differences, which a steady acceleration does not change; the median resists wrong links. What white
         acceleration adds to their variance grows with the cube of the step, so that two steps tell it from noise. The
-        least noise is three standard errors less, the largest three more.
+        least noise is three standard errors less; the largest is all that one step shows, and three more: swerves over
+        more frames add more, so that nothing else is an upper bound.
         """
         times = self.times[self.frame_of]
         even = [track for track in self.tracks if np.ptp(np.diff(times[track])) < 0.2 * self.interval_s]
@@ -213,7 +224,8 @@ class CameraSample:
         single, double = (float(np.median(np.abs(each)) / 0.6745) ** 2 / 20.0 for each in (once, twice))
         error = VARIANCE_ERROR * np.hypot(8.0 * single / np.sqrt(len(once)), double / np.sqrt(len(twice)))
         value = max(8.0 * single - double, 0.0)
-        noise, least, most = np.sqrt(np.maximum(value + np.array([0.0, -3.0, 3.0]) * error, 0.0) / 7.0).tolist()
+        largest = 7.0 * single * (1.0 + 3.0 * VARIANCE_ERROR / np.sqrt(len(once)))
+        noise, least, most = np.sqrt(np.maximum([value, value - 3.0 * error, largest], 0.0) / 7.0).tolist()
         return noise, least, most
 
     def _third_differences(self, tracks: Iterable[Integers], step: int) -> Array:
