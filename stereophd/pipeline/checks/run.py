@@ -14,7 +14,7 @@ from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import MOST_FRAMES, CameraSample, sample_log
-from stereophd.pipeline.checks.residuals import check_residuals
+from stereophd.pipeline.checks.residuals import ERRORS_LAST, check_residuals
 from stereophd.pipeline.checks.run_figures import check_rows
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
 from stereophd.pipeline.stream import covered
@@ -71,8 +71,10 @@ def check_log(
             # of rays that nearly meet they tell more than that some turn explains them
             rays = [found for found in rays if found.name != "geometry.cause"]
         rays += residuals
-    if not warnings_of(tuple(rays)) and geometry.is_blurred():
-        rays = [*check_geometry(geometry, thorough, is_blurred=True)]
+    if {found.cause for found in warnings_of(tuple(rays))} <= {ERRORS_LAST} and geometry.is_blurred():
+        # errors that last blur rays as a mistake of the list does, which explains more
+        sharp = [*check_geometry(geometry, thorough, is_blurred=True)]
+        rays = sharp if warnings_of(tuple(sharp)) or not warnings_of(tuple(rays)) else rays
     blamed = {found.name for found in warnings_of((*findings, *rays))}
     if warnings_of(tuple(rays)):
         # more noise than about one-camera tracks may be what keeps these rays together: less would only part them
