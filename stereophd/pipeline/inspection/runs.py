@@ -96,6 +96,7 @@ class _Figures(TypedDict):
     cameras: NotRequired[dict[str, _CameraFigures] | None]
     log_likelihood: NotRequired[float]
     cameras_part: NotRequired[_Numbers | None]
+    camera_error: NotRequired[_Numbers | None]
 
 
 class _DetectorsUsed(TypedDict):
