@@ -197,7 +197,7 @@ class EstimateSample:
         for row in range(-self.count % self.every, len(states), self.every):
             self.rows.append((time_s, states[row], covariances[row]))
         self.count += len(states)
-        if len(self.rows) > MOST_SHOWN:
+        while len(self.rows) > MOST_SHOWN:
             self.rows, self.every = self.rows[::2], 2 * self.every
 
     def camera_error(self, cameras: Iterable[Camera]) -> dict[str, float | None]:
