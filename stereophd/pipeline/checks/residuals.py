@@ -39,7 +39,8 @@ FALSE_ALARMS, TOLERATED, LEAST_SQUARE = 0.001, 0.1, 9.0
 ALIKE = 2.0
 # Distances last if the mean product of successive ones exceeds this part of the variance of a detection, of which a
 # track averages several, and so many errors of white noise, for so many pairs of tracks; a cause must leave less than
-# this share of what lasts. From this root mean square on, standard deviations, cameras do not agree.
+# this share of what lasts. From this root mean square on, standard deviations, cameras do not agree: that of chance is
+# 3.5 where most rays meet within three.
 LASTING, LASTING_ERRORS, LEAST_TRACKS, MOST_LEFT, LARGEST_DISTANCE = 0.1, 4.0, 8, 0.25, 2.5
 ERRORS_LAST = "errors_last"
 # Steps of numerical derivatives: px, and of the numbers that change a camera.
@@ -125,19 +126,19 @@ def check_residuals(geometry: Geometry) -> Iterator[Finding]:
     ]  # fmt: skip
     boxes = any(sample.box_height_px is not None for sample in samples)
     explained = _certain(samples, pairs)
-    lasts = explained is not None and explained[0].leaves_what_lasts
-    if explained is not None and not lasts and not (boxes and not explained[0].cause.of_boxes):
+    doubted = explained[0] if explained is not None and explained[0].leaves_what_lasts else None
+    if explained is not None and doubted is None and not (boxes and not explained[0].cause.of_boxes):
         yield _named(samples, len(pairs), *explained)
         return
     for pair in pairs:
         names = f"{samples[pair.a].camera.name} and {samples[pair.b].camera.name}"
         mean, spread, count = float(pair.distance.mean()), float(pair.distance.std()), len(np.unique(pair.tracks))
-        (variance, errors), of_cause = pair.lasting, lasts and explained[0].camera in (None, pair.a, pair.b)
+        (variance, errors), is_doubted = pair.lasting, doubted and doubted.camera in (None, pair.a, pair.b)
         text = (
             f"{names}: the rays of {count} pairs of tracks miss each other by {mean:+.2f} +- {spread:.2f} "
             f"standard deviations, {max(variance, 0.0) ** 0.5:.2f} of which last from frame to frame"
         )
-        if not boxes and (of_cause or (variance > LASTING and errors > LASTING_ERRORS and count >= LEAST_TRACKS)):
+        if not boxes and (is_doubted or (variance > LASTING and errors > LASTING_ERRORS and count >= LEAST_TRACKS)):
             apart = np.hypot(mean, spread) > LARGEST_DISTANCE
             yield Finding(
                 "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
