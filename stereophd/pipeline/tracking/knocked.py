@@ -55,8 +55,8 @@ SUSPICIOUS = 0.4
 # So long after a knock tracks have followed the camera, if it moved their images by less than so many deviations of the
 # noise: then a turn is as well that of any other camera.
 CLEAR_S, FOLLOWED = 0.2, 10.0
-# Part of the tracks that must agree, if it is more than the fewest, and of the threshold that one look may give. Objects
-# that jump as one, such as a board, look like a knock to the first camera that sees it, until the others have.
+# Part of the tracks that must agree, if it is more than the fewest, and of the threshold that one look may give: what
+# jumps as one, such as a board, looks like a knock to the first camera that sees it, until the others have.
 AGREEING, OF_ONE_LOOK = 0.5, 0.75
 # A frame whose median squared residual is below this, in variances, is passed over while no CUSUM is above 0.
 CALM = 3.0
