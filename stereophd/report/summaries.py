@@ -6,6 +6,7 @@ The terminal and the page print the same tables.
 import math
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from statistics import median
 from typing import Any, NamedTuple
 
 from stereophd.pipeline.checks.run_figures import MOST_OUTLIERS
@@ -90,7 +91,7 @@ def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN
     if tracking:
         clocks = _clocks(report, described)
         tables += [_cameras(tracking.get("cameras") or {}, described, clocks, report.get("detectors"))]
-        tables += [_tracks(tracking["tracks"], unit, most_tracks)]
+        tables += [_tracks(tracking, described, unit, most_tracks)]
     if report.get("checks"):
         tables.append(_findings(report["checks"]))
     return [table for table in tables if table.rows or table.notes]
@@ -186,7 +187,10 @@ def _cameras(
     return SummaryTable("Cameras", header, tuple(rows))
 
 
-def _tracks(tracks: Sequence[Mapping[str, Any]], unit: str, most: int | None) -> SummaryTable:
+def _tracks(
+    tracking: Mapping[str, Any], described: Mapping[str, Any], unit: str, most: int | None
+) -> SummaryTable:  # fmt: skip
+    tracks: Sequence[Mapping[str, Any]] = tracking["tracks"]
     if not tracks:
         return SummaryTable("Tracks", (), (), ("no tracks",))
     names = list(tracks[0]["n_detections"])
@@ -214,8 +218,20 @@ def _tracks(tracks: Sequence[Mapping[str, Any]], unit: str, most: int | None) ->
         *(() if each else ("detections", "cameras")), f"speed [{unit}/s]", f"position std, 3-D [{unit}]", "existence",
     )  # fmt: skip
     hidden = len(tracks) - len(chosen)
-    notes = (f"... and {hidden} shorter tracks",) if hidden else ()
+    notes = (*((f"... and {hidden} shorter tracks",) if hidden else ()), *_camera_error(tracking, described, unit))
     return SummaryTable(f"Tracks ({len(tracks)})", header, tuple(rows), notes)
+
+
+def _camera_error(tracking: Mapping[str, Any], described: Mapping[str, Any], unit: str) -> Iterator[str]:
+    """Yield what an error of a camera would do to tracks, where their standard deviations do not count any."""
+    error = tracking.get("camera_error") or {}
+    focal = [f for camera in described.values() if isinstance(f := (camera.get("intrinsics") or {}).get("fx"), float)]
+    if error.get("move_per_px") is not None:
+        angle = f" (a turn by {number(math.degrees(1.0 / median(focal)), 2)} deg)" if focal else ""
+        yield (
+            f"position std takes the cameras as exact: detections of one camera that all lie 1 px off{angle} would "
+            f"move tracks by {number(error['move_per_px'], 2)} {unit}, {number(error['stds_per_px'], 2)} of these std"
+        )
 
 
 def _findings(checks: Sequence[Mapping[str, Any]]) -> SummaryTable:

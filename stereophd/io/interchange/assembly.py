@@ -79,13 +79,9 @@ def _append(spool: Spool, piece: Piece) -> None:
         raise InputError(f"camera {piece.camera}: expected finite pixels, found infinity")
     for name, values in piece.extra.items():
         rows[:, 4 + EXTRA_COLUMNS.index(name)] = values
-<<<<<<< HEAD
         if not np.isnan(values).all():
             spool.extra.add(name)
-    identities = rows[:, 4 + EXTRA_COLUMNS.index("object_id")]
-=======
     identities = rows[:, LABEL]
->>>>>>> firsthour
     if (np.abs(identities[~np.isnan(identities)]) > MAX_FRAME).any():
         raise InputError(f"camera {piece.camera}: expected whole identities of objects, found one beyond 2^53")
     spool.has_frames &= piece.frame is not None

@@ -37,15 +37,17 @@ FALSE_ALARMS, TOLERATED, LEAST_SQUARE = 0.001, 0.1, 9.0
 # A cause explains as much as another if what they explain differs by less than this many times its root, by which
 # noise changes it, in deviations of what is left.
 ALIKE = 2.0
-# Part of the distances that lasts from frame to frame, standard deviations of a detection, from which a pair of cameras
-# is wrong without a cause that explains it: tracks, which average many detections, do not lie where they state.
-LARGEST_LASTING = 1.0
-# Pairs of tracks from which that is a warning.
-LEAST_TRACKS = 8
+# Distances last if the mean product of successive ones exceeds this part of the variance of a detection, of which a
+# track averages several, and so many errors of white noise, for so many pairs of tracks; a cause must leave less than
+# this share of what lasts. From this root mean square on, standard deviations, cameras do not agree: that of chance is
+# 3.5 where most rays meet within three.
+LASTING, LASTING_ERRORS, LEAST_TRACKS, MOST_LEFT, LARGEST_DISTANCE = 0.1, 4.0, 8, 0.25, 2.5
+ERRORS_LAST = "errors_last"
 # Steps of numerical derivatives: px, and of the numbers that change a camera.
 STEP_PX, STEP = 0.01, 1e-5
 PRIORS = "let calibrate estimate it (calibration.priors.NAME"
 ESTIMATE_LENS, ESTIMATE_READOUT = f"{PRIORS}.distortion_std: {{k1: 0.1}})", f"{PRIORS}.readout_std_s)"
+LASTING_REMEDY = "look for what smooths the detections, state more noise (sigma_px), or refine the cameras (calibrate)"
 REFINE = "let calibrate refine the poses, starting from these cameras"
 
 
@@ -123,29 +125,35 @@ def check_residuals(geometry: Geometry) -> Iterator[Finding]:
         if (found := partners(samples, motion, pair.a, pair.b, reach))
     ]  # fmt: skip
     boxes = any(sample.box_height_px is not None for sample in samples)
-    if (warning := _warning(samples, pairs, boxes)) is not None:
-        yield warning
+    explained = _certain(samples, pairs)
+    doubted = explained[0] if explained is not None and explained[0].leaves_what_lasts else None
+    if explained is not None and doubted is None and not (boxes and not explained[0].cause.of_boxes):
+        yield _named(samples, len(pairs), *explained)
         return
     for pair in pairs:
         names = f"{samples[pair.a].camera.name} and {samples[pair.b].camera.name}"
         mean, spread, count = float(pair.distance.mean()), float(pair.distance.std()), len(np.unique(pair.tracks))
-        lasting = max(pair.lasting, 0.0) ** 0.5
+        (variance, errors), is_doubted = pair.lasting, doubted and doubted.camera in (None, pair.a, pair.b)
         text = (
             f"{names}: the rays of {count} pairs of tracks miss each other by {mean:+.2f} +- {spread:.2f} "
-            f"standard deviations, of which {lasting:.2f} last from frame to frame"
+            f"standard deviations, {max(variance, 0.0) ** 0.5:.2f} of which last from frame to frame"
         )
-        if lasting > LARGEST_LASTING and count >= LEAST_TRACKS and not boxes:
+        if not boxes and (is_doubted or (variance > LASTING and errors > LASTING_ERRORS and count >= LEAST_TRACKS)):
+            apart = np.hypot(mean, spread) > LARGEST_DISTANCE
             yield Finding(
                 "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
-                "alone explains it, or the errors of detections last, as those of smoothed labels do",
-                round(spread, 3), 1.0, None, CHECK_CAMERAS, DO_NOT_MEET,
+                "alone explains it, or the errors of detections last, as those of smoothed labels do; tracks are less "
+                "certain than they state", round(spread, 3), 1.0, None,
+                CHECK_CAMERAS if apart else LASTING_REMEDY, DO_NOT_MEET if apart else ERRORS_LAST,
             )  # fmt: skip
         else:
             yield Finding("geometry.residuals", "ok", text, round(spread, 3), 1.0)
 
 
-def _warning(samples: list[CameraSample], pairs: list[Partners], boxes: bool) -> Finding | None:
-    """Return the finding that names the simplest of the causes that explain most, if any is certain."""
+def _certain(
+    samples: list[CameraSample], pairs: list[Partners]
+) -> tuple[CauseFit, list[CauseFit], list[CauseFit]] | None:
+    """Return the simplest of the causes that explain most, those that explain as much, and all; None if none is."""
     # no shutter takes longer than a frame
     longest = max(sample.interval_s for sample in samples)
     fits = [
@@ -156,11 +164,15 @@ def _warning(samples: list[CameraSample], pairs: list[Partners], boxes: bool) ->
         return None
     most = max(fits, key=lambda fit: fit.explained)
     alike = [fit for fit in fits if fit.explained >= most.explained - ALIKE * (most.explained * most.left) ** 0.5]
-    best = min(alike, key=lambda fit: (len(fit.cause.numbers), -fit.explained))
+    return min(alike, key=lambda fit: (len(fit.cause.numbers), -fit.explained)), alike, fits
+
+
+def _named(
+    samples: list[CameraSample], pairs: int, best: CauseFit, alike: list[CauseFit], fits: list[CauseFit]
+) -> Finding:
+    """Return the finding that names the best of the causes and those that explain as much (see `_certain`)."""
     # of two cameras the log does not show which one
-    cause, same = best.cause, [fit for fit in (fits if len(pairs) == 1 else alike) if fit.cause is best.cause]
-    if boxes and not cause.of_boxes:
-        return None
+    cause, same = best.cause, [fit for fit in (fits if pairs == 1 else alike) if fit.cause is best.cause]
     remedy, change = cause.remedy, None
     if cause.name == "clock_offset":
         best = max(same, key=lambda fit: fit.value)
@@ -200,6 +212,7 @@ class CauseFit:
     share: float  # The same over all of them
     left: float  # Mean square of what is left
     value: float  # The number of a cause that has one
+    lasting: tuple[float, float]  # What lasts of the distances that it leaves: its share, and in errors of white noise
 
     @property
     def shift(self) -> Array:
@@ -207,6 +220,11 @@ class CauseFit:
         parts = self.parts * (self.parts**2 > LEAST_SQUARE * self.variances)
         size = np.linalg.norm(parts)
         return np.array([size, np.sqrt(parts**2 @ self.variances) / max(size, 1e-12)])
+
+    @property
+    def leaves_what_lasts(self) -> bool:
+        """Whether distances last without it too: errors of single objects look like a cause, and are none."""
+        return self.lasting[0] > MOST_LEFT and self.lasting[1] > LASTING_ERRORS
 
     def is_certain(self, probability: float) -> bool:
         """Whether a part is further from 0 than chance and what is tolerated bring any with this probability.
@@ -245,6 +263,12 @@ class Shifts:
     slopes: Array  # (n, 8): Derivatives of the distance with respect to the numbers, and the distance
     squares: Array  # (7, 7): Products of the shifts, summed, variances of a detection
     tracks: Integers  # (n,): One-camera tracks
+    following: Integers  # (n,): See `Partners`
+
+    @property
+    def before(self) -> Integers:
+        """Rows that another follows."""
+        return np.flatnonzero(self.following >= 0)
 
     @staticmethod
     def of(pair: Partners, first: Camera, second: Camera) -> tuple[Shifts, Shifts]:
@@ -265,8 +289,10 @@ class Shifts:
         for table, slope, camera, motion in zip(tables, (moved, -moved), cameras, pair.sides, strict=True):
             table[:, CLOCK], table[:, SHUTTER] = slope, -slope * motion.places[:, 1] / camera.height
         usable = np.isfinite(np.hstack(tables)).all(axis=1)
+        places = np.where(usable, np.cumsum(usable) - 1, -1)
+        following = np.where(pair.following >= 0, places[pair.following], -1)[usable]
         first_rows, second_rows = (
-            Shifts(table[usable], square[usable].sum(axis=0), motion.tracks[usable])
+            Shifts(table[usable], square[usable].sum(axis=0), motion.tracks[usable], following)
             for table, square, motion in zip(tables, squares, pair.sides, strict=True)
         )
         return first_rows, second_rows
@@ -311,6 +337,8 @@ class Regression:
     sums: Array  # (g, 8, 8)
     squares: Array  # (7, 7): Mean products of shifts
     noise: float  # Mean square of the distances
+    lasting: Array  # (8, 8): Sums of products of successive rows of pairs of tracks: 0 of white noise
+    successive: int  # Number of these
 
     @staticmethod
     def of(rows: list[Shifts]) -> Regression:
@@ -321,7 +349,9 @@ class Regression:
         _, starts = np.unique(tracks[order], return_index=True)
         sums = np.stack([block.T @ block for block in np.split(table[order], starts[1:])])
         squares = np.sum([one.squares for one in rows], axis=0) / len(table)
-        return Regression(sums, squares, float((table[:, -1] ** 2).mean()))
+        lasting = np.sum([one.slopes[one.before].T @ one.slopes[one.following[one.before]] for one in rows], axis=0)
+        noise, successive = float((table[:, -1] ** 2).mean()), sum(len(one.before) for one in rows)
+        return Regression(sums, squares, noise, lasting, successive)
 
     def fit(self, cause: Cause, camera: int | None) -> CauseFit:
         """Fit the numbers of a cause; of several, the combinations that the data determine."""
@@ -348,7 +378,10 @@ class Regression:
         variances = np.maximum((away**2).sum(axis=0) * (groups - 1) / groups, self.noise)
         # only what exceeds that noise has so few degrees of freedom (B. L. Welch, 1947)
         freedom = max(groups - 1, 0.1) / np.maximum(1.0 - self.noise / variances, 1e-3) ** 2
+        whole, left = np.append(basis @ numbers, 1.0), self.noise * (1.0 - share)
+        lasting = float(whole @ self.lasting[np.ix_([*chosen, -1], [*chosen, -1])] @ whole)
+        in_errors = lasting / max(left * self.successive**0.5, 1e-12)
         return CauseFit(
-            cause, camera, size * numbers, size**2 * variances, freedom, explained, share, self.noise * (1.0 - share),
-            float((basis @ numbers)[0]),
+            cause, camera, size * numbers, size**2 * variances, freedom, explained, share, left, float(whole[0]),
+            (lasting / max(float(self.lasting[-1, -1]), 1e-12), in_errors),
         )  # fmt: skip

@@ -14,7 +14,7 @@ from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import MOST_FRAMES, CameraSample, sample_log
-from stereophd.pipeline.checks.residuals import check_residuals
+from stereophd.pipeline.checks.residuals import ERRORS_LAST, check_residuals
 from stereophd.pipeline.checks.run_figures import check_rows
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
 from stereophd.pipeline.stream import covered
@@ -72,9 +72,10 @@ def check_log(
             rays = [found for found in rays if found.name != "geometry.cause"]
         rays += residuals
     unnamed = {found.cause for found in warnings_of(tuple(rays))}
-    if unnamed <= {DO_NOT_MEET} and geometry.is_blurred():
+    if unnamed <= {DO_NOT_MEET, ERRORS_LAST} and geometry.is_blurred():
         sharp = [*check_geometry(geometry, thorough, is_blurred=True)]
-        # that some turn explains it tells no more than that rays miss each other for long
+        # errors that last blur rays as a mistake of the list does, which explains more; that some turn explains it
+        # tells no more than that rays miss each other for long
         if not unnamed or {found.cause for found in sharp if found.name == "geometry.cause"} - {DO_NOT_MEET}:
             rays = sharp
     blamed = {found.name for found in warnings_of((*findings, *rays))}

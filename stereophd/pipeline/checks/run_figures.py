@@ -19,7 +19,7 @@ RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
 MOST_OUTLIERS = 0.1
 # Checks before the run whose warnings look like a knock, and causes among them that a knock looks like.
 LIKE_KNOCKS = ("detector.sigma", "geometry.cause", "geometry.residuals")
-OF_KNOCKS = ("pose_inaccurate", "detections_shifted")
+OF_KNOCKS = ("pose_inaccurate", "detections_shifted", "errors_last")
 # Share of the rays that met before a knock which must meet again with another clock, to call it a jump of times.
 MET_AGAIN = 0.7
 # Frames of a camera from which unexplained detections are judged: against this many times the stated clutter, so many

@@ -55,8 +55,9 @@ SUSPICIOUS = 0.4
 # So long after a knock tracks have followed the camera, if it moved their images by less than so many deviations of the
 # noise: then a turn is as well that of any other camera.
 CLEAR_S, FOLLOWED = 0.2, 10.0
-# Part of the tracks that must agree, if it is more than the fewest.
-AGREEING = 0.5
+# Part of the tracks that must agree, if it is more than the fewest, and of the threshold that one look may give: what
+# jumps as one, such as a board, looks like a knock to the first camera that sees it, until the others have.
+AGREEING, OF_ONE_LOOK = 0.5, 0.75
 # A frame whose median squared residual is below this, in variances, is passed over while no CUSUM is above 0.
 CALM = 3.0
 # Part of the running mean of residuals that stays from look to look.
@@ -280,6 +281,7 @@ def _added(
 ) -> tuple[Array | None, Array | None]:
     """Return CUSUMs, and since when they are above 0, with the ratios (n, h) of the tracks of a look."""
     total = frame_ratios(ratios, max(FEWEST_TRACKS, AGREEING * len(ratios))) / coherence
+    total *= min(1.0, OF_ONE_LOOK * _threshold() / max(float(total.max()), 1e-12))
     before = np.zeros(len(total)) if sums is None else sums
     after = np.maximum(before + total, 0.0)
     if not after.any():

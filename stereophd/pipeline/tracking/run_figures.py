@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans
-from stereophd.core.calibration.unknowns.considered import CommonPart
+from stereophd.core.calibration.unknowns.considered import CommonPart, moves_of_a_pixel
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.numerics.times import same_time
@@ -31,6 +31,8 @@ OUTLIER = 8.0
 # An estimate that was little more than its detection has next to no residual, which shows neither noise nor outliers:
 # one is judged if at least this share of the variance of the noise is expected of it.
 LEAST_EXPECTED = 0.1
+# Estimates for which it is computed how far errors of cameras move them.
+MOST_SHOWN = 512
 # Step of the derivatives of a projection, over the standard deviation of the position.
 DERIVATIVE_STEP = 0.1
 
@@ -183,6 +185,30 @@ class IdentitySums:
 
 
 @dataclass
+class EstimateSample:
+    """Every n-th estimate of a run: its time, state and covariance."""
+
+    every: int = 1
+    count: int = 0
+    rows: list[tuple[float, Array, Array]] = field(default_factory=list)
+
+    def add(self, time_s: float, states: Array, covariances: Array) -> None:
+        """Take in estimates; too many are thinned to every second."""
+        for row in range(-self.count % self.every, len(states), self.every):
+            self.rows.append((time_s, states[row], covariances[row]))
+        self.count += len(states)
+        while len(self.rows) > MOST_SHOWN:
+            self.rows, self.every = self.rows[::2], 2 * self.every
+
+    def camera_error(self, cameras: Iterable[Camera]) -> dict[str, float | None]:
+        """Return how far an error of one pixel of one camera moves estimates, for ``report.json``."""
+        columns = [np.array(column) for column in zip(*self.rows, strict=True)]
+        moves = moves_of_a_pixel(tuple(cameras), *columns) if columns else None
+        length, stds = (None, None) if moves is None else map(finite_or_none, moves)
+        return {"move_per_px": length, "stds_per_px": stds}
+
+
+@dataclass
 class RunFigures:
     """Figures of a run so far, and what waits for the next row of the table of events: all that is kept of them."""
 
@@ -200,6 +226,7 @@ class RunFigures:
     new_detections: int = 0
     new_log_likelihood: float = 0.0
     cameras_part: CommonPart | None = None  # Of what uncertain cameras add
+    shown: EstimateSample = field(default_factory=EstimateSample)
 
     def add(self, record: Record, cameras: Mapping[str, Camera]) -> None:
         """Count a record, reported or not, of a run of these cameras."""
@@ -227,6 +254,7 @@ class RunFigures:
     def add_estimates(self, estimates: Estimates, time_s: float) -> None:
         """Count what is reported at a time, s."""
         self.confirmed += len(estimates.track_ids)
+        self.shown.add(time_s, estimates.states, estimates.covariances)
         if not len(estimates.track_ids):
             return
         speeds = np.sqrt(np.einsum("ni,ni->n", estimates.states[:, 3:], estimates.states[:, 3:]))
@@ -242,7 +270,6 @@ class RunFigures:
 
     def report(self, cameras: Mapping[str, Camera], reports: int, estimates: int) -> dict[str, Any]:
         """Return the figures of a run that wrote so many reports and so many estimates, tentative ones included."""
-        common, other = (0.0, 0.0) if self.cameras_part is None else self.cameras_part.stds()
         return {
             "events": self.events,
             "duration_s": self.last_s - self.first_s,
@@ -256,8 +283,15 @@ class RunFigures:
             "tracks": [
                 self._track(track_id, identity, cameras) for track_id, identity in sorted(self.identities.items())
             ],
-            **({} if self.cameras_part is None else {"cameras_part": {"common_std": common, "other_std": other}}),
+            **self._of_cameras(cameras),
         }
+
+    def _of_cameras(self, cameras: Mapping[str, Camera]) -> dict[str, Any]:
+        """Return what the cameras leave uncertain, or what they would, if they were not as exact as they are stated."""
+        if self.cameras_part is None:
+            return {"camera_error": self.shown.camera_error(cameras.values())}
+        common, other = self.cameras_part.stds()
+        return {"cameras_part": {"common_std": common, "other_std": other}}
 
     def _track(self, track_id: int, identity: IdentitySums, cameras: Iterable[str]) -> dict[str, Any]:
         detections = self.detections.get(track_id, {})

@@ -12,11 +12,12 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
-from stereophd.pipeline.checks.geometry.partners import _nearest_of_frame
+from stereophd.pipeline.checks.geometry.partners import _following, _nearest_of_frame
 from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, distances, measure, signed_distances
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.residuals import (
     CAUSES,
+    ERRORS_LAST,
     FALSE_ALARMS,
     CauseFit,
     Regression,
@@ -42,24 +43,30 @@ CAMERAS = (
 
 def _findings(
     cameras: tuple[Camera, ...] = CAMERAS, late_s: float = 0.0, seen: tuple[Camera, ...] = CAMERAS, seed: int = 5,
-    boxes: bool = False, frames: int = FRAMES,
+    boxes: bool = False, frames: int = FRAMES, lasting_px: float = 0.0,
+    objects: int = OBJECTS,
 ) -> list[Finding]:  # fmt: skip
-    """Check `cameras` on a log of what the cameras `seen` see of slow objects; times of the second may be late."""
+    """Check `cameras` on a log of what the cameras `seen` see of slow objects; times of the second may be late.
+
+    Of each object each camera's detections all lie beside it by so many px, in a direction of its own.
+    """
     rng = np.random.default_rng(seed)
-    start, turn = rng.uniform([-1.5, -1, 6], [1.5, 1, 9], (OBJECTS, 3)), rng.uniform(0.3, 0.6, OBJECTS)
+    angles = np.random.default_rng(seed + 100).uniform(0.0, 2.0 * np.pi, (len(cameras), objects))
+    beside = lasting_px * np.stack([np.cos(angles), np.sin(angles)], axis=2)
+    start, turn = rng.uniform([-1.5, -1, 6], [1.5, 1, 9], (objects, 3)), rng.uniform(0.3, 0.6, objects)
     log = []
     for k in range(frames):
         for c, camera in enumerate(seen[: len(cameras)]):
             time = k / RATE + 0.021 * c
 
             def image(at: np.ndarray, camera: Camera = camera) -> np.ndarray:
-                angle = turn * at + np.arange(OBJECTS)
+                angle = turn * at + np.arange(objects)
                 points = start + 1.2 * np.column_stack([np.sin(angle), 0.6 * np.cos(2 * angle), np.cos(angle)])
                 return camera.project(points)
 
-            rows = image(np.full(OBJECTS, time))[:, 1]
+            rows = image(np.full(objects, time))[:, 1]
             pixels = image(time + camera.readout_s * rows / camera.height)
-            pixels = pixels[rng.random(OBJECTS) < camera.detector.p_detect]
+            pixels = (pixels + beside[c])[rng.random(objects) < camera.detector.p_detect]
             found = pixels + rng.normal(0, 1, pixels.shape)
             log.append(Frame(time + late_s * (c == 1), c, k, found[camera.contains(found)]))
     log.sort(key=lambda frame: (frame.time_s, frame.camera))
@@ -164,6 +171,25 @@ def test_distances_that_last_are_no_white_noise_whatever_explains_them(
     assert [one.status for one in _findings(CAMERAS[:2], seed=6)] == ["ok"]
 
 
+@pytest.mark.parametrize("cameras", [2, 3])
+def test_errors_of_single_objects_that_last_are_told_and_called_no_error_of_a_camera(cameras: int) -> None:
+    """A focal length or a pose was named in a quarter of such logs, and the others were silent."""
+    for seed in (5, 6, 7):
+        found = _findings(CAMERAS[:cameras], lasting_px=1.5, seed=seed, frames=200, objects=10)
+        assert {one.cause for one in found if one.status == "warning"} == {ERRORS_LAST}
+
+
+def test_a_cause_that_leaves_what_lasts_is_none() -> None:
+    """Two errors that last: the slope of one explains a part, and what it leaves lasts as well."""
+    rng, tracks = np.random.default_rng(6), np.repeat(np.arange(40), 30)
+    slope, other = np.repeat(rng.normal(size=(2, 40)), 30, axis=1)
+    noise = rng.normal(size=1200)
+    for distance, leaves in ((slope + noise, False), (slope + other + noise, True)):
+        fit = _fit(tracks, distance, slope)
+        assert fit.is_certain(FALSE_ALARMS)
+        assert fit.leaves_what_lasts == leaves
+
+
 def test_rolling_shutters_are_taken_into_account() -> None:
     rolling = (*CAMERAS[:1], _camera("right", [3.0, -1.2, 0.2], 20.0, READOUT_S), CAMERAS[2])
     assert all(one.status == "ok" for one in _findings(rolling, seen=rolling))
@@ -186,7 +212,13 @@ def _fit(tracks: np.ndarray, distance: np.ndarray, *slopes: np.ndarray) -> Cause
     cause = next(cause for cause in CAUSES if len(cause.numbers) == len(slopes))
     table = np.zeros((len(distance), 8))
     table[:, cause.numbers], table[:, -1] = np.stack(slopes, axis=1), distance
-    return Regression.of([Shifts(table, table[:, :7].T @ table[:, :7], tracks)]).fit(cause, 0)
+    return Regression.of([_shifts(table, table[:, :7].T @ table[:, :7], tracks)]).fit(cause, 0)
+
+
+def _shifts(table: np.ndarray, squares: np.ndarray, tracks: np.ndarray) -> Shifts:
+    """Rows of tracks, one after the other."""
+    following = np.append(np.where(np.diff(tracks) == 0, np.arange(1, len(tracks)), -1), -1)
+    return Shifts(table, squares, tracks, following)
 
 
 def test_errors_follow_from_the_spread_between_tracks() -> None:
@@ -222,7 +254,7 @@ def test_what_distances_hardly_show_is_left_out() -> None:
     table[:, :3] = rng.normal(size=(600, 3)) * [1.0, 0.02, 1.0]
     table[:, -1] = rng.normal(size=600) - 3.0 * table[:, 0]
     pose = next(cause for cause in CAUSES if cause.name == "pose_inaccurate")
-    fit = Regression.of([Shifts(table, 600.0 * np.eye(7), np.arange(600) // 40)]).fit(pose, 0)
+    fit = Regression.of([_shifts(table, 600.0 * np.eye(7), np.arange(600) // 40)]).fit(pose, 0)
     assert len(fit.parts) == 2
     assert fit.shift[0] == pytest.approx(3.0, rel=0.1)
 
@@ -254,6 +286,12 @@ def test_clocks_that_contradict_each_other_are_no_finding() -> None:
     distance = np.concatenate([2.0 * speed, -2.0 * speed]) + rng.normal(size=800)
     fit = _fit(np.concatenate([tracks, tracks]), distance, np.concatenate([speed, speed]))
     assert not fit.is_certain(FALSE_ALARMS)
+
+
+def test_successive_distances_share_no_detection() -> None:
+    # of two tracks: intervals 4 and 5 share the frame after 4
+    found = _following(np.array([1, 0, 1, 1, 0]), np.array([4, 2, 5, 6, 9]))
+    assert found.tolist() == [3, 4, -1, -1, -1]
 
 
 def test_a_partner_belongs_to_the_nearest_detection_of_a_frame() -> None:

@@ -18,12 +18,13 @@ from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.core.two_views import turns
 from stereophd.core.two_views.responses import find_change
+from stereophd.core.two_views.turns import all_turns
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run_figures import check_knocks
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.tracking import knocked as test_of_knocks
-from stereophd.pipeline.tracking.knocked import BLOCKS, LOOKS_A_QUESTION, Knock
+from stereophd.pipeline.tracking.knocked import BLOCKS, LOOKS_A_QUESTION, Knock, _added, _threshold
 from stereophd.pipeline.tracking.loop import run_estimator
 from stereophd.pipeline.tracking.run_figures import RunFigures
 
@@ -141,6 +142,20 @@ def test_a_slow_camera_is_known_before_long() -> None:
     slow = of_objects(6, 40.0, [f"cameras.{name}.frame_rate_hz=1" for name in ("left", "right", "middle")])
     (knock,), _ = knocks(slow, events(slow, "right", (0.0, 0.5, 0.0), (0.0, 0.0, 0.0), 18.5))
     assert knock.time_s <= 25.0
+
+
+def test_one_look_is_no_knock_however_loud() -> None:
+    """A board that jumps: the first camera to see it had turned by two corners, and the real board was called so."""
+    ratios = np.full((12, len(all_turns().spread)), 50.0)
+    ratios[:, 1:] = -1.0
+    sums, since_s = _added(None, None, ratios, 1.0, 7.0)
+    assert sums is not None
+    assert sums.argmax() == 0
+    assert 0.5 * _threshold() < sums.max() < _threshold()
+    sums, since_s = _added(sums, since_s, ratios, 1.0, 7.2)
+    assert sums is not None
+    assert since_s is not None
+    assert (sums[0] > _threshold(), since_s[0]) == (True, 7.0)
 
 
 def test_cameras_that_stay_raise_no_alarm(loaded: LoadedConfig) -> None:

@@ -14,14 +14,16 @@ state-space methods to navigation problems", 1966, for parameters that are consi
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.unknowns.parameters import ParameterSet, taken
+from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet, taken
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.rotations import cross_matrices
 from stereophd.core.numerics.compilation.compiled import compiled
 
@@ -74,6 +76,28 @@ class CameraUncertainty:
         out, shifts = np.zeros((len(moves), 6, 6)), moves @ self.root
         out[:, :3, :3] = shifts @ np.swapaxes(shifts, 1, 2)
         return out
+
+
+def moves_of_a_pixel(
+    cameras: Sequence[Camera], times: Array, states: Array, covariances: Array
+) -> tuple[float, float] | None:
+    """Return how far a camera that is turned until its detections lie one pixel off moves estimates (see `moves`).
+
+    Medians over the estimates: of a length, and of standard deviations that they state; for the worst camera and
+    direction. None without estimates.
+    """
+    usable = np.linalg.eigvalsh(covariances[:, :3, :3])[:, 0] > 0.0 if len(states) else np.zeros(0, dtype=np.bool_)
+    if not usable.any():
+        return None
+    parameters = [Parameter(f"rotation_{axis}", camera.name, 0.0, 1.0) for camera in cameras for axis in "xy"]
+    turned = CameraUncertainty(ParameterSet(tuple(cameras), tuple(parameters)), np.eye(len(parameters)))
+    pixels = np.ravel([(1.0 / camera.fy, 1.0 / camera.fx) for camera in cameras])
+    moves = turned.moves(times[usable], states[usable], covariances[usable]) * pixels
+    relative = np.linalg.solve(np.linalg.cholesky(covariances[usable, :3, :3]), moves)
+    lengths, stds = (
+        np.linalg.norm(each.reshape(len(each), 3, -1, 2), 2, axis=(1, 3)).max(axis=1) for each in (moves, relative)
+    )
+    return float(np.median(lengths)), float(np.median(stds))
 
 
 @compiled

@@ -20,6 +20,8 @@ HALF_WINDOW = 4
 # Largest distance of partners, over that at which most rays meet beyond chance; frames, and share of a track, in which
 # two tracks must meet.
 FARTHEST, LEAST_COMMON, LEAST_SHARE = 2.0, 8, 0.5
+# Share of the pairs of tracks that may be those of different objects, which stay near each other's rays for a while.
+MOST_WRONG = 0.15
 
 
 @dataclass(frozen=True)
@@ -33,18 +35,22 @@ class Partners:
     sides: tuple[TrackMotion, TrackMotion]
     distance: Array  # (n,): Signed distance of the rays, standard deviations
     tracks: Integers  # (n,) of int: Number of the pair of one-camera tracks
+    # (n,): Of each detection the next of the pair of tracks that shares no detection of B with it, -1 of none
+    following: Integers
 
     @property
-    def lasting(self) -> float:
-        """Mean product of successive distances, median over the pairs of tracks, variances of a detection.
+    def lasting(self) -> tuple[float, float]:
+        """Mean product of successive distances, of white noise 0, and that over the error that white noise gives it.
 
-        It is 0 of white noise, and of most pairs where wrong partners, which last, are few.
+        The pairs of tracks with the largest products do not count: they may be those of different objects.
         """
-        order = np.argsort(self.tracks, kind="stable")
-        values, tracks = self.distance[order], self.tracks[order]
-        same = np.diff(tracks) == 0
-        products, counts = (np.bincount(tracks[1:][same], each) for each in ((values[1:] * values[:-1])[same], None))
-        return float(np.median(products[counts > 0] / counts[counts > 0]))
+        first = np.flatnonzero(self.following >= 0)
+        products = self.distance[first] * self.distance[self.following[first]]
+        _, owners, counts = np.unique(self.tracks[first], return_inverse=True, return_counts=True)
+        sums = np.bincount(owners, products, len(counts))
+        kept = np.argsort(-sums)[int(np.ceil(MOST_WRONG * len(sums))) :]
+        mean = float(sums[kept].sum() / max(counts[kept].sum(), 1))
+        return mean, mean * float(counts[kept].sum()) ** 0.5 / float((self.distance**2).mean())
 
 
 class TrackMotion(NamedTuple):
@@ -124,7 +130,21 @@ def partners(
         TrackMotion(motion[a].places[own], motion[a].velocity[own], track_a[own]),
         TrackMotion(places_b + delay, speed, track_b[index]),
     )
-    return Partners(a, b, sides, distance, tracks[lasting])
+    tracks = tracks[lasting]
+    return Partners(a, b, sides, distance, tracks, _following(tracks, interval[near][lasting]))
+
+
+def _following(tracks: Integers, intervals: Integers) -> Integers:
+    """Return of each detection (n,) the next of its track beyond the interval of B after its own; -1 of none."""
+    order = np.lexsort((intervals, tracks))
+    # places of the intervals of all tracks, one after the other
+    places = tracks[order] * (int(intervals.max(initial=0)) + 3) + intervals[order]
+    found = np.searchsorted(places, places + 2)
+    following = np.full(len(tracks), -1, dtype=np.int64)
+    inside = found < len(order)
+    inside[inside] = tracks[order[found[inside]]] == tracks[order[inside]]
+    following[order[inside]] = order[found[inside]]
+    return following
 
 
 def _nearest_of_frame(frames: Integers, others: Integers, distances: Array) -> NDArray[np.bool_]:
