@@ -78,6 +78,7 @@ class CalibrationRun:
     jobs: int = 1  # Processes, or threads of particles
     progress: Progress = ignore
     limit: TimeLimit = ENDLESS
+    is_searched: bool = False  # Whether no pose was known, and all were found before
 
     @property
     def section(self) -> CalibrationConfig:

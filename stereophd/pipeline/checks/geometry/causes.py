@@ -216,7 +216,11 @@ def _pairs_with(geometry: Geometry, camera: int) -> list[int]:
 
 
 def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> Iterator[Trial]:
-    """Yield clock offsets and rates of single cameras; of many, those whose rays meet least."""
+    """Yield clock offsets and rates of single cameras; of many, those whose rays meet least.
+
+    Rates are usual ones, and that by which offsets of the two halves of the log differ.
+    """
+    halves = [replace(geometry, pairs=half) for half in zip(*(pair.halves() for pair in geometry.pairs), strict=True)]
     for c in sorted(usable_clocks(geometry)[:MOST_CLOCKS]):
         sample, concerned = geometry.samples[c], _pairs_with(geometry, c)[:MOST_CLOCK_PAIRS]
         shift = _best_shift(geometry, concerned, c, steps)
@@ -225,14 +229,31 @@ def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> I
                 (c,), "clock_offset", f"its clock seems to be off by {-shift:+.3g} s", shift_remedy(shift),
                 geometry.views, _with_times(geometry, c, sample.times + shift), shifted(sample, shift),
             )  # fmt: skip
-        for rate in rates:
-            times = sample.times[0] + (sample.times - sample.times[0]) * rate
-            yield Trial(
-                (c,), "frame_rate", f"its times seem to run at {1 / rate:.4g} times the true rate",
-                f"check its frame rate; import again with the true one (`rates`), or multiply its times by {rate:.4g} "
-                "(clock.rate)", geometry.views,
-                _with_times(geometry, c, times),
-            )  # fmt: skip
+        since = sample.times - sample.times[0]
+        lines = [(f"{rate:.4g}", f"{1.0 / rate:.4g}", sample.times[0] + rate * since) for rate in rates]
+        shifts = [_best_shift(half, concerned, c, steps) or 0.0 for half in halves]
+        middles = [float(np.mean([half.pairs[k].times.mean() for k in concerned])) for half in halves]
+        if abs(shifts[1] - shifts[0]) > sample.interval_s:
+            drift = (shifts[1] - shifts[0]) / (middles[1] - middles[0])
+            times, rough = sample.times + shifts[0] + drift * (sample.times - middles[0]), (1.0 + drift, 1.0 - drift)
+            lines.append((*(f"about {rate:.3g}" for rate in rough), times))
+        for rate, inverse, times in lines:
+            yield _of_rate(geometry, c, (rate, inverse), times)
+
+
+def _of_rate(geometry: Geometry, camera: int, factors: tuple[str, str], times: Array) -> Trial:
+    """Return the trial of other times of a camera, by a factor that is told with its inverse.
+
+    Two cameras do not show which of them is wrong.
+    """
+    factor, inverse = factors
+    text, remedy, by = f"its times seem to run at {inverse} times the true rate", "check its frame rate", factor
+    if len(geometry.samples) == 2:
+        other = geometry.samples[1 - camera].camera.name
+        text, remedy = f"its times seem to run at {inverse} times the rate of {other}", "check both frame rates"
+        by += f", or those of {other} by {inverse}"
+    remedy += f"; import again with the true one (`rates`), or multiply its times by {by} (clock.rate)"
+    return Trial((camera,), "frame_rate", text, remedy, geometry.views, _with_times(geometry, camera, times))
 
 
 def shift_remedy(shift_s: float) -> str:

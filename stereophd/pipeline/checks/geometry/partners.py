@@ -33,6 +33,7 @@ class Partners:
     sides: tuple[TrackMotion, TrackMotion]
     distance: Array  # (n,): Signed distance of the rays, standard deviations
     tracks: Integers  # (n,) of int: Number of the pair of one-camera tracks
+    times: Array  # (n,): s
 
     @property
     def correlation(self) -> float:
@@ -120,7 +121,7 @@ def partners(
         TrackMotion(motion[a].places[own], motion[a].velocity[own], track_a[own]),
         TrackMotion(places_b + delay, speed, track_b[index]),
     )
-    return Partners(a, b, sides, distance, tracks[lasting])
+    return Partners(a, b, sides, distance, tracks[lasting], times[own])
 
 
 def _nearest_of_frame(frames: Integers, others: Integers, distances: Array) -> NDArray[np.bool_]:
