@@ -141,6 +141,7 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
     if is_done():
         return starts
     jobs = min(run.jobs, len(new))
+    run.limit.begin(f"up to {count} starts begin")
     for start in _each((partial(run_start, task, place, values[place], seeds[place]) for place in new), jobs):
         starts.append(start)
         if not run.limit.is_over:  # one that the time has cut short is done again

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
+import pytest
 
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.annealing.method import Remark, doubt_of_starts, why_none_succeeded
