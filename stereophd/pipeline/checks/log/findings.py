@@ -5,7 +5,7 @@ from collections.abc import Collection, Iterator
 import numpy as np
 
 from stereophd.core.settings import LATEST_S
-from stereophd.pipeline.checks.finding import Finding, is_mistake
+from stereophd.pipeline.checks.finding import Finding, Status, is_mistake
 from stereophd.pipeline.checks.log.sample import MOST_BY_CHANCE, CameraSample
 from stereophd.wording import instant, percent
 
@@ -73,47 +73,38 @@ def _frames(sample: CameraSample) -> Iterator[Finding]:
     # frames without a row are not frames of another rate
     per_number = np.diff(sample.times) / np.maximum(np.diff(sample.frames), 1)
     by_number = 1.0 / max(float(np.median(per_number)), 1e-300)
-    unit = _unit(sample, found)
-    if unit is not None and (rate is None or abs(sample.times[-1]) > LATEST_S):
-        yield Finding(
-            "log.frame_rate", "warning",
-            f"{name}: {sample.interval_s:.4g} s between frames, times up to {sample.times[-1]:.6g} s: they seem to be "
-            f"in {unit}, of frames at {found * UNITS[unit]:.4g} Hz",
-            round(found, 6), rate, name, f"{_in_seconds(unit)}; or state frame_rate_hz if the interval is right", unit,
-        )  # fmt: skip
-    elif rate is not None and min(abs(found / rate - 1.0), abs(by_number / rate - 1.0)) > RATE_TOLERANCE:
-        since = sample.times - sample.times[0]
-        is_number = bool(np.allclose(since, np.round(since), atol=1e-6)) and round(np.diff(since).min()) == 1
-        if is_number and rate > 1.5:
-            cause, text = "frame_number_as_time", "the times seem to be frame numbers"
-            remedy = f"divide time_s by the frame rate, {rate:g} Hz"
-        elif unit is not None:
-            cause, text, remedy = unit, f"the times seem to be in {unit}", _in_seconds(unit)
-        else:
-            cause, text = "frame_rate", "the times do not fit the stated frame rate"
-            remedy = "check the frame rate from which the times were computed, and the one that is stated"
-        yield Finding(
-            "log.frame_rate", "warning", f"{name}: frames come at {found:.4g} Hz, frame_rate_hz is {rate:g}: {text}",
-            round(found, 6), rate, name, remedy, cause,
-        )  # fmt: skip
-    else:
-        yield Finding("log.frame_rate", "ok", f"{name}: frames come at {found:.4g} Hz", round(found, 6), rate, name)
+    is_off = rate is not None and min(abs(found / rate - 1.0), abs(by_number / rate - 1.0)) > RATE_TOLERANCE
+    since, unit = sample.times - sample.times[0], _unit(sample, found)
+    text, remedy, cause = f"frames come at {found:.4g} Hz", None, None
+    if (
+        rate is not None
+        and is_off
+        and rate > 1.5
+        and np.allclose(since, np.round(since), atol=1e-6)
+        and round(np.diff(since).min()) == 1
+    ):
+        text, cause = f"{text}, frame_rate_hz is {rate:g}: the times seem to be frame numbers", "frame_number_as_time"
+        remedy = f"divide time_s by the frame rate, {rate:g} Hz"
+    elif unit is not None:
+        text, cause = f"{text}, and times reach {sample.times[-1]:.6g} s: they seem to be in {unit}", unit
+        remedy = f"import again with their unit (`time_unit`), or divide time_s by {UNITS[unit]:.0f}"
+        remedy += "; or state frame_rate_hz if the interval is right" if rate is None else ""
+    elif is_off:
+        text, cause = f"{text}, frame_rate_hz is {rate:g}: the times do not fit the stated frame rate", "frame_rate"
+        remedy = "check the frame rate from which the times were computed, and the one that is stated"
+    status: Status = "ok" if cause is None else "warning"
+    yield Finding("log.frame_rate", status, f"{name}: {text}", round(found, 6), rate, name, remedy, cause)
 
 
 def _unit(sample: CameraSample, found: float) -> str | None:
     """Return the unit in which the times, with frames at this rate, are the stated or usual ones; None: in seconds."""
     rate, latest = sample.camera.frame_rate_hz, abs(sample.times[-1])
+    is_long = latest > LATEST_S or (rate is None and sample.interval_s > LONGEST_INTERVAL_S)
     for unit, parts in UNITS.items():
-        if rate is not None and abs(found * parts / rate - 1.0) < SAME_RATE:
-            return unit
-        is_long = latest > LATEST_S or (rate is None and sample.interval_s > LONGEST_INTERVAL_S)
-        if is_long and sample.interval_s / parts <= LONGEST_INTERVAL_S and latest / parts <= LATEST_S:
+        is_usual = sample.interval_s / parts <= LONGEST_INTERVAL_S and latest / parts <= LATEST_S
+        if (is_long and is_usual) or (rate is not None and abs(found * parts / rate - 1.0) < SAME_RATE):
             return unit
     return None
-
-
-def _in_seconds(unit: str) -> str:
-    return f"import again with their unit (`time_unit`), or divide time_s by {UNITS[unit]:.0f}"
 
 
 def _pixels(sample: CameraSample) -> Iterator[Finding]:
