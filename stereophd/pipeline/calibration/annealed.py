@@ -71,13 +71,8 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     }
     if not is_timed:
         details["clocks"] = _clock_report(task)
-    size = problem.parameters.size
     if best is None:
-        nothing = np.full((size, size), np.nan)
-        reason = why_none_succeeded(starts, is_timed, run.is_searched)
-        return Outcome(
-            problem.parameters, nothing[0], nothing, np.empty((0, size)), np.empty(0), (), reason, details=details
-        )
+        return Outcome.of_none(problem.parameters, why_none_succeeded(starts, is_timed, run.is_searched), details)
     result = calibrated(task, starts, replace(choices_of(section), control=problem.control))
     believed = result.believed
     details |= _result_report(result, best, stated)

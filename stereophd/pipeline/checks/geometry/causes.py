@@ -220,7 +220,6 @@ def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> I
 
     Rates are usual ones, and that by which offsets of the two halves of the log differ.
     """
-    halves = [replace(geometry, pairs=half) for half in zip(*(pair.halves() for pair in geometry.pairs), strict=True)]
     for c in sorted(usable_clocks(geometry)[:MOST_CLOCKS]):
         sample, concerned = geometry.samples[c], _pairs_with(geometry, c)[:MOST_CLOCK_PAIRS]
         shift = _best_shift(geometry, concerned, c, steps)
@@ -230,15 +229,35 @@ def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> I
                 geometry.views, _with_times(geometry, c, sample.times + shift), shifted(sample, shift),
             )  # fmt: skip
         since = sample.times - sample.times[0]
-        lines = [(f"{rate:.4g}", f"{1.0 / rate:.4g}", sample.times[0] + rate * since) for rate in rates]
-        shifts = [_best_shift(half, concerned, c, steps) or 0.0 for half in halves]
-        middles = [float(np.mean([half.pairs[k].times.mean() for k in concerned])) for half in halves]
-        if abs(shifts[1] - shifts[0]) > sample.interval_s:
-            drift = (shifts[1] - shifts[0]) / (middles[1] - middles[0])
-            times, rough = sample.times + shifts[0] + drift * (sample.times - middles[0]), (1.0 + drift, 1.0 - drift)
-            lines.append((*(f"about {rate:.3g}" for rate in rough), times))
-        for rate, inverse, times in lines:
-            yield _of_rate(geometry, c, (rate, inverse), times)
+        for rate in rates:
+            yield _of_rate(geometry, c, (f"{rate:.4g}", f"{1.0 / rate:.4g}"), sample.times[0] + rate * since)
+        if (times := _drifting(geometry, concerned, c, steps)) is not None:
+            rate = float(np.ptp(times)) / float(since[-1])
+            yield _of_rate(geometry, c, (f"about {rate:.3g}", f"about {1.0 / rate:.3g}"), times)
+
+
+def _drifting(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> Array | None:
+    """Return times (f,) of a camera, s, by another rate and offset: those of the halves of the log. None if it is one.
+
+    A half has no one offset either: those of the corrected times are looked for once more.
+    """
+    times, interval = geometry.samples[camera].times, geometry.samples[camera].interval_s
+    for is_first in (True, False):
+        samples = _with_times(geometry, camera, times)
+        every = (geometry.pairs[k] for k in concerned)
+        pairs = [
+            candidates(samples, p.a, p.b, len(p.detections), len(p.pixels_b) - 1, among=p.detections) for p in every
+        ]
+        offsets = []
+        for half in zip(*(pair.halves() for pair in pairs if pair is not None), strict=True):
+            moved = replace(geometry, samples=samples, pairs=half)
+            shift = _best_shift(moved, list(range(len(half))), camera, steps)
+            offsets.append((float(np.mean([pair.times.mean() for pair in half])), shift or 0.0))
+        if len(offsets) < 2 or (is_first and abs(offsets[1][1] - offsets[0][1]) <= interval):
+            return None
+        (early, before), (late, after) = offsets
+        times = times + before + (after - before) / (late - early) * (times - early)
+    return times
 
 
 def _of_rate(geometry: Geometry, camera: int, factors: tuple[str, str], times: Array) -> Trial:
