@@ -237,7 +237,7 @@ def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> I
 
 
 def _drifting(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> Array | None:
-    """Return times (f,) of a camera, s, by another rate and offset: those of the halves of the log. None if it is one.
+    """Return times (f,) of a camera, s, by another rate and offset: those of the halves of the log. None: alike.
 
     A half has no one offset either: those of the corrected times are looked for once more.
     """
