@@ -256,6 +256,9 @@ def _drifting(geometry: Geometry, concerned: list[int], camera: int, steps: int)
         if len(offsets) < 2 or (is_first and abs(offsets[1][1] - offsets[0][1]) <= interval):
             return None
         (early, before), (late, after) = offsets
+        # beyond the usual rates offsets are those of chance, and times might run backwards
+        if not min(RATES) * (late - early) <= late - early + after - before <= max(RATES) * (late - early):
+            return None
         times = times + before + (after - before) / (late - early) * (times - early)
     return times
 
