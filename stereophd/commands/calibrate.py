@@ -140,6 +140,7 @@ def calibrate(
         report["provenance"] = record
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
+            limit.begin("pictures are drawn")
             # Costly to import, and matplotlib is an extra.
             from stereophd.report.plots.calibration_plots import write_calibration_plots
 
