@@ -1,7 +1,8 @@
 """Number the records of decisions in docs/dev/decisions/ and write their index, docs/decisions.md.
 
-A record is a short Markdown file: a title, a line `Status: in force` (which is the default) or `Status: replaced by
-NNNN`, then context, decision, measurement and cost. Name a new one by its topic (`topic.md`) and run `make reference`.
+A record is a short Markdown file: a title, a line `Status: in force` (which is the default) or `Status: superseded
+by NNNN`, whose first sentence the index shows, then context, decision, measurement and cost. Name a new one by its
+topic (`topic.md`) and run `make reference`.
 """
 
 from __future__ import annotations
@@ -45,11 +46,11 @@ def index() -> str:
     for path in sorted(RECORDS.glob("*.md")):
         text = path.read_text(encoding="utf-8")
         title = re.search(r"^#+ +(.+)$", text, re.MULTILINE)
-        status = re.search(r"^\W*status\W+(in force|replaced by \d{4})", text, re.MULTILINE | re.IGNORECASE)
+        status = re.search(r"^\W*status\W+([^.·\n]+)", text, re.MULTILINE | re.IGNORECASE)
         if title is None:
             sys.exit(f"{path}: expected a title, found none")
         shown = title[1].replace("|", "\\|")
-        standing = status[1].lower() if status else "in force"
+        standing = status[1].strip() if status else "in force"
         rows.append(f"| [{path.name[:4]}](dev/decisions/{path.name}) | {shown} | {standing} |\n")
     return HEAD + "".join(rows)
 

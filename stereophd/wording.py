@@ -2,12 +2,29 @@
 
 import logging
 import math
+from collections.abc import Callable
 
 #: The logger of every message about a run that goes on; errors end one.
 LOGGER = logging.getLogger("stereophd")
 
-#: The logger of what a run does now; its messages, of level INFO, move a bar or become a line now and then.
+#: The logger of what a run does now; its messages, stages and steps within them, become a line now and then.
 PROGRESS = logging.getLogger("stereophd.progress")
+
+
+class Stages(logging.Handler):
+    """Shows each stage of `PROGRESS`, and the steps within one behind its name."""
+
+    def __init__(self, show: Callable[[str], None]) -> None:
+        super().__init__()
+        self._show, self._stage = show, ""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Show a message."""
+        text = record.getMessage()
+        if not vars(record).get("within"):
+            self._stage = text
+        self._show(text if self._stage == text else f"{self._stage}: {text}")
+
 
 # Numbers from here on are written with powers of ten.
 LARGEST_PLAIN = 1e7

@@ -1,13 +1,14 @@
 """``stereophd import``, ``init`` and ``check``: a recording, its configuration, and whether they fit."""
 
 import shlex
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 from stereophd import options as declared
 from stereophd.cli.options import ConfigWords, Form, Out, Session, Set, Strict, argument, option
-from stereophd.cli.terminal import exit_if_strict, load, print_report, progress_bar
+from stereophd.cli.terminal import again, exit_if_strict, load, print_report, progress_bar
 from stereophd.cli.unused_options import refuse
 from stereophd.commands.options import InitOptions, Replacing
 from stereophd.io.interchange.options import ImportOptions
@@ -94,16 +95,18 @@ def init_command(
 
     with progress_bar(session, "init"):
         report = init(folder, log, cameras, overrides or (), options=options)
-    print_report(session, report, lambda: _written(report, log))
+    print_report(session, report, lambda: _written(session, report, log))
     exit_if_strict(strict, report)
 
 
-def _written(report: dict[str, Any], log: Path | None) -> list[str]:
+def _written(session: Session, report: dict[str, Any], log: Path | None) -> list[str]:
     """Return the values with their sources, and what to run next."""
     width = max(len(row["key"]) for row in report["values"])
     lines = [f"{row['key']:<{width}}  {_shown(row['value']):<18}  {row['source']}" for row in report["values"]]
-    lines += [_detector(name, detector) for name, detector in report["detectors"].items()]
+    lines += _detectors(report["detectors"])
     config = Path(report["config"])
+    if report["must_be_corrected"]:
+        return [*lines, f"Written: {config}; next, once what the warnings name is corrected:", f"  {again(session)}"]
     # beside the configuration and quoted, so that the line can be copied as it is
     command, options, out = "track", ["--smooth", "--associations"], "tracks"
     if report["must_be_calibrated"]:
@@ -114,12 +117,19 @@ def _written(report: dict[str, Any], log: Path | None) -> list[str]:
     return [*lines, f"Written: {config}; next{then}", f"  {following}"]
 
 
-def _detector(name: str, detector: dict[str, Any]) -> str:
-    noise = " x ".join(f"{sigma:g}" for sigma in detector["sigma_px"])
-    return (
-        f"{name}: noise {noise} px, probability of detection {detector['p_detect']:g}, "
-        f"{detector['clutter_per_frame']:g} false detections per frame  {detector['source']}"
-    )
+def _detectors(detectors: dict[str, dict[str, Any]]) -> list[str]:
+    """Return the detector of each camera, with its source; what is said of several of them is said once."""
+    sources = Counter(detector["source"] for detector in detectors.values())
+    lines = []
+    for name, detector in detectors.items():
+        noise, source = " x ".join(f"{sigma:g}" for sigma in detector["sigma_px"]), detector["source"]
+        lines.append(
+            f"{name}: noise {noise} px, probability of detection {detector['p_detect']:g}, "
+            f"{detector['clutter_per_frame']:g} false detections per frame"
+            f"{f'  {source}' if sources[source] == 1 else ''}"
+        )
+    shared = {source: [name for name, one in detectors.items() if one["source"] == source] for source in sources}
+    return [*lines, *(f"{', '.join(names)}: {source}" for source, names in shared.items() if len(names) > 1)]
 
 
 def _shown(value: Any) -> str:

@@ -18,7 +18,7 @@ from stereophd.cli import interrupts
 from stereophd.cli.flags import with_flags
 from stereophd.cli.options import ConfigWords, SceneWords, Session
 from stereophd.errors import GateError, InputError
-from stereophd.wording import PROGRESS, counted, percent
+from stereophd.wording import PROGRESS, Stages, counted, percent
 
 if TYPE_CHECKING:
     from stereophd.config.loading import LoadedConfig
@@ -135,13 +135,21 @@ def print_report(
 def _remedied(session: Session, report: Mapping[str, Any]) -> list[str]:
     """Return the command line again, with the changes that the warnings of its checks propose."""
     warned = [check for check in report.get("checks", ()) if check["status"] == "warning" and check["change"]]
-    flags = {flag for option in session.context.command.params for flag in option.opts} if session.context else set()
-    if not warned or "--set" not in flags:
+    if not warned or "--set" not in _flags(session):
         return []
-    words = [word for word in session.words if word != "--force"]
     changes = [word for change in dict.fromkeys(check["change"] for check in warned) for word in ("--set", change)]
-    force = ["--force"] if "--force" in flags else []
-    return ["The same with these remedies:", f"  {shlex.join(['stereophd', *words, *force, *changes])}"]
+    return ["The same with these remedies:", f"  {again(session, changes)}"]
+
+
+def _flags(session: Session) -> set[str]:
+    """Return the options of the command that runs."""
+    return {flag for option in session.context.command.params for flag in option.opts} if session.context else set()
+
+
+def again(session: Session, changes: Iterable[str] = ()) -> str:
+    """Return the command line again, with further words, so that it replaces its outputs."""
+    words = [word for word in session.words if word != "--force"]
+    return shlex.join(["stereophd", *words, *(["--force"] if "--force" in _flags(session) else []), *changes])
 
 
 def print_scored(session: Session, run: Callable[[], Mapping[str, Any]], text: Callable[[Any], str]) -> dict[str, Any]:
@@ -231,16 +239,12 @@ def stages_shown(session: Session, show: Callable[[str], None] | None = None) ->
         yield
         return
 
-    def emit(record: logging.LogRecord) -> None:
-        if vars(record).get("at_once"):
-            _print_progress(record.getMessage())
-        elif show is not None:
-            show(record.getMessage())
-
-    handler, before = logging.Handler(), (PROGRESS.handlers, PROGRESS.propagate, PROGRESS.level)
-    handler.emit = emit  # type: ignore[method-assign]
-    PROGRESS.handlers, PROGRESS.propagate = [handler], False
-    PROGRESS.setLevel(logging.INFO)
+    stages, at_once = Stages(show or (lambda stage: None)), Stages(_print_progress)
+    stages.addFilter(lambda record: not hasattr(record, "at_once"))
+    at_once.addFilter(lambda record: hasattr(record, "at_once"))
+    before = PROGRESS.handlers, PROGRESS.propagate, PROGRESS.level
+    PROGRESS.handlers, PROGRESS.propagate = [stages, at_once], False
+    PROGRESS.setLevel(logging.DEBUG)
     try:
         yield
     finally:

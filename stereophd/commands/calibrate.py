@@ -86,7 +86,8 @@ def calibrate(
     """
     jobs = processes(options.jobs)
     limit = TimeLimit(math.inf if options.time_s is None else time.monotonic() + options.time_s)
-    loaded, unknown = with_found_cameras(loaded, log_path, limit)
+    stated = loaded
+    loaded, unknown = with_found_cameras(stated, log_path, limit)
     section = calibration_section(loaded)
     if options.time_s is not None and (section.method != "annealed" or section.posterior == "smc"):
         raise InputError("`time_s`: expected method annealed with posterior laplace, found particles, which need all")
@@ -106,13 +107,15 @@ def calibrate(
     )
     drawn = whether_to_draw(options.plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
-    findings = report_findings(check_log_alone(loaded, log_path))
+    findings = report_findings(check_log_alone(stated, log_path))
     with contextlib.ExitStack() as held:
         held.enter_context(output_lock(out_dir))
         held.enter_context(unfinished.held(options.resume, options.force))
         out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists))
         outcome = unknown.outcome_of_none(problem) if unknown is not None else None
-        outcome = outcome or _outcome(CalibrationRun(loaded, problem, unfinished, jobs, progress, limit))
+        outcome = outcome or _outcome(
+            CalibrationRun(loaded, problem, unfinished, jobs, progress, limit, is_searched=unknown is not None)
+        )
         outcome = outcome if unknown is None else unknown.judged(problem, outcome)
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, outcome, to_metadata(record))
@@ -131,12 +134,13 @@ def calibrate(
                 rows_of(uncertainty), NOISE_NOTE if is_other_noise else "",
             )  # fmt: skip
             limit.begin("tracks are made with the cameras")
-            report["tracking"], further = _track(loaded, uncertainty, log_path, out, to_metadata(record))
+            report["tracking"], further = _track(loaded, uncertainty, log_path, out, to_metadata(record), progress)
             findings += report_findings(further)
         report["checks"] = findings + _findings_of(report, (*problem.remarks, *outcome.remarks))
         report["provenance"] = record
         write_json(out.path("report.json"), report)
         if drawn and not outcome.reason:
+            limit.begin("pictures are drawn")
             # Costly to import, and matplotlib is an extra.
             from stereophd.report.plots.calibration_plots import write_calibration_plots
 
@@ -203,13 +207,13 @@ def _write_posterior(out: OutputFolder, outcome: Outcome, metadata: dict[bytes, 
 
 def _track(
     loaded: LoadedConfig, uncertainty: CameraUncertainty, log_path: Path | str, out: OutputFolder,
-    metadata: dict[bytes, bytes],
+    metadata: dict[bytes, bytes], progress: Progress,
 ) -> tuple[dict[str, Any], tuple[Finding, ...]]:  # fmt: skip
     """Track with the calibrated cameras, as `stereophd.commands.track` does; return figures and findings of the run."""
     report = loaded.config.report.model_copy(update={"associations": True})
     cameras = uncertainty.parameters.cameras
     multi_filter = replace(pmb_filter(loaded, cameras), claims=True)
-    stream = open_stream(loaded.config, cameras, log_path)
+    stream = open_stream(loaded.config, cameras, log_path, progress)
     run = TrackingRun(loaded, 1, multi_filter, multi_filter.motion, cameras, report)
     summary = run.write(run.records(stream), out, metadata, uncertainty=uncertainty)
     checked = check_log(loaded, log_path, thorough=False, cameras=cameras)

@@ -16,6 +16,7 @@ from stereophd.io.outputs.disk import write_error
 from stereophd.io.outputs.json_text import REPORT_VERSION
 from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
+from stereophd.pipeline.checks.finding import is_mistake
 from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
 from stereophd.pipeline.initial.draft import STEPS, begin, draft_from_log, loaded_draft
 from stereophd.pipeline.initial.template import MARK, Draft, Kind, config_text, template
@@ -35,8 +36,9 @@ def init(
 
     Cameras are native or of another program, and by default ``cameras.yaml`` beside the log, if it is there. Values
     that `overrides` give stay as they are. Returns ``config`` (the path), ``length_unit``, ``must_be_calibrated``,
-    ``values`` (key, value, source, measured), ``detectors`` (by camera, with their sources), ``cameras`` and
-    ``checks``. Raises InputError if the log or the cameras are not usable, or the folder holds another ``config.yaml``.
+    ``must_be_corrected`` (a mistake is named, which comes first), ``values`` (key, value, source, measured),
+    ``detectors`` (by camera, with their sources), ``cameras`` and ``checks``. Raises InputError if the log or the
+    cameras are not usable, or the folder holds another ``config.yaml``.
     """
     if log_path is not None:
         [log_path] = expand([log_path])
@@ -54,9 +56,10 @@ def init(
         begin(STEPS, "the log is checked")
         loaded, alone = loaded_draft(draft, str(target)), draft.is_unplaced
         checked = check_log_alone(loaded, log_path) if alone else check_log(loaded, log_path, thorough=False)
-        # a mistake by which the values are chosen is named once
+        # a mistake by which the values are chosen is named once, one in the log of all cameras
         named = {found.name for found in draft.findings} & {"geometry.cause"}
-        draft = replace(draft, findings=(*draft.findings, *(one for one in checked if one.name not in named)))
+        before = (found for found in draft.findings if found.name in named or not is_mistake(found))
+        draft = replace(draft, findings=(*before, *(one for one in checked if one.name not in named)))
     sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
     source = f"from {' and '.join(sources)}" if sources else "without a log"
     _write(target, config_text(draft, stereophd.__version__, source, CAMERAS_FILE), force)
@@ -72,6 +75,7 @@ def init(
         "config": str(target),
         "length_unit": draft.unit,
         "must_be_calibrated": draft.must_be_calibrated,
+        "must_be_corrected": draft.must_be_corrected,
         "cameras": list(draft.cameras),
         "values": [
             {"key": key, "value": one.value, "source": one.reason, "measured": one.measured}

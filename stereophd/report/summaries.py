@@ -93,7 +93,7 @@ def run_tables(report: Mapping[str, Any], most_tracks: int | None = TRACKS_SHOWN
         tables += [_cameras(tracking.get("cameras") or {}, described, clocks, report.get("detectors"))]
         tables += [_tracks(tracking, described, unit, most_tracks)]
     if report.get("checks"):
-        tables.append(_findings(report["checks"]))
+        tables.append(_findings(report["checks"], _status(report)))
     return [table for table in tables if table.rows or table.notes]
 
 
@@ -234,15 +234,23 @@ def _camera_error(tracking: Mapping[str, Any], described: Mapping[str, Any], uni
         )
 
 
-def _findings(checks: Sequence[Mapping[str, Any]]) -> SummaryTable:
+def _findings(checks: Sequence[Mapping[str, Any]], said: str) -> SummaryTable:
+    """Return the warnings that the verdict has not `said` before."""
     warnings = [check for check in checks if check["status"] == "warning"]
     rows = tuple(
-        (check["name"], check["camera"] or "all", check["message"], check["remedy"] or "-") for check in warnings
+        (check["name"], check["camera"] or "all", check["message"], check["remedy"] or "-")
+        for check in warnings
+        if check["message"] not in said
     )
     fine, missing = (sum(check["status"] == status for check in checks) for status in ("ok", "not checked"))
     note = f"{fine} of {len(checks)} checks passed" + (f", {len(warnings)} warn" if warnings else "")
     note += f", {missing} not checked" if missing else ""
     return SummaryTable(CHECKS, ("check", "camera", "finding", "remedy"), rows, (note,))
+
+
+def _status(report: Mapping[str, Any]) -> str:
+    """Return the status of a calibration with its reason; empty of a run of `track`."""
+    return ": ".join(str(report[key]) for key in ("status", "reason") if report.get(key))
 
 
 def verdict(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None = None) -> str:
@@ -253,7 +261,7 @@ def verdict(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None = No
 def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) -> Iterator[str]:
     unit = report.get("length_unit") or "length"
     if "parameters" in report or "status" in report:
-        yield f"Cameras are {report.get('status')}" + (f": {report['reason']}" if report.get("reason") else "")
+        yield f"Cameras are {_status(report)}"
         worst = [camera["rotation_std_deg"] for camera in (report.get("cameras") or {}).values()]
         if worst:
             yield f"rotations to {number(max(worst), 2)} deg or better"

@@ -8,7 +8,7 @@ import pytest
 
 from stereophd.cli import terminal
 from stereophd.cli.options import Session
-from stereophd.core.calibration.time_limit import ENDLESS
+from stereophd.core.calibration.time_limit import ENDLESS, within
 from stereophd.core.numerics.compilation.kernel_cache import note_compilation
 
 GIVE_UP_S = 60.0
@@ -32,6 +32,8 @@ def test_the_stage_is_a_line_now_and_then_also_while_it_reports_nothing(
         assert all("start 1 of at most 8" in line for line in _printed(capsys, 3))
         progress(1, 8)
         assert _printed(capsys, 3)[-1].endswith(" s: start 1 of at most 8, 12 % done")
+        within("search for the optimum, step 7")
+        assert _printed(capsys, 3)[-1].endswith(" s: start 1 of at most 8: search for the optimum, step 7")
         assert ENDLESS.begin("tracks are made with the cameras")
         assert _printed(capsys, 3)[-1].endswith(" s: tracks are made with the cameras")
     capsys.readouterr()

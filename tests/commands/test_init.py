@@ -327,6 +327,38 @@ def test_cameras_that_do_not_fit_leave_the_usual_values(
     with caplog.at_level(logging.WARNING, "stereophd"):
         report = init(tmp_path / "out", scene / "detections.parquet", tmp_path / "cameras.yaml")
     assert any(found["cause"] == "rotation_transposed" for found in report["checks"])
+    assert (report["must_be_corrected"], report["must_be_calibrated"]) == (True, False)
+
+
+@pytest.mark.parametrize("mistake", ["sign", "frame numbers"])
+def test_a_mistake_that_is_named_is_corrected_before_anything_else(
+    mistake: str, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The next command was `track`, with cameras that share no view, or with times that were named for a clock, too.
+
+    What is said of all cameras is said once.
+    """
+    described, table = (
+        yaml.safe_load((scene / "cameras.yaml").read_text()),
+        pd.read_parquet(scene / "detections.parquet"),
+    )
+    for camera in described["cameras"].values():
+        del camera["detector"]
+        if mistake == "sign":
+            camera["pose"]["rotation_vector_deg"][1] *= -1.0
+    if mistake == "frame numbers":
+        table["time_s"] = table["frame"].astype(float)
+        table = table.sort_values(["time_s", "camera"], kind="stable")
+    (tmp_path / "cameras.yaml").write_text(yaml.safe_dump(described))
+    table.to_parquet(tmp_path / "log.parquet", index=False)
+    words = ["init", str(tmp_path / "study"), "--log", str(tmp_path / "log.parquet")]
+    assert run(words) == 0
+    printed = capsys.readouterr()
+    assert printed.out.splitlines()[-1] == f"  {shlex.join(['stereophd', *words, '--force'])}"
+    assert printed.out.count("detector: ") == 1
+    assert f"{', '.join(described['cameras'])}: detector: " in printed.out
+    named = re.findall(r"WARNING: check (\S+):", printed.err)
+    assert named == (["geometry.cause"] if mistake == "sign" else ["log.frame_rate"] * 2)
 
 
 def test_a_wrong_frame_rate_is_named_and_passes_for_no_noise(tmp_path: Path) -> None:
@@ -344,7 +376,7 @@ def test_a_wrong_frame_rate_is_named_and_passes_for_no_noise(tmp_path: Path) -> 
     assert [one["cause"] for one in report["checks"] if one["status"] == "warning"] == ["frame_rate"]
     for detector in report["detectors"].values():
         assert max(detector["sigma_px"]) < 2.0
-        assert "true rate" in detector["source"]
+        assert "times the rate of" in detector["source"]
 
 
 def test_a_configuration_of_the_user_stays(scene: Path, tmp_path: Path) -> None:

@@ -5,7 +5,7 @@ import math
 import time
 from dataclasses import dataclass
 
-# Its messages, of level INFO, name the stage that begins.
+# Its messages name the stage that begins (level INFO), or a step of it (DEBUG, with the attribute ``within``).
 LOGGER = logging.getLogger("stereophd.progress")
 
 TIME_OVER = "the time was over"
@@ -27,6 +27,11 @@ class TimeLimit:
         left = self.ends - time.monotonic()
         LOGGER.info("%s%s", stage, f" ({max(left, 0.0):.0f} s left)" if math.isfinite(left) else "")
         return left > 0.0
+
+
+def within(step: str) -> None:
+    """Tell which step of the stage begins, with the work that is done if that is known."""
+    LOGGER.debug(step, extra={"within": True})
 
 
 ENDLESS = TimeLimit()

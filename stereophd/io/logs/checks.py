@@ -30,6 +30,7 @@ KINDS = (
 
 # What makes a kind of bad rows good ones.
 REMEDIES = {
+    "time_out_of_range": "write time_s in seconds",
     "unknown_camera": "add the camera to the cameras",
     "outside_image": "check image_size_px and the order of u and v",
     "time_backwards": "sort the rows by time_s",

@@ -40,6 +40,7 @@ from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task
 from stereophd.pipeline.calibration.sampled import smc_outcome
 from stereophd.pipeline.workers.places import on_processes
+from stereophd.wording import PROGRESS
 
 # Draws that represent a Laplace posterior.
 LAPLACE_DRAWS = 1000
@@ -52,6 +53,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
     """
     problem, section, stated = run.problem, run.section, run.problem.parameters.size
     run.limit.begin("one-camera tracks are made")
+    is_timed = not (offset_places(problem.parameters) >= 0).any()
     task = _task(run)
     starts, failed = _all_starts(run, task), list[dict[str, Any]]()
     if best_of(starts) is None and (unmeasured := _unmeasured(run)).size > stated and not run.limit.is_over:
@@ -67,15 +69,10 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
         "agreeing_starts": agreeing_with_best(starts),
         "stages": [list(stage.names) for stage in task.stages],
     }
-    if (offset_places(problem.parameters) >= 0).any():
+    if not is_timed:
         details["clocks"] = _clock_report(task)
-    size = problem.parameters.size
     if best is None:
-        nothing = np.full((size, size), np.nan)
-        reason = why_none_succeeded(starts)
-        return Outcome(
-            problem.parameters, nothing[0], nothing, np.empty((0, size)), np.empty(0), (), reason, details=details
-        )
+        return Outcome.of_none(problem.parameters, why_none_succeeded(starts, is_timed, run.is_searched), details)
     result = calibrated(task, starts, replace(choices_of(section), control=problem.control))
     believed = result.believed
     details |= _result_report(result, best, stated)
@@ -139,6 +136,7 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
     if is_done():
         return starts
     jobs = min(run.jobs, len(new))
+    run.limit.begin(f"up to {count} starts begin")
     for start in _each((partial(run_start, task, place, values[place], seeds[place]) for place in new), jobs):
         starts.append(start)
         if not run.limit.is_over:  # one that the time has cut short is done again
@@ -151,7 +149,7 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
 
 def _each(calls: Iterable[Callable[[], Start]], jobs: int) -> Iterator[Start]:
     """Starts that calls return, in order; what is not needed is not begun beyond as many as there are workers."""
-    return map(call, calls) if jobs == 1 else on_processes(call, calls, jobs)
+    return map(call, calls) if jobs == 1 else on_processes(call, calls, jobs, tell=PROGRESS.info)
 
 
 def _clock_report(task: Task) -> dict[str, Any]:

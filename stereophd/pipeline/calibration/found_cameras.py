@@ -82,11 +82,7 @@ class FoundCameras:
 
     def outcome_of_none(self, problem: CalibrationProblem) -> Outcome | None:
         """Return the outcome where no cameras were found that are believed; None where some were."""
-        if not self.reason:
-            return None
-        size = problem.parameters.size
-        nan = np.full((size, size), np.nan)
-        return Outcome(problem.parameters, nan[0], nan, np.empty((0, size)), np.empty(0), (), self.reason)
+        return Outcome.of_none(problem.parameters, self.reason) if self.reason else None
 
     def judged(self, problem: CalibrationProblem, outcome: Outcome) -> Outcome:
         """Return an outcome with the report of the search, and what is known too badly to be called determined."""

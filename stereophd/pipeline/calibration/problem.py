@@ -1,5 +1,7 @@
 """The problem of a calibration, its run and its outcome; the filters of its configuration."""
 
+from __future__ import annotations
+
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -78,6 +80,7 @@ class CalibrationRun:
     jobs: int = 1  # Processes, or threads of particles
     progress: Progress = ignore
     limit: TimeLimit = ENDLESS
+    is_searched: bool = False  # Whether no pose was known, and all were found before
 
     @property
     def section(self) -> CalibrationConfig:
@@ -106,6 +109,12 @@ class Outcome:
     world: World | None = None  # That of the control track
     details: dict[str, Any] = field(default_factory=dict)  # For the report
     noise: Array | float = 1.0  # That of the cameras of the result over that of the detectors, (c,) or of all
+
+    @staticmethod
+    def of_none(parameters: ParameterSet, reason: str, details: dict[str, Any] | None = None) -> Outcome:
+        """Return the outcome where nothing was found that agrees with the data."""
+        nothing = np.full((parameters.size,) * 2, np.nan)
+        return Outcome(parameters, nothing[0], nothing, nothing[:0], np.empty(0), (), reason, details=details or {})
 
     def build_cameras(self) -> tuple[Camera, ...]:
         """Return the cameras of the result, with the noise that the residuals show where what is stated is wrong."""

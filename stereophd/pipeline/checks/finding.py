@@ -35,6 +35,12 @@ def warnings_of(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     return tuple(finding for finding in findings if finding.status == "warning")
 
 
+def is_mistake(found: Finding) -> bool:
+    """Whether a finding names a mistake in times, pixels or cameras: until it is corrected, what rays say is untrue."""
+    names_one = found.name in ("log.frame_rate", "geometry.cause") or found.cause == "pixels_normalised"
+    return names_one and found.status == "warning" and found.cause != DO_NOT_MEET
+
+
 def is_overstated(found: Finding) -> bool:
     """Whether a finding warns of a noise that is stated larger than it was measured."""
     stated, measured = found.value, found.expected

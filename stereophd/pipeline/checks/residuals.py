@@ -63,11 +63,17 @@ class Cause(NamedTuple):
 
 
 # Places among the numbers of `shifts_of`.
-TURNS, FOCAL, LENS, CLOCK, SHUTTER = (0, 1, 2), 3, 4, 5, 6
+TURNS, FOCAL, LENS, CLOCK, SHUTTER, RATE = (0, 1, 2), 3, 4, 5, 6, 7
 CAUSES = (
     Cause(
         "clock_offset", "clock", (CLOCK,),
         "follow the speed of the objects: its clock seems to be off by {value:+.3g} s", "",
+    ),
+    Cause(
+        "clock_rate", "rate of the clock", (RATE, CLOCK),
+        "follow the speed of the objects times the time that passes: its times seem to run at another rate, by "
+        "{percent:.2g} %", "check the frame rates from which times were computed; import again with the true ones "
+        "(`rates`), or state clock.rate",
     ),
     Cause(
         "readout_inaccurate", "shutter", (SHUTTER,),
@@ -188,7 +194,8 @@ def _named(
     # what all cameras have alike is one number, and no shift
     shift, error = (best.shift * samples[best.camera or 0].camera.detector.sigma.mean()).tolist()
     size = f"at least {shift:.2g} +- {error:.1g}"
-    text = cause.text.format(value=best.value, factor=1.0 + best.value, size=size)
+    # of two cameras that are not told apart either may be the fast one
+    text = cause.text.format(value=best.value, factor=1.0 + best.value, size=size, percent=100.0 * abs(best.value))
     return Finding(
         "geometry.residuals", "warning",
         f"{names(same)}: the distances of rays from those of other cameras {text} (this explains "
@@ -260,8 +267,8 @@ def explanations(samples: list[CameraSample], pairs: list[Partners]) -> Iterator
 class Shifts:
     """What each number of a camera changes, detection by detection of a pair of cameras."""
 
-    slopes: Array  # (n, 8): Derivatives of the distance with respect to the numbers, and the distance
-    squares: Array  # (7, 7): Products of the shifts, summed, variances of a detection
+    slopes: Array  # (n, 9): Derivatives of the distance with respect to the numbers, and the distance
+    squares: Array  # (8, 8): Products of the shifts, summed, variances of a detection
     tracks: Integers  # (n,): One-camera tracks
     following: Integers  # (n,): See `Partners`
 
@@ -278,9 +285,9 @@ class Shifts:
             (signed_distances(first, second, a + da, b + db) - signed_distances(first, second, a - da, b - db))
             / (2.0 * STEP_PX) for da, db in STEP_PX * np.eye(4).reshape(4, 2, 2)
         ]  # fmt: skip
-        cameras, tables, squares = (first, second), [], []
+        cameras, tables, squares, since = (first, second), [], [], pair.times - pair.times.mean()
         for camera, motion, slope in zip(cameras, pair.sides, (slopes[:2], slopes[2:]), strict=True):
-            shifts = shifts_of(camera, motion.places, motion.velocity)
+            shifts = shifts_of(camera, motion.places, motion.velocity, since)
             tables.append(np.column_stack([np.einsum("an,nak->nk", slope, shifts), pair.distance]))
             relative = shifts / camera.detector.sigma[:, None]
             squares.append(np.einsum("nai,naj->nij", relative, relative))
@@ -288,6 +295,7 @@ class Shifts:
         moved = 0.5 * (tables[0][:, CLOCK] - tables[1][:, CLOCK])
         for table, slope, camera, motion in zip(tables, (moved, -moved), cameras, pair.sides, strict=True):
             table[:, CLOCK], table[:, SHUTTER] = slope, -slope * motion.places[:, 1] / camera.height
+            table[:, RATE] = slope * since
         usable = np.isfinite(np.hstack(tables)).all(axis=1)
         places = np.where(usable, np.cumsum(usable) - 1, -1)
         following = np.where(pair.following >= 0, places[pair.following], -1)[usable]
@@ -304,11 +312,12 @@ class Shifts:
         return replace(self, slopes=slopes, squares=0.5 * (self.squares + other.squares))
 
 
-def shifts_of(camera: Camera, pixels: Array, velocity: Array) -> Array:
-    """Return how far pixels (n, 2) would have to be moved for each number of a camera, (n, 2, 7), px.
+def shifts_of(camera: Camera, pixels: Array, velocity: Array, since: Array) -> Array:
+    """Return how far pixels (n, 2) would have to be moved for each number of a camera, (n, 2, 8), px.
 
     These are turns about its axes, rad, the logarithm of the focal length, the first radial coefficient, the lateness
-    of its clock and the time that its shutter takes, s. Velocities (n, 2) are px/s. A move of a camera looks much like
+    of its clock and the time that its shutter takes, s, and the rate of its clock, by which it is late in the times
+    `since` (n,) the middle, s. Velocities (n, 2) are px/s. A move of a camera looks much like
     a turn; what it differs by depends on the depth, and that on the noise whose distances are to be explained.
     """
     points = camera.unproject(pixels, np.ones(len(pixels)))
@@ -316,7 +325,8 @@ def shifts_of(camera: Camera, pixels: Array, velocity: Array) -> Array:
         (_changed(camera, k, -STEP).project(points) - _changed(camera, k, STEP).project(points)) / (2.0 * STEP)
         for k in range(CLOCK)
     ]
-    return np.stack([*columns, velocity, -velocity * pixels[:, 1:] / camera.height], axis=2)
+    shutter = -velocity * pixels[:, 1:] / camera.height
+    return np.stack([*columns, velocity, shutter, velocity * since[:, None]], axis=2)
 
 
 def _changed(camera: Camera, number: int, step: float) -> Camera:
@@ -334,8 +344,8 @@ def _changed(camera: Camera, number: int, step: float) -> Camera:
 class Regression:
     """Distances and their derivatives, as sums of products over one-camera tracks."""
 
-    sums: Array  # (g, 8, 8)
-    squares: Array  # (7, 7): Mean products of shifts
+    sums: Array  # (g, 9, 9)
+    squares: Array  # (8, 8): Mean products of shifts
     noise: float  # Mean square of the distances
     lasting: Array  # (8, 8): Sums of products of successive rows of pairs of tracks: 0 of white noise
     successive: int  # Number of these

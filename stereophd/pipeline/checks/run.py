@@ -9,7 +9,7 @@ import numpy as np
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
-from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_overstated, warnings_of
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake, is_overstated, warnings_of
 from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
@@ -56,8 +56,9 @@ def check_log(
     findings = [*rows, *_of_files(loaded, samples, whole)]
     doubted = any(found.name == "detector.sigma" for found in warnings_of(tuple(findings)))
     samples = [one.with_measured_noise if doubted else one.with_noise_shown for one in samples]
-    if any(found.cause == "pixels_normalised" for found in findings):
-        return tuple(findings)
+    if any(is_mistake(found) for found in findings):
+        why = "rays are compared once times and pixels are corrected"
+        return (*findings, Finding("geometry.rays", "not checked", why))
     if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
         why = f"geometry and settings are checked only for cameras that stand still; moving: {', '.join(moving)}"
         return (*findings, Finding("geometry.rays", "not checked", why))
@@ -78,12 +79,10 @@ def check_log(
         # tells no more than that rays miss each other for long
         if not unnamed or {found.cause for found in sharp if found.name == "geometry.cause"} - {DO_NOT_MEET}:
             rays = sharp
-    blamed = {found.name for found in warnings_of((*findings, *rays))}
     if warnings_of(tuple(rays)):
         # more noise than about one-camera tracks may be what keeps these rays together: less would only part them
         findings = [one for one in findings if not is_overstated(one)]
-    # speeds and accelerations follow from the times
-    if not {"geometry.cause", "log.frame_rate"} & blamed:
+    if not any(found.name == "geometry.cause" for found in warnings_of(tuple(rays))):
         rays += check_settings(config, measure_scene(geometry), samples, whole)
     return (*findings, *rays)
 
@@ -101,10 +100,11 @@ def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) ->
 
     The noise of points is no concern of bodies, whose boxes have errors that last.
     """
+    unknown_clocks = [name for name, camera in loaded.cameras.items() if camera.clock.unknown]
     unasked = () if loaded.config.object.shape == "point" else ("detector.sigma",)
     return tuple(
         found
-        for found in check_files(samples, whole)
+        for found in check_files(samples, whole, unknown_clocks)
         if not (found.name.startswith("detector.") and found.camera in loaded.estimated_cameras)
         and found.name not in unasked
     )

@@ -17,7 +17,7 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.cameras.models import DetectorConfig
 from stereophd.pipeline.build import build_labelled_filter
-from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
+from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding, is_mistake
 from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
@@ -78,7 +78,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
             tracked, why = _with_tracks(_with_cameras(draft, started, unknown), placed, priors, log_path)
             if why is None:
                 return tracked
-            text = f"the cameras do not agree: {why}"
+            text = f"{' and '.join(draft.cameras)} do not agree: {why}"
             doubt = Finding("geometry.rays", "warning", text, remedy=CHECK_CAMERAS, cause=DO_NOT_MEET)
         draft, cause = replace(draft, findings=(doubt,)), doubt.message
     # rays and tracks of wrong cameras say nothing of the noise either
@@ -128,7 +128,9 @@ def begin(step: int, what: str) -> None:
 
 
 def _mistake(samples: list[CameraSample]) -> Finding | None:
-    """Return the mistake in cameras or clocks that makes far more rays meet with this noise; None if there is none."""
+    """Return the mistake in times or pixels, or in cameras or clocks by which far fewer rays meet; None without one."""
+    if (mistake := next(filter(is_mistake, check_files(samples, whole=False)), None)) is not None:
+        return mistake
     if any(sample.box_height_px is not None or not sample.camera.pose.is_static for sample in samples):
         return None
     geometry = measure(samples, expected_depths(None, samples), thorough=False)

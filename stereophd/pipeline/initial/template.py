@@ -14,7 +14,7 @@ from stereophd.core.motion.settings import motion_models
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.io.cameras.models import CameraConfig, CovarianceRows
 from stereophd.io.cameras.writing import CONVENTIONS, cameras_text
-from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake
 from stereophd.site import page
 from stereophd.validated import METRES
 
@@ -186,6 +186,11 @@ class Draft:
     def must_be_calibrated(self) -> bool:
         """Whether something is unknown of a camera, or poses are so wrong that no tracks follow from them."""
         return self.is_unplaced or any(found.cause == DO_NOT_MEET for found in self.findings)
+
+    @property
+    def must_be_corrected(self) -> bool:
+        """Whether a mistake is named with which neither tracks nor a calibration are right."""
+        return any(map(is_mistake, self.findings))
 
     def with_choices(self, changes: Mapping[str, Choice]) -> Draft:
         """Return the draft with other values, save those that are given."""

@@ -76,13 +76,14 @@ def processes(jobs: int) -> int:
 
 
 def on_processes(
-    function: Callable[[Argument], Result], arguments: Iterable[Argument], jobs: int, ordered: bool = True
-) -> Generator[Result]:
+    function: Callable[[Argument], Result], arguments: Iterable[Argument], jobs: int, ordered: bool = True,
+    tell: Callable[[str], None] | None = None,
+) -> Generator[Result]:  # fmt: skip
     """Call a function of a module for each argument, on several processes (-1: as many as cores); yield the results.
 
     They come in the order of the arguments, or as they are ready. A thread for each process waits for its call, and
-    only as many calls are taken ahead: what is not needed any more, when the iterator is closed, is not begun. Raises
-    BrokenProcessPool when a process died.
+    only as many calls are taken ahead: what is not needed any more, when the iterator is closed, is not begun. The
+    progress of the calls goes to `tell`. Raises BrokenProcessPool when a process died.
     """
     from joblib import cpu_count
 
@@ -96,7 +97,7 @@ def on_processes(
     def call(argument: Argument) -> Any:
         worker = idle.get()
         try:
-            return worker.call(function, argument)
+            return worker.call(function, argument, tell)
         finally:
             idle.put(worker)
 

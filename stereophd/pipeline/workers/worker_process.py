@@ -2,6 +2,7 @@
 
 import ctypes
 import json
+import logging
 import os
 import pickle
 import signal
@@ -15,6 +16,7 @@ from contextlib import suppress
 from typing import IO, Any
 
 from stereophd.core.numerics.threads import OF_ALL, OF_LINEAR_ALGEBRA
+from stereophd.wording import PROGRESS, Stages
 
 # How often a worker looks for the process that started it where the system does not end it, s; the call for that.
 WATCH_EVERY_S, PR_SET_PDEATHSIG = 0.5, 1
@@ -47,19 +49,24 @@ class WorkerProcess:
         assert self._process.stdout is not None
         self._calls, self._results = self._process.stdin, self._process.stdout
 
-    def call(self, function: Callable[[Any], Any], argument: Any) -> Any:
-        """Return the result of a call of a function of a module; BrokenProcessPool if the worker died."""
+    def call(self, function: Callable[[Any], Any], argument: Any, tell: Callable[[str], None] | None = None) -> Any:
+        """Return the result of a call of a function of a module; BrokenProcessPool if the worker died.
+
+        What the call logs of its progress goes to `tell` meanwhile.
+        """
         from concurrent.futures.process import BrokenProcessPool
 
         call = pickle.dumps((function, argument), pickle.HIGHEST_PROTOCOL)
         try:
             _send(self._calls, call)
-            received = _receive(self._results)
+            while (received := _receive(self._results)) and isinstance(told := pickle.loads(received), str):
+                if tell is not None:
+                    tell(told)
         except OSError:
             received = None
         if received is None:
             raise BrokenProcessPool(f"a worker process ended with exit code {self._process.wait()}")
-        result, error, where = pickle.loads(received)
+        result, error, where = told
         if error is not None:
             raise error from RuntimeError(f"in a worker process:\n{where}")
         return result
@@ -88,6 +95,10 @@ def main(parent: int) -> None:
         os.dup2(2, 1)
     except OSError:  # there is no standard error
         os.dup2(nothing, 1)
+    # it has a lock: threads of a call may tell something at once
+    PROGRESS.handlers = [Stages(lambda stage: _send(results, pickle.dumps(stage)))]
+    PROGRESS.setLevel(logging.DEBUG)
+    PROGRESS.propagate = False
     while (call := _receive(calls)) is not None:
         _send(results, _outcome(call))
 

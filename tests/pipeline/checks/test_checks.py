@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -227,6 +228,18 @@ def test_a_clock_by_which_slow_objects_still_meet_roughly(shift: float, causes: 
     assert [one.cause for one in found if one.status == "warning"] == causes
 
 
+@pytest.mark.parametrize("pace", [0.9, 1.1])
+def test_any_rate_is_found_and_two_cameras_do_not_show_whose_it_is(pace: float) -> None:
+    """No list has it. A clock offset was named, which explained a part; the other camera for rates of the list."""
+    samples = sample_log(_frames(CAMERAS, count=100, pace=0.3), CAMERAS)
+    quick = [samples[0], replace(samples[1], times=pace * samples[1].times)]
+    (named,) = [found for found in _geometry(quick, thorough=True) if found.status == "warning"]
+    assert (named.cause, named.remedy and named.remedy.startswith("check both frame rates")) == ("frame_rate", True)
+    found = re.search(r"(left|right): its times seem to run at about ([\d.]+) times the rate of", named.message)
+    assert found is not None
+    assert float(found[2]) == pytest.approx(pace if found[1] == "right" else 1.0 / pace, abs=0.02)
+
+
 def test_a_change_is_asked_of_the_detections_that_were_asked_before_it() -> None:
     """A change of times shares a frame less with the other camera: that alone explains nothing."""
     frames = _frames(CAMERAS, count=120)
@@ -311,6 +324,38 @@ def test_times_in_milliseconds_and_frame_numbers(samples: list[CameraSample]) ->
         start = [sample.times[0] for sample in samples]
         wrong = [replace(s, times=(s.times - t) * factor) for s, t in zip(samples, start, strict=True)]
         assert {found.cause for found in check_files(wrong) if found.status == "warning"} == {cause}
+
+
+@pytest.mark.parametrize("is_stated", [True, False])
+@pytest.mark.parametrize(("parts", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])
+def test_the_unit_of_times_is_named_with_its_factor(
+    parts: float, unit: str, is_stated: bool, samples: list[CameraSample]
+) -> None:
+    """Microseconds were called milliseconds where no frame rate is stated, and no unit at all where one is."""
+    wrong = [
+        replace(s, times=s.times * parts, camera=replace(s.camera, frame_rate_hz=RATE if is_stated else None))
+        for s in samples
+    ]
+    named = [found for found in check_files(wrong) if found.status == "warning"]
+    assert {found.cause for found in named} == {unit}
+    assert all(found.remedy is not None and f"divide time_s by {parts:.0f}" in found.remedy for found in named)
+
+
+def test_a_camera_whose_times_are_wrong_is_the_only_one_that_is_named(samples: list[CameraSample]) -> None:
+    """The others seemed to be on another clock; so does a camera of which nobody knows when it recorded."""
+    later = replace(samples[1], times=samples[1].times + 1e4)
+    third = replace(samples[0], camera=replace(samples[0].camera, name="third"))
+    slow = replace(later, times=1e3 * later.times)
+    assert [found.camera for found in check_files([third, slow, samples[0]]) if found.status == "warning"] == ["right"]
+    assert [found.name for found in check_files([*samples[:1], later]) if found.status == "warning"] == ["log.periods"]
+    unknown = check_files([*samples[:1], later], unknown_clocks=["right"])
+    assert not [found for found in unknown if found.status == "warning"]
+
+
+def test_frame_numbers_are_named_where_frames_are_lost() -> None:
+    left = sample_log([frame for frame in _frames(CAMERAS) if frame.frame not in (3, 4, 10)], CAMERAS)
+    few = [replace(s, times=s.frames.astype(float), frames=np.arange(len(s.frames))) for s in left]
+    assert {found.cause for found in check_files(few) if found.name == "log.frame_rate"} == {"frame_number_as_time"}
 
 
 def test_a_stated_frame_rate_excuses_no_time_beyond_the_calendar(samples: list[CameraSample]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -44,9 +45,9 @@ CAMERAS = (
 def _findings(
     cameras: tuple[Camera, ...] = CAMERAS, late_s: float = 0.0, seen: tuple[Camera, ...] = CAMERAS, seed: int = 5,
     boxes: bool = False, frames: int = FRAMES, lasting_px: float = 0.0,
-    objects: int = OBJECTS,
+    objects: int = OBJECTS, rate: float = 1.0,
 ) -> list[Finding]:  # fmt: skip
-    """Check `cameras` on a log of what the cameras `seen` see of slow objects; times of the second may be late.
+    """Check `cameras` on a log of what the cameras `seen` see of slow objects; times of the second may be wrong.
 
     Of each object each camera's detections all lie beside it by so many px, in a direction of its own.
     """
@@ -68,7 +69,7 @@ def _findings(
             pixels = image(time + camera.readout_s * rows / camera.height)
             pixels = (pixels + beside[c])[rng.random(objects) < camera.detector.p_detect]
             found = pixels + rng.normal(0, 1, pixels.shape)
-            log.append(Frame(time + late_s * (c == 1), c, k, found[camera.contains(found)]))
+            log.append(Frame(rate * time + late_s if c == 1 else time, c, k, found[camera.contains(found)]))
     log.sort(key=lambda frame: (frame.time_s, frame.camera))
     samples = [replace(one, box_height_px=60.0 if boxes else None) for one in sample_log(log, cameras)]
     return list(check_residuals(measure(samples, (3.0, 14.0))))
@@ -99,6 +100,16 @@ def test_of_two_cameras_nobody_knows_whose_clock_is_late() -> None:
     assert (found.cause, found.camera) == ("clock_offset", None)
     assert "left or right" in found.message
     assert found.value == pytest.approx(0.06, abs=0.012)
+
+
+@pytest.mark.parametrize("rate", [1.02, 0.98])
+def test_a_clock_of_another_rate_is_not_called_late(rate: float) -> None:
+    """It is late by 0.08 s in the mean, which explains a part of what it does."""
+    (found,) = _findings(rate=rate)
+    assert (found.status, found.cause, found.camera) == ("warning", "clock_rate", "right")
+    percent = re.search(r"at another rate, by ([\d.]+) %", found.message)
+    assert percent is not None
+    assert float(percent[1]) == pytest.approx(2.0, abs=0.4)
 
 
 def test_a_lens_left_out_is_named() -> None:

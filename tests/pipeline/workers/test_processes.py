@@ -17,6 +17,7 @@ import numpy as np
 import psutil
 import pytest
 
+from stereophd.core.calibration.time_limit import ENDLESS, within
 from stereophd.pipeline.workers.places import on_processes
 
 GIVE_UP_S = 20
@@ -45,6 +46,20 @@ def slow(task):
 
 def _square(number: int) -> int:
     return number * number
+
+
+def _told(number: int) -> int:
+    ENDLESS.begin(f"call {number}")
+    within("step 2")
+    return number
+
+
+def test_what_workers_do_is_told_meanwhile() -> None:
+    """Starts of a calibration ran for minutes on workers without a word."""
+    said: list[str] = []
+    assert list(on_processes(_told, range(2), 2, tell=said.append)) == [0, 1]
+    assert sorted(said) == ["call 0", "call 0: step 2", "call 1", "call 1: step 2"]
+    assert list(on_processes(_told, range(2), 2)) == [0, 1]
 
 
 def _shared_memory(pid: int) -> list[str]:

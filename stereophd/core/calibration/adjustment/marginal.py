@@ -57,6 +57,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import count
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
@@ -75,6 +76,7 @@ from stereophd.core.calibration.adjustment.solver import (
 )
 from stereophd.core.calibration.adjustment.trajectories import STATED, banded_product
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes
+from stereophd.core.calibration.time_limit import within
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.random_streams import BENDS_SEED
 from stereophd.core.numerics.threads import in_threads
@@ -152,7 +154,10 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, noise: Array, thr
     posterior, at = at_answer(problem, adjustment, noise)
     root, size, gradient = posterior.root(at), len(adjustment.values), posterior.gradient(at)
 
+    started = count(1)
+
     def curvature(step: Array) -> Array:
+        within(f"column {next(started)} of {len(root)}")
         along, second = _differences(posterior, at, gradient, step)
         bend = root.T @ second
         if np.linalg.norm(bend) > 1.0:
@@ -398,7 +403,8 @@ def _short(bands: Array, direction: Array) -> float:
 def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
     """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
     length, longest, objectives = 0.0, LONGEST_STEP, [at.objective]
-    for _ in range(MOST_STEPS):
+    for number in range(MOST_STEPS):
+        within(f"search for the optimum, step {number + 1}")
         try:
             root, gradient = posterior.root(at), posterior.gradient(at)
         except LinAlgError:

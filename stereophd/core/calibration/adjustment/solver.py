@@ -32,6 +32,7 @@ from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.trajectories import STATED
+from stereophd.core.calibration.time_limit import within
 
 # Most steps of the knots at given values, and the fall of the cost that is left; most of them that follow a step.
 KNOT_STEPS, KNOTS_SETTLED, FOLLOWING_STEPS = 15, 1e-8, 3
@@ -171,6 +172,7 @@ def adjust(
     current = linearisation.at(values, states)
     damping, longest, converged, iteration = FIRST_DAMPING, np.inf, False, 0
     while iteration < max_iterations and damping < MOST_DAMPING:
+        within(f"cameras and trajectories are adjusted, step {iteration + 1}")
         try:
             value_step, state_step = solve(current, damping)
         except LinAlgError:

@@ -43,6 +43,7 @@ from stereophd.core.calibration.annealing.starts import (
     squared_residuals,
 )
 from stereophd.core.calibration.annealing.task import Fit, Start, Task
+from stereophd.core.calibration.time_limit import within
 from stereophd.core.calibration.unknowns.held import FOCAL_STD, EnlargedSet, enlarge
 from stereophd.core.calibration.unknowns.observability import posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -51,11 +52,6 @@ from stereophd.core.numerics.covariance_factors import covariance_factor
 from stereophd.core.numerics.random_streams import NOISE_SEED
 from stereophd.wording import percent
 
-# What to try if no start succeeds.
-IF_NONE_AGREES = (
-    "`check` compares clocks and noise with the log; a pose that is far off needs wider priors, or `pose: unknown`; "
-    "where cameras share hardly any object, record more that two of them see"
-)
 # Largest number of refits under a better model, and how many of them at least know of errors that detections share.
 MOST_ROUNDS, ROUNDS_OF_SHARED = 12, 3
 # Factor on a noise that hides itself.
@@ -203,10 +199,16 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
     return doubt, remarks
 
 
-def why_none_succeeded(starts: list[Start]) -> str:
-    """Return the most frequent reason why starts failed, and what to try."""
-    often, _ = Counter(start.outcome for start in starts).most_common(1)[0]
-    return f"none of {len(starts)} starts agrees with the data; most often: {often}; {IF_NONE_AGREES}"
+def why_none_succeeded(starts: list[Start], is_timed: bool = True, is_searched: bool = False) -> str:
+    """Return the most frequent reason why starts failed, and what to try.
+
+    That follows from what is unknown: not the clocks (`is_timed`), or all poses, which were searched (`is_searched`).
+    """
+    often, count = Counter(start.outcome for start in starts).most_common(1)[0]
+    tries = [f"`check` compares {'clocks and noise' if is_timed else 'the noise'} with the log"]
+    tries += [] if is_searched else ["a pose that is far off needs wider priors, or `pose: unknown`"]
+    tries += ["where cameras share hardly any object, record more that two of them see"]
+    return f"none of {len(starts)} starts agrees with the data; most often ({count}): {'; '.join([often, *tries])}"
 
 
 def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Task, Fit, tuple[Remark, ...]]:
@@ -298,6 +300,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
 
 def suspected(task: Task, answer: Fit) -> tuple[EnlargedSet, list[Suspicion]]:
     """Test what an answer holds as stated; the statement of the greatest evidence against it first."""
+    within("what is held as stated is tested")
     enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
     problem = problem_of(task, with_stated_motion(task, answer))
     quadratic = quadratic_posterior(problem, enlarged, answer.adjustment, answer.motion_noise)
@@ -310,6 +313,7 @@ def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, tuple[Remark
     `doubtful` (m, k) is the root of the covariance that what is stated adds.
     """
     problem, adjustment = problem_of(task, with_stated_motion(task, answer)), answer.adjustment
+    task.limit.begin("the covariance of the answer is computed")
     if adjustment.converged:
         try:
             exact = exact_covariance(problem, adjustment, answer.motion_noise, task.threads)

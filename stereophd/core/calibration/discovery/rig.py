@@ -118,7 +118,8 @@ def discover(
             if limit.is_over:
                 return Discovery(None, f"{TIME_OVER} before {missing} could be found")
             known = ", ".join(names[number] for number in placed)
-            return Discovery(None, f"no tracks of {missing} agree with those of {known} at any offset")
+            when = " at any offset" if any(views[number].offset_std > 0.0 for number in waiting) else ""
+            return Discovery(None, f"no tracks of {missing} agree with those of {known}{when}: {MORE_OBJECTS}")
         new, _, pair, placed[new] = joined
         links.append(pair)
     doubts: list[Doubt] = []

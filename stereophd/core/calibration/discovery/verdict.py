@@ -55,6 +55,8 @@ def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[Doubt]:
     """
     fit = pair.best
     two = " and ".join(names[number] for number in pair.cameras)
+    # a remedy names what is stated: what is unknown has a deviation
+    clock_is_stated, lens_is_stated = bool(fit.stds[5] == 0.0), bool((fit.stds[9:11] == 0.0).any())
     doubts: list[Doubt] = []
     if fit.parallax < LEAST_PARALLAX:
         remedy = "the cameras stand at one place, or the objects are too far; move them apart or the objects nearer"
@@ -66,13 +68,15 @@ def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[Doubt]:
         return doubts  # what follows from them says no more
     if fit.front < LEAST_FRONT:
         few = f"only {100.0 * fit.front:.0f} % of the points lie in front of {two}"
-        remedy = "record the same moving objects with both, at one time, and state the lenses"
+        remedy = "record the same moving objects with both, at one time"
+        remedy += "" if lens_is_stated else ", and state the lenses"
         doubts.append((few, f"their tracks agree by chance; {remedy}"))
     if fit.residual > MOST_RESIDUAL:
-        remedy = "a lens, a focal length or a clock is unlike what is stated"
+        stated = " or ".join(["a focal length", *["a lens"] * lens_is_stated, *["a clock"] * clock_is_stated])
+        remedy = f"{stated} is unlike what is stated, or the noise is larger"
         doubts.append((f"rays of {two} miss each other by {fit.residual:.1f} times the noise", remedy))
     if pair.gap < LEAST_GAP:
-        doubts.append(_second_optimum(pair, two))
+        doubts.append(_second_optimum(pair, two, clock_is_stated))
     if pair.agreeing <= pair.opposed:
         doubts.append((f"the pose of {two} contradicts other pairs of cameras ({pair.opposed})", MORE_OBJECTS))
     if pair.agreeing == 1 and (fit.rotation_std > MOST_ROTATION or fit.direction_std > MOST_DIRECTION):
@@ -83,12 +87,13 @@ def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[Doubt]:
     return doubts
 
 
-def _second_optimum(pair: Link, two: str) -> Doubt:
+def _second_optimum(pair: Link, two: str, clock_is_stated: bool) -> Doubt:
     """Return how the second-best pose of a camera differs from the best, and the remedy."""
     turn, later = pair.other
-    away = f"turned by {np.rad2deg(turn):.0f} degrees, {later:+.2f} s away"
-    another = f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, {away}"
-    return another, "record objects that speed up and turn, or state the clock"
+    away, remedy = f"turned by {np.rad2deg(turn):.0f} degrees", "record objects that speed up and turn"
+    if not clock_is_stated:
+        away, remedy = f"{away}, {later:+.2f} s away", f"{remedy}, or state the clock"
+    return f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, {away}", remedy
 
 
 def _is_plane(fit: PairFit) -> bool:

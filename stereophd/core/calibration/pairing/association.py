@@ -9,15 +9,19 @@ from scipy.optimize import linear_sum_assignment
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.recording import Scans
+from stereophd.core.calibration.time_limit import within
 from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.disparity.prior import DEPTH_RANGE_SIGMAS
 from stereophd.core.disparity.trips import disparity_scale
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.multi.pmb.filter import PmbFilter
+from stereophd.wording import percent
 
 # A detection belongs to a track within this squared Mahalanobis distance in its (inflated) noise.
 TRACK_GATE = 9.0
+# Frames after which progress is told.
+TOLD_EVERY = 50
 # Tracks of a smaller existence are not asked.
 LEAST_EXISTENCE = 0.6
 
@@ -68,6 +72,8 @@ def track_detections(multi_filter: PmbFilter, scans: Scans, inflation: float) ->
     total = 0.0
     found: list[tuple[Integers, Integers, Array, Array]] = []
     for number, event in enumerate(scans.events):
+        if number % TOLD_EVERY == 0:
+            within(f"objects are followed, {percent(number / len(scans.events))} of the frames")
         wide = inflated(event, inflation)
         state, info, estimates = multi_filter.step(state, wide)
         total += info.log_likelihood

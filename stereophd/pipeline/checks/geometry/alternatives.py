@@ -140,15 +140,13 @@ def alternatives() -> Iterator[Alternative]:
             partial(_turned, true_pose=lambda r, c, turn=turn: (turn @ r, c)), alone=True,  # type: ignore[misc]
         )  # fmt: skip
     for factor in RESOLUTION_FACTORS:
-        yield Alternative(
-            "intrinsics_resolution", f"the intrinsics seem to belong to a resolution {1 / factor:.3g} times this one",
-            f"multiply fx, fy, cx and cy by {factor:.4g}", partial(_scaled, focal=factor, point=factor),
-        )  # fmt: skip
-        yield Alternative(
-            "principal_point_resolution",
-            f"the principal point seems to belong to a resolution {1 / factor:.3g} times this one",
-            f"multiply cx and cy by {factor:.4g}", partial(_scaled, focal=1.0, point=factor),
-        )  # fmt: skip
+        for cause, what, keys, focal in (
+            ("intrinsics_resolution", "intrinsics seem", "fx, fy, cx and cy", factor),
+            ("principal_point_resolution", "principal point seems", "cx and cy", 1.0),
+        ):
+            text = f"the {what} to belong to a resolution {1 / factor:.3g} times this one"
+            remedy = f"multiply {keys} by {factor:.4g}"
+            yield Alternative(cause, text, remedy, partial(_scaled, focal=focal, point=factor))
         yield Alternative(
             "focal_length", f"the focal length seems to be {factor:.3g} times the stated one",
             "state the focal length in pixels of this image size", partial(_scaled, focal=factor, point=1.0),

@@ -216,7 +216,10 @@ def _pairs_with(geometry: Geometry, camera: int) -> list[int]:
 
 
 def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> Iterator[Trial]:
-    """Yield clock offsets and rates of single cameras; of many, those whose rays meet least."""
+    """Yield clock offsets and rates of single cameras; of many, those whose rays meet least.
+
+    Rates are usual ones, and that by which offsets of the two halves of the log differ.
+    """
     for c in sorted(usable_clocks(geometry)[:MOST_CLOCKS]):
         sample, concerned = geometry.samples[c], _pairs_with(geometry, c)[:MOST_CLOCK_PAIRS]
         shift = _best_shift(geometry, concerned, c, steps)
@@ -225,14 +228,54 @@ def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> I
                 (c,), "clock_offset", f"its clock seems to be off by {-shift:+.3g} s", shift_remedy(shift),
                 geometry.views, _with_times(geometry, c, sample.times + shift), shifted(sample, shift),
             )  # fmt: skip
+        since = sample.times - sample.times[0]
         for rate in rates:
-            times = sample.times[0] + (sample.times - sample.times[0]) * rate
-            yield Trial(
-                (c,), "frame_rate", f"its times seem to run at {1 / rate:.4g} times the true rate",
-                f"check its frame rate; import again with the true one (`rates`), or multiply its times by {rate:.4g} "
-                "(clock.rate)", geometry.views,
-                _with_times(geometry, c, times),
-            )  # fmt: skip
+            yield _of_rate(geometry, c, (f"{rate:.4g}", f"{1.0 / rate:.4g}"), sample.times[0] + rate * since)
+        if (times := _drifting(geometry, concerned, c, steps)) is not None:
+            rate = float(np.ptp(times)) / float(since[-1])
+            yield _of_rate(geometry, c, (f"about {rate:.3g}", f"about {1.0 / rate:.3g}"), times)
+
+
+def _drifting(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> Array | None:
+    """Return times (f,) of a camera, s, by another rate and offset: those of the halves of the log. None: alike.
+
+    A half has no one offset either: those of the corrected times are looked for once more.
+    """
+    times, interval = geometry.samples[camera].times, geometry.samples[camera].interval_s
+    for is_first in (True, False):
+        samples = _with_times(geometry, camera, times)
+        every = (geometry.pairs[k] for k in concerned)
+        pairs = [
+            candidates(samples, p.a, p.b, len(p.detections), len(p.pixels_b) - 1, among=p.detections) for p in every
+        ]
+        offsets = []
+        for half in zip(*(pair.halves() for pair in pairs if pair is not None), strict=True):
+            moved = replace(geometry, samples=samples, pairs=half)
+            shift = _best_shift(moved, list(range(len(half))), camera, steps)
+            offsets.append((float(np.mean([pair.times.mean() for pair in half])), shift or 0.0))
+        if len(offsets) < 2 or (is_first and abs(offsets[1][1] - offsets[0][1]) <= interval):
+            return None
+        (early, before), (late, after) = offsets
+        # beyond the usual rates offsets are those of chance, and times might run backwards
+        if not min(RATES) * (late - early) <= late - early + after - before <= max(RATES) * (late - early):
+            return None
+        times = times + before + (after - before) / (late - early) * (times - early)
+    return times
+
+
+def _of_rate(geometry: Geometry, camera: int, factors: tuple[str, str], times: Array) -> Trial:
+    """Return the trial of other times of a camera, by a factor that is told with its inverse.
+
+    Two cameras do not show which of them is wrong.
+    """
+    factor, inverse = factors
+    text, remedy, by = f"its times seem to run at {inverse} times the true rate", "check its frame rate", factor
+    if len(geometry.samples) == 2:
+        other = geometry.samples[1 - camera].camera.name
+        text, remedy = f"its times seem to run at {inverse} times the rate of {other}", "check both frame rates"
+        by += f", or those of {other} by {inverse}"
+    remedy += f"; import again with the true one (`rates`), or multiply its times by {by} (clock.rate)"
+    return Trial((camera,), "frame_rate", text, remedy, geometry.views, _with_times(geometry, camera, times))
 
 
 def shift_remedy(shift_s: float) -> str:

@@ -35,6 +35,7 @@ class Partners:
     sides: tuple[TrackMotion, TrackMotion]
     distance: Array  # (n,): Signed distance of the rays, standard deviations
     tracks: Integers  # (n,) of int: Number of the pair of one-camera tracks
+    times: Array  # (n,): s
     # (n,): Of each detection the next of the pair of tracks that shares no detection of B with it, -1 of none
     following: Integers
 
@@ -131,7 +132,7 @@ def partners(
         TrackMotion(places_b + delay, speed, track_b[index]),
     )
     tracks = tracks[lasting]
-    return Partners(a, b, sides, distance, tracks, _following(tracks, interval[near][lasting]))
+    return Partners(a, b, sides, distance, tracks, times[own], _following(tracks, interval[near][lasting]))
 
 
 def _following(tracks: Integers, intervals: Integers) -> Integers:

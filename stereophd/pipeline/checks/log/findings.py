@@ -1,19 +1,20 @@
 """Checks that need the log alone: times, frames, pixels and the statements about the detectors."""
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 
 import numpy as np
 
 from stereophd.core.settings import LATEST_S
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import Finding, Status, is_mistake
 from stereophd.pipeline.checks.log.sample import MOST_BY_CHANCE, CameraSample
 from stereophd.wording import instant, percent
 
 # Relative difference of frame rates that is reported.
 RATE_TOLERANCE = 0.02
-# A camera without a stated frame rate and with a longer interval seems to have its times in milliseconds, s.
+# A camera without a stated frame rate and with a longer interval seems to have its times in a smaller unit, s.
 LONGEST_INTERVAL_S = 10.0
-IN_SECONDS = "import again with their unit (`time_unit`), or divide time_s by 1000"
+# Such units, with how many of them a second has, and the relative difference of rates that are the same but for one.
+UNITS, SAME_RATE = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}, 0.1
 # Share of both sides of the image that the detections must fill, given this many false ones, which lie everywhere.
 CORNER_SHARE, CORNER_COUNT = 0.55, 100
 # Standard deviations outside these limits are implausible, px.
@@ -38,8 +39,14 @@ NEAR_CENTRE, FAR_FROM_CENTRE = 0.1, 0.25
 WIDEST_VIEW_DEG = 150.0
 
 
-def check_files(samples: list[CameraSample], whole: bool = True) -> Iterator[Finding]:
-    """Yield findings on frames, pixels and detectors of every camera; having no frames is one only in a `whole` log."""
+def check_files(
+    samples: list[CameraSample], whole: bool = True, unknown_clocks: Collection[str] = ()
+) -> Iterator[Finding]:
+    """Yield findings on frames, pixels and detectors of every camera; having no frames is one only in a `whole` log.
+
+    Of cameras of `unknown_clocks` nobody knows when they recorded.
+    """
+    untimed = set(unknown_clocks)
     for sample in samples:
         if not len(sample.times):
             if not whole:
@@ -49,11 +56,13 @@ def check_files(samples: list[CameraSample], whole: bool = True) -> Iterator[Fin
                 0, None, sample.camera.name, "check the name of the camera in the log", "camera_without_frames",
             )  # fmt: skip
             continue
-        yield from _frames(sample)
+        frames = list(_frames(sample))
+        untimed |= {found.camera for found in frames if found.camera is not None and is_mistake(found)}
+        yield from frames
         yield from _pixels(sample)
         yield from _places(sample)
         yield from _detector(sample)
-    yield from _periods([sample for sample in samples if len(sample.times) > 1])
+    yield from _periods([sample for sample in samples if len(sample.times) > 1 and sample.camera.name not in untimed])
 
 
 def _frames(sample: CameraSample) -> Iterator[Finding]:
@@ -64,33 +73,38 @@ def _frames(sample: CameraSample) -> Iterator[Finding]:
     # frames without a row are not frames of another rate
     per_number = np.diff(sample.times) / np.maximum(np.diff(sample.frames), 1)
     by_number = 1.0 / max(float(np.median(per_number)), 1e-300)
-    if abs(sample.times[-1]) > LATEST_S or (rate is None and sample.interval_s > LONGEST_INTERVAL_S):
-        yield Finding(
-            "log.frame_rate", "warning",
-            f"{name}: {sample.interval_s:.4g} s between frames, times up to {sample.times[-1]:.6g} s: they seem to be "
-            "in milliseconds",
-            round(found, 6), rate, name, f"{IN_SECONDS}; or state frame_rate_hz if the interval is right",
-            "milliseconds",
-        )  # fmt: skip
-    elif rate is not None and min(abs(found / rate - 1.0), abs(by_number / rate - 1.0)) > RATE_TOLERANCE:
-        numbers = sample.frames - sample.frames[0]
-        is_number = bool(np.allclose(sample.times - sample.times[0], numbers, atol=1e-6)) and rate > 1.5
-        factor = rate / found
-        if is_number:
-            cause, text = "frame_number_as_time", "the times seem to be frame numbers"
-            remedy = f"divide time_s by the frame rate, {rate:g} Hz"
-        elif 900.0 < factor < 1100.0:
-            cause, text = "milliseconds", "the times seem to be in milliseconds"
-            remedy = IN_SECONDS
-        else:
-            cause, text = "frame_rate", "the times do not fit the stated frame rate"
-            remedy = "check the frame rate from which the times were computed"
-        yield Finding(
-            "log.frame_rate", "warning", f"{name}: frames come at {found:.4g} Hz, frame_rate_hz is {rate:g}: {text}",
-            round(found, 6), rate, name, remedy, cause,
-        )  # fmt: skip
-    else:
-        yield Finding("log.frame_rate", "ok", f"{name}: frames come at {found:.4g} Hz", round(found, 6), rate, name)
+    is_off = rate is not None and min(abs(found / rate - 1.0), abs(by_number / rate - 1.0)) > RATE_TOLERANCE
+    since, unit = sample.times - sample.times[0], _unit(sample, found)
+    text, remedy, cause = f"frames come at {found:.4g} Hz", None, None
+    if (
+        rate is not None
+        and is_off
+        and rate > 1.5
+        and np.allclose(since, np.round(since), atol=1e-6)
+        and round(np.diff(since).min()) == 1
+    ):
+        text, cause = f"{text}, frame_rate_hz is {rate:g}: the times seem to be frame numbers", "frame_number_as_time"
+        remedy = f"divide time_s by the frame rate, {rate:g} Hz"
+    elif unit is not None:
+        text, cause = f"{text}, and times reach {sample.times[-1]:.6g} s: they seem to be in {unit}", unit
+        remedy = f"import again with their unit (`time_unit`), or divide time_s by {UNITS[unit]:.0f}"
+        remedy += "; or state frame_rate_hz if the interval is right" if rate is None else ""
+    elif is_off:
+        text, cause = f"{text}, frame_rate_hz is {rate:g}: the times do not fit the stated frame rate", "frame_rate"
+        remedy = "check the frame rate from which the times were computed, and the one that is stated"
+    status: Status = "ok" if cause is None else "warning"
+    yield Finding("log.frame_rate", status, f"{name}: {text}", round(found, 6), rate, name, remedy, cause)
+
+
+def _unit(sample: CameraSample, found: float) -> str | None:
+    """Return the unit in which the times, with frames at this rate, are the stated or usual ones; None: in seconds."""
+    rate, latest = sample.camera.frame_rate_hz, abs(sample.times[-1])
+    is_long = latest > LATEST_S or (rate is None and sample.interval_s > LONGEST_INTERVAL_S)
+    for unit, parts in UNITS.items():
+        is_usual = sample.interval_s / parts <= LONGEST_INTERVAL_S and latest / parts <= LATEST_S
+        if (is_long and is_usual) or (rate is not None and abs(found * parts / rate - 1.0) < SAME_RATE):
+            return unit
+    return None
 
 
 def _pixels(sample: CameraSample) -> Iterator[Finding]:

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 from typing import cast
 
 import numpy as np
+import pytest
 
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.annealing.method import Remark, doubt_of_starts, why_none_succeeded
@@ -106,4 +107,12 @@ def test_the_best_of_each_kind_is_distinct() -> None:
 
 
 def test_the_most_frequent_failure_is_named() -> None:
-    assert FAILED in why_none_succeeded([start(0, None), start(1, None)])
+    assert f"most often (2): {FAILED}" in why_none_succeeded([start(0, None), start(1, None)])
+
+
+@pytest.mark.parametrize("is_timed", [True, False])
+@pytest.mark.parametrize("is_searched", [True, False])
+def test_a_remedy_follows_from_what_is_unknown(is_timed: bool, is_searched: bool) -> None:
+    """Of cameras from nothing it proposed `pose: unknown`, and to compare clocks that are unknown."""
+    said = why_none_succeeded([start(0, None)], is_timed, is_searched)
+    assert ("compares clocks" in said, "pose: unknown" in said) == (is_timed, not is_searched)

@@ -55,6 +55,17 @@ def test_a_remedy_is_said_once_of_all_cameras() -> None:
     assert [said.count(f"cam0 and {name} share") for name in ("cam1", "cam2")] == [1, 1]
 
 
+@pytest.mark.parametrize("is_stated", [True, False])
+def test_a_remedy_names_a_clock_or_a_lens_only_where_it_is_stated(is_stated: bool) -> None:
+    """Cameras whose clocks are known were to "state the clock"."""
+    best = optimum(0.8, 20.0)
+    best = replace(best, stds=best.stds * (np.arange(SIZE) < 5) if is_stated else best.stds, residual=4.0)
+    link = Link((0, 1), best, 1.2, (1.0, 0.5), 2, 0)
+    (_, unlike), (another, remedy) = doubts_of_pair(link, NAMES)
+    assert ("a clock" in unlike, "a lens" in unlike) == (is_stated, is_stated)
+    assert ("state the clock" in remedy, "0.50 s away" in another) == (not is_stated, not is_stated)
+
+
 def test_another_pair_decides_between_two_optima() -> None:
     results = {
         (0, 2): PairResult((optimum(0.8, 16.0, 5.0), optimum(-0.5, 15.0, 5.0)), 0.1),
