@@ -101,9 +101,8 @@ DIFFERENCE = 0.1
 # Directions of the posterior beyond this part of the prior are loose. Draws of these, beside which the bend of the
 # others is looked at.
 LOOSE, BENDS = 0.1, 12
-# Step of differences by the knots, in standard deviations of all together; part of the residual at which equations of
-# their second derivatives are solved, and most products with these.
-KNOT_DIFFERENCE, KNOTS_SOLVED, MOST_PRODUCTS = 0.1, 1e-3, 12
+# Step of differences by the knots, in standard deviations of all together.
+KNOT_DIFFERENCE = 0.1
 
 
 @dataclass(frozen=True)
@@ -312,36 +311,10 @@ class MarginalPosterior:
         return VolumeSlopes.of(self.linearisation, values, at.states, noise, at.factor)
 
     def _knots_against(self, at: Point, right: Array) -> Array:
-        """Solve H x = right (6 k,) with the second derivatives H of the cost by the knots, second ones of pixels too.
-
-        Conjugate gradients with the matrix A of the normal equations as preconditioner, which lacks those.
-        """
-        values, noise = self.parted(at.unknowns)
-        placement = self.linearisation.placed(values, by_values=False)
-
-        def product(direction: Array) -> Array:
-            step = _short(at.equations.bands, direction)
-            moved = step * direction.reshape(at.states.shape)
-            ahead, behind = (
-                self.linearisation.of_knots(values, at.states + sign * moved, noise, placement)[2]
-                for sign in (1.0, -1.0)
-            )
-            return np.asarray((behind - ahead) / (2.0 * step))
-
-        out, residual = np.zeros_like(right), right
-        scaled = cho_solve_banded((at.factor, True), residual, check_finite=False)
-        direction, energy = scaled, float(residual @ scaled)
-        enough = KNOTS_SOLVED**2 * energy
-        for _ in range(MOST_PRODUCTS):
-            image = product(direction)
-            if energy <= enough or float(direction @ image) <= 0.0:
-                break
-            share = energy / float(direction @ image)
-            out, residual = out + share * direction, residual - share * image
-            scaled = cho_solve_banded((at.factor, True), residual, check_finite=False)
-            before, energy = energy, float(residual @ scaled)
-            direction = scaled + energy / before * direction
-        return out
+        """Solve H x = right (6 k,) with the second derivatives H of the cost by the knots, second ones of pixels too."""
+        placement = self.linearisation.placed(self.parted(at.unknowns)[0], by_values=False)
+        factor = self.linearisation.factor_of_knots(at.states, placement, at.equations.bands)
+        return np.asarray(cho_solve_banded((factor, True), right, check_finite=False))
 
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point.

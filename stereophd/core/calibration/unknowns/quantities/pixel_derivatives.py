@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans
@@ -11,6 +13,10 @@ from stereophd.core.geometry.compiled_lenses import distort_point_jacobian
 from stereophd.core.geometry.layout import LENS_NONE
 from stereophd.core.geometry.rotations import rotations
 from stereophd.core.numerics.compilation.compiled import compiled
+
+
+# Step of differences of a lens's derivatives, in normalised coordinates.
+LENS_STEP = 1e-4
 
 
 def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:
@@ -63,7 +69,9 @@ def project(
 ) -> tuple[Booleans, Array, Array, Array, Array]:
     """Return `visible`, `undistorted`, `distorted`, `by_point` and `by_world` of a `CameraView` of points (n, 3).
 
-    `axes` (1, 3, 3) or (n, 3, 3) turn the world into the camera's axes; `focal` (2,) are in px.
+    `axes` (1, 3, 3) or (n, 3, 3) turn the world into the camera's axes; `focal` (2,) are in px. What lies beyond the
+    `max_radius` of a lens is imaged as if on it, where the model folds back. Were it out of view, its detections would
+    not let the lens become one that folds back sooner.
     """
     count = len(points)
     visible, undistorted, distorted = np.empty(count, dtype=np.bool_), np.empty((count, 2)), np.empty((count, 2))
@@ -73,13 +81,17 @@ def project(
         seen = points[n, 2] > 0.0
         inverse = 1.0 / points[n, 2] if seen else 1.0
         x, y = points[n, 0] * inverse, points[n, 1] * inverse
-        undistorted[n, 0], undistorted[n, 1] = x, y
         x_d, y_d, j00, j01, j10, j11 = x, y, 1.0, 0.0, 0.0, 1.0
+        undistorted[n, 0], undistorted[n, 1] = x, y
         if code != LENS_NONE:
-            seen = seen and x * x + y * y <= max_radius * max_radius
-            x_d, y_d, j00, j01, j10, j11 = distort_point_jacobian(
-                code, coefficients, x if seen else 0.0, y if seen else 0.0
-            )
+            radius = math.hypot(x, y)
+            share = 1.0 if radius <= max_radius else max_radius / radius
+            undistorted[n, 0], undistorted[n, 1] = share * x, share * y
+            x_d, y_d, j00, j01, j10, j11 = distort_point_jacobian(code, coefficients, share * x, share * y)
+            if share < 1.0:  # only turns about the axis move it
+                u, v = x / radius, y / radius
+                turned_0, turned_1 = share * (j01 * u - j00 * v), share * (j11 * u - j10 * v)
+                j00, j01, j10, j11 = -turned_0 * v, turned_0 * u, -turned_1 * v, turned_1 * u
         visible[n] = seen
         distorted[n, 0], distorted[n, 1] = x_d, y_d
         for i in range(2):
@@ -92,6 +104,56 @@ def project(
             for a in range(3):
                 by_world[n, i, a] = by_x * turn[0, a] + by_y * turn[1, a] + by_z * turn[2, a]
     return visible, undistorted, distorted, by_point, by_world
+
+
+def bent(view: CameraView, pulls: Array) -> Array:
+    """Second derivatives (n, 3, 3) of the raw pixels by the point in the world, summed with weights (n, 2)."""
+    axes = view.camera.pose.rotation[None] if view.turns is None else view.turns @ view.camera.pose.rotation
+    lens, out = view.camera.lens, np.empty((len(pulls), 3, 3))
+    focal = np.array([view.camera.fx, view.camera.fy])
+    _bend(view.points, view.visible, axes, pulls * focal, lens.code, lens.coefficients, lens.max_radius, out)
+    return out
+
+
+@compiled
+def _bend(
+    points: Array, visible: Booleans, axes: Array, pulls: Array, code: int, lens: Array, max_radius: float, out: Array
+) -> None:
+    """Fill in what `bent` returns, with weights of normalised coordinates; those of the lens are differences."""
+    by_points, with_axes = np.zeros((3, 3)), np.empty((3, 3))
+    for n in range(len(points)):
+        turn = axes[n if axes.shape[0] > 1 else 0]
+        i = 1.0 / points[n, 2] if visible[n] else 0.0
+        x, y, p, q = points[n, 0] * i, points[n, 1] * i, pulls[n, 0], pulls[n, 1]
+        if not visible[n] or x * x + y * y > max_radius * max_radius:
+            out[n] = 0.0
+            continue
+        a, b, xx, xy, yy = p, q, 0.0, 0.0, 0.0
+        if code != LENS_NONE:
+            _, _, j00, j01, j10, j11 = distort_point_jacobian(code, lens, x, y)
+            _, _, r00, r01, r10, r11 = distort_point_jacobian(code, lens, x + LENS_STEP, y)
+            _, _, l00, l01, l10, l11 = distort_point_jacobian(code, lens, x - LENS_STEP, y)
+            _, _, _, d01, _, d11 = distort_point_jacobian(code, lens, x, y + LENS_STEP)
+            _, _, _, u01, _, u11 = distort_point_jacobian(code, lens, x, y - LENS_STEP)
+            a, b, half = p * j00 + q * j10, p * j01 + q * j11, 0.5 / LENS_STEP
+            xx, xy = half * (p * (r00 - l00) + q * (r10 - l10)), half * (p * (r01 - l01) + q * (r11 - l11))
+            yy = half * (p * (d01 - u01) + q * (d11 - u11))
+        s = i * i
+        by_points[0, 0], by_points[0, 1], by_points[1, 1] = s * xx, s * xy, s * yy
+        by_points[0, 2] = -s * (x * xx + y * xy + a)
+        by_points[1, 2] = -s * (x * xy + y * yy + b)
+        by_points[2, 2] = s * (x * x * xx + 2.0 * x * y * xy + y * y * yy + 2.0 * (a * x + b * y))
+        by_points[1, 0], by_points[2, 0], by_points[2, 1] = by_points[0, 1], by_points[0, 2], by_points[1, 2]
+        for k in range(3):
+            for m in range(3):
+                with_axes[k, m] = (
+                    by_points[k, 0] * turn[0, m] + by_points[k, 1] * turn[1, m] + by_points[k, 2] * turn[2, m]
+                )
+        for k in range(3):
+            for m in range(3):
+                out[n, k, m] = (
+                    turn[0, k] * with_axes[0, m] + turn[1, k] * with_axes[1, m] + turn[2, k] * with_axes[2, m]
+                )
 
 
 def turned(view: CameraView, axes: Array) -> Array:
