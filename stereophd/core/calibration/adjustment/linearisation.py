@@ -250,24 +250,33 @@ class Linearisation:
         To their matrix in the normal equations, `bands`, those of the pixels are added: what one camera alone sees
         lies in valleys that the normal equations do not tell. Those are taken where the sum is not positive definite.
         """
-        observations, world = self.problem.observations, positions(states, *placement.path)
-        counted = np.ones(len(observations)) if observations.weights is None else observations.weights
-        bends = np.empty((len(observations), 3, 3))
-        for here, view in self._views(placement, world, np.zeros_like(world)):
-            errors = counted[here, None] * (view.pixels - observations.points[here])
-            bends[here] = bent(view, np.einsum("nij,nj->ni", observations.precisions[here], errors))
-        curved = bands.copy()
+        curved, bends = bands.copy(), self.bends(placement, positions(states, *placement.path))
         normal_equations.add_points(placement.path.knot, placement.path.weights, bends, curved)
         with suppress(LinAlgError):
             return factor_knots(curved)
         return factor_knots(bands)
 
+    @property
+    def precisions(self) -> Array:
+        """Precisions (n, 2, 2) of the detections, times what each counts."""
+        precisions, weights = self.problem.observations.precisions, self.problem.observations.weights
+        return precisions if weights is None else weights[:, None, None] * precisions
+
+    def bends(self, placement: Placement, world: Array, pulls: Array | None = None) -> Array:
+        """Second derivatives (n, 3, 3) of the pixels by their points (n, 3), summed with weights (n, 2).
+
+        By default those are the ones of the cost: the weighted errors.
+        """
+        out, precisions = np.empty((len(world), 3, 3)), self.precisions
+        for here, view in self._views(placement, world, np.zeros_like(world)):
+            errors = view.pixels - self.problem.observations.points[here]
+            out[here] = bent(view, (precisions[here] @ errors[:, :, None])[:, :, 0] if pulls is None else pulls[here])
+        return out
+
     def pulled(self, values: Array, states: Array) -> tuple[Array, Array]:
         """Return how the errors of detections pull at the values of their cameras (n, q) and at their points (n, 3)."""
-        observations = self.problem.observations
         _, errors, visible, by_point, by_value = self.residuals(values, states)
-        counted = np.ones(len(observations)) if observations.weights is None else observations.weights
-        pulls = np.einsum("n,nij,nj->ni", visible * counted, observations.precisions, errors)
+        pulls = np.einsum("n,nij,nj->ni", visible, self.precisions, errors)
         by_value, by_point = (np.where(visible[:, None, None], by, 0.0) for by in (by_value, by_point))
         return np.einsum("nrq,nr->nq", by_value, pulls), np.einsum("nra,nr->na", by_point, pulls)
 

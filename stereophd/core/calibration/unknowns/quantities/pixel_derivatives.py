@@ -64,6 +64,23 @@ def product(matrices: Array, vectors: Array) -> Array:
 
 
 @compiled
+def _imaged(
+    code: int, coefficients: Array, max_radius: float, x: float, y: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Distort a point as `distort_point_jacobian`, or the one on `max_radius` before it, this part of it."""
+    if code == LENS_NONE:
+        return 1.0, x, y, 1.0, 0.0, 0.0, 1.0
+    radius = math.hypot(x, y)
+    share = 1.0 if radius <= max_radius else max_radius / radius
+    x_d, y_d, j00, j01, j10, j11 = distort_point_jacobian(code, coefficients, share * x, share * y)
+    if share < 1.0:  # only turns about the axis move it
+        u, v = x / radius, y / radius
+        turned_0, turned_1 = share * (j01 * u - j00 * v), share * (j11 * u - j10 * v)
+        j00, j01, j10, j11 = -turned_0 * v, turned_0 * u, -turned_1 * v, turned_1 * u
+    return share, x_d, y_d, j00, j01, j10, j11
+
+
+@compiled
 def project(
     points: Array, axes: Array, focal: Array, code: int, coefficients: Array, max_radius: float
 ) -> tuple[Booleans, Array, Array, Array, Array]:
@@ -81,17 +98,8 @@ def project(
         seen = points[n, 2] > 0.0
         inverse = 1.0 / points[n, 2] if seen else 1.0
         x, y = points[n, 0] * inverse, points[n, 1] * inverse
-        x_d, y_d, j00, j01, j10, j11 = x, y, 1.0, 0.0, 0.0, 1.0
-        undistorted[n, 0], undistorted[n, 1] = x, y
-        if code != LENS_NONE:
-            radius = math.hypot(x, y)
-            share = 1.0 if radius <= max_radius else max_radius / radius
-            undistorted[n, 0], undistorted[n, 1] = share * x, share * y
-            x_d, y_d, j00, j01, j10, j11 = distort_point_jacobian(code, coefficients, share * x, share * y)
-            if share < 1.0:  # only turns about the axis move it
-                u, v = x / radius, y / radius
-                turned_0, turned_1 = share * (j01 * u - j00 * v), share * (j11 * u - j10 * v)
-                j00, j01, j10, j11 = -turned_0 * v, turned_0 * u, -turned_1 * v, turned_1 * u
+        share, x_d, y_d, j00, j01, j10, j11 = _imaged(code, coefficients, max_radius, x, y)
+        undistorted[n, 0], undistorted[n, 1] = share * x, share * y
         visible[n] = seen
         distorted[n, 0], distorted[n, 1] = x_d, y_d
         for i in range(2):
@@ -123,18 +131,18 @@ def _bend(
     by_points, with_axes = np.zeros((3, 3)), np.empty((3, 3))
     for n in range(len(points)):
         turn = axes[n if axes.shape[0] > 1 else 0]
-        i = 1.0 / points[n, 2] if visible[n] else 0.0
-        x, y, p, q = points[n, 0] * i, points[n, 1] * i, pulls[n, 0], pulls[n, 1]
-        if not visible[n] or x * x + y * y > max_radius * max_radius:
+        if not visible[n]:
             out[n] = 0.0
             continue
+        i = 1.0 / points[n, 2]
+        x, y, p, q = points[n, 0] * i, points[n, 1] * i, pulls[n, 0], pulls[n, 1]
         a, b, xx, xy, yy = p, q, 0.0, 0.0, 0.0
         if code != LENS_NONE:
-            _, _, j00, j01, j10, j11 = distort_point_jacobian(code, lens, x, y)
-            _, _, r00, r01, r10, r11 = distort_point_jacobian(code, lens, x + LENS_STEP, y)
-            _, _, l00, l01, l10, l11 = distort_point_jacobian(code, lens, x - LENS_STEP, y)
-            _, _, _, d01, _, d11 = distort_point_jacobian(code, lens, x, y + LENS_STEP)
-            _, _, _, u01, _, u11 = distort_point_jacobian(code, lens, x, y - LENS_STEP)
+            _, _, _, j00, j01, j10, j11 = _imaged(code, lens, max_radius, x, y)
+            _, _, _, r00, r01, r10, r11 = _imaged(code, lens, max_radius, x + LENS_STEP, y)
+            _, _, _, l00, l01, l10, l11 = _imaged(code, lens, max_radius, x - LENS_STEP, y)
+            _, _, _, _, d01, _, d11 = _imaged(code, lens, max_radius, x, y + LENS_STEP)
+            _, _, _, _, u01, _, u11 = _imaged(code, lens, max_radius, x, y - LENS_STEP)
             a, b, half = p * j00 + q * j10, p * j01 + q * j11, 0.5 / LENS_STEP
             xx, xy = half * (p * (r00 - l00) + q * (r10 - l10)), half * (p * (r01 - l01) + q * (r11 - l11))
             yy = half * (p * (d01 - u01) + q * (d11 - u11))
