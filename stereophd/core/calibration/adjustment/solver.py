@@ -33,8 +33,9 @@ from stereophd.core.calibration.adjustment.linearisation import Linearisation, N
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.trajectories import STATED
 
-# Most steps of the knots at given values, and the fall of the cost that is left; most of them that follow a step.
-KNOT_STEPS, KNOTS_SETTLED, FOLLOWING_STEPS = 15, 1e-8, 3
+# Most steps of the knots at given values, and the fall of the cost that is left; most of them that follow a step. Steps
+# that promise less than a standard deviation know the second derivatives of the pixels, which mislead from afar.
+KNOT_STEPS, KNOTS_SETTLED, FOLLOWING_STEPS, KNOTS_NEAR = 15, 1e-8, 3, 1.0
 # A step is halved, down to the least share of it, until the cost falls. The next one may be as long as what was taken,
 # and longer by this factor where that was the whole.
 LEAST_SHARE, LONGER = 1.0 / 64.0, 2.0
@@ -129,10 +130,11 @@ def settled_knots(
     for _ in range(most):
         if not np.isfinite(cost):
             raise LinAlgError("the cost is not finite")
-        factor = linearisation.factor_of_knots(states, placement, bands)
-        step = cho_solve_banded((factor, True), vector, check_finite=False)
-        if float(vector @ step) <= settled:
+        step = cho_solve_banded((factor_knots(bands), True), vector, check_finite=False)
+        if (promised := float(vector @ step)) <= settled:
             break
+        if promised <= KNOTS_NEAR:
+            step = cho_solve_banded((linearisation.factor_of_knots(states, placement, bands), True), vector)
         share = 1.0
         while share >= LEAST_SHARE:
             moved = states + share * step.reshape(states.shape)
