@@ -29,7 +29,6 @@ from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import ben
 from stereophd.core.calibration.unknowns.scale import log_scale, predicted
 from stereophd.core.geometry.camera import Camera
 
-
 # Relative weight on the diagonal that keeps the factorisation of nearly singular knots from failing.
 ROUNDING = 1e-13
 # Knots of less information are held: far from all their detections, the weights of a robust loss underflow.

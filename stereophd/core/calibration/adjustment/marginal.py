@@ -62,7 +62,7 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, Placement
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
     LEAST_SHARE,
@@ -73,7 +73,7 @@ from stereophd.core.calibration.adjustment.solver import (
     settled_knots,
     within_prior,
 )
-from stereophd.core.calibration.adjustment.trajectories import STATED, positions
+from stereophd.core.calibration.adjustment.trajectories import OF_ALL, STATED, positions
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.random_streams import BENDS_SEED
@@ -281,7 +281,8 @@ class MarginalPosterior:
         slopes = self.slopes(at)
         path, rates = slopes.placement.path, slopes.placement.rates
         by_states = linearisation.of_states(path, slopes.by_point) + self._first_states(at.states)[1]
-        across = self._knots_against(at, slopes.placement, by_states).reshape(at.states.shape)
+        curved = linearisation.factor_of_knots(at.states, slopes.placement, equations.bands)
+        across = cho_solve_banded((curved, True), by_states, check_finite=False).reshape(at.states.shape)
         # knots that follow move points and velocities, and with them what the errors pull at the values with
         moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(slopes.world)) for i in (path, rates))
         _, errors, visible, by_point, _ = linearisation.residuals(values, at.states, slopes.placement, by_values=False)
@@ -289,10 +290,8 @@ class MarginalPosterior:
         later = (pulls * (by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
         by_value = slopes.by_value(linearisation, pulls[:, :, None] * moved[:, None, :], later)
         products = linearisation.motion.pulls(at.states)[0].T @ across.reshape(-1, 3)
-        of_noise = slopes.by_noise.sum(axis=0) - linearisation.noise_at(values, noise).by_unknowns(
-            products + products.T
-        )
-        of_noise[0] += 6.0 * self.links
+        by_products = linearisation.noise_at(values, noise).by_unknowns(products + products.T)
+        of_noise = slopes.by_noise.sum(axis=0) - by_products + 6.0 * self.links * OF_ALL
         # the knots are at the minimum but for a trace, whose effect is removed to first order
         left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
         by_knots = equations.coupling.T @ left - equations.value_vector
@@ -307,11 +306,6 @@ class MarginalPosterior:
         """Return how the volume changes with values and points, detection by detection."""
         values, noise = self.parted(at.unknowns)
         return VolumeSlopes.of(self.linearisation, values, at.states, noise, at.factor)
-
-    def _knots_against(self, at: Point, placement: Placement, right: Array) -> Array:
-        """Solve H x = right (6 k,) with the second derivatives H of the cost by the knots, second ones of pixels too."""
-        factor = self.linearisation.factor_of_knots(at.states, placement, at.equations.bands)
-        return np.asarray(cho_solve_banded((factor, True), right, check_finite=False))
 
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point.

@@ -3,8 +3,8 @@
 With the covariance S of the point of a detection, of weight w, precision P and derivative J by the point, a change of
 A by any of its unknowns changes the volume by w tr(S J^T P dJ). The second derivatives of the pixel by a value that
 this needs are differences of first ones, along the two rows of K = w P J S: dJ by a value is the change by the point of
-the derivative by the value. A later time of a detection also moves the weights of its knots, from those of the position to
-those of the velocity. The covariances are those parts of the inverse of A that lie within its band (K. Takahashi,
+the derivative by the value. A later time of a detection also moves the weights of its knots, from those of the position
+to those of the velocity. The covariances are those parts of the inverse of A that lie within its band (K. Takahashi,
 J. Fagan and M.-S. Chin, "Formation of a sparse bus impedance matrix", 1973).
 """
 
@@ -88,7 +88,7 @@ class VolumeSlopes:
         of_point = np.zeros_like(world)
         for r, only in enumerate(np.eye(2)):
             bends = linearisation.bends(placement, world, np.broadcast_to(only, (len(world), 2)))
-            of_point += np.einsum("nij,nj->ni", bends, rows[:, r])
+            of_point += (bends @ rows[:, r, :, None])[:, :, 0]
         links = motion_links(linearisation.problem.knots)
         covariances = np.zeros((len(links.knot), 3, 3))
         summed_covariances(inverse, links.knot, links.precisions, covariances)

@@ -14,7 +14,6 @@ from stereophd.core.geometry.layout import LENS_NONE
 from stereophd.core.geometry.rotations import rotations
 from stereophd.core.numerics.compilation.compiled import compiled
 
-
 # Step of differences of a lens's derivatives, in normalised coordinates.
 LENS_STEP = 1e-4
 
@@ -117,23 +116,16 @@ def project(
 def bent(view: CameraView, pulls: Array) -> Array:
     """Second derivatives (n, 3, 3) of the raw pixels by the point in the world, summed with weights (n, 2)."""
     axes = view.camera.pose.rotation[None] if view.turns is None else view.turns @ view.camera.pose.rotation
-    lens, out = view.camera.lens, np.empty((len(pulls), 3, 3))
-    focal = np.array([view.camera.fx, view.camera.fy])
-    _bend(view.points, view.visible, axes, pulls * focal, lens.code, lens.coefficients, lens.max_radius, out)
-    return out
+    lens, pulls = view.camera.lens, pulls * [view.camera.fx, view.camera.fy]
+    by_point = _bends(view.points, view.visible, pulls, lens.code, lens.coefficients, lens.max_radius)
+    return np.asarray(axes.swapaxes(1, 2) @ by_point @ axes)
 
 
 @compiled
-def _bend(
-    points: Array, visible: Booleans, axes: Array, pulls: Array, code: int, lens: Array, max_radius: float, out: Array
-) -> None:
-    """Fill in what `bent` returns, with weights of normalised coordinates; those of the lens are differences."""
-    by_points, with_axes = np.zeros((3, 3)), np.empty((3, 3))
-    for n in range(len(points)):
-        turn = axes[n if axes.shape[0] > 1 else 0]
-        if not visible[n]:
-            out[n] = 0.0
-            continue
+def _bends(points: Array, visible: Booleans, pulls: Array, code: int, lens: Array, max_radius: float) -> Array:
+    """`bent` by the points in the camera's axes, of normalised coordinates; those of the lens are differences."""
+    out = np.zeros((len(points), 3, 3))
+    for n in np.flatnonzero(visible):
         i = 1.0 / points[n, 2]
         x, y, p, q = points[n, 0] * i, points[n, 1] * i, pulls[n, 0], pulls[n, 1]
         a, b, xx, xy, yy = p, q, 0.0, 0.0, 0.0
@@ -147,21 +139,12 @@ def _bend(
             xx, xy = half * (p * (r00 - l00) + q * (r10 - l10)), half * (p * (r01 - l01) + q * (r11 - l11))
             yy = half * (p * (d01 - u01) + q * (d11 - u11))
         s = i * i
-        by_points[0, 0], by_points[0, 1], by_points[1, 1] = s * xx, s * xy, s * yy
-        by_points[0, 2] = -s * (x * xx + y * xy + a)
-        by_points[1, 2] = -s * (x * xy + y * yy + b)
-        by_points[2, 2] = s * (x * x * xx + 2.0 * x * y * xy + y * y * yy + 2.0 * (a * x + b * y))
-        by_points[1, 0], by_points[2, 0], by_points[2, 1] = by_points[0, 1], by_points[0, 2], by_points[1, 2]
-        for k in range(3):
-            for m in range(3):
-                with_axes[k, m] = (
-                    by_points[k, 0] * turn[0, m] + by_points[k, 1] * turn[1, m] + by_points[k, 2] * turn[2, m]
-                )
-        for k in range(3):
-            for m in range(3):
-                out[n, k, m] = (
-                    turn[0, k] * with_axes[0, m] + turn[1, k] * with_axes[1, m] + turn[2, k] * with_axes[2, m]
-                )
+        out[n, 0, 0], out[n, 0, 1], out[n, 1, 1] = s * xx, s * xy, s * yy
+        out[n, 0, 2] = -s * (x * xx + y * xy + a)
+        out[n, 1, 2] = -s * (x * xy + y * yy + b)
+        out[n, 2, 2] = s * (x * x * xx + 2.0 * x * y * xy + y * y * yy + 2.0 * (a * x + b * y))
+        out[n, 1, 0], out[n, 2, 0], out[n, 2, 1] = out[n, 0, 1], out[n, 0, 2], out[n, 1, 2]
+    return out
 
 
 def turned(view: CameraView, axes: Array) -> Array:
