@@ -227,7 +227,7 @@ class Linearisation:
         errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
         by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
         for here, view in self._views(placement, world, velocities):
-            errors[here], visible[here] = observations.points[here] - view.pixels, view.visible
+            errors[here], visible[here] = observations.points[here] - view.pixels, view.ahead
             by_point[here] = view.by_world
             unknown = parameters.unknown(view.camera.name) if by_values else ()
             parts = [quantity.derivative(view, taken(values, index))[:, :, index >= 0] for quantity, index in unknown]

@@ -40,7 +40,9 @@ class CameraView:
     """The view of one camera on n points of trajectories at the times of its detections."""
 
     camera: Camera  # At the current values
-    # (n,) of bool: Whether the point lies before the camera; other rows are meaningless.
+    # `ahead`, `visible`: arrays (n,) of bool: Whether the point lies before the camera (other rows are meaningless),
+    # and within the lens's `max_radius` too.
+    ahead: NDArray[np.bool_]
     visible: NDArray[np.bool_]
     elapsed: Array  # (n,): Time since ``camera.pose.time_s``, s
     log_times: Array  # (n,): Times on the camera's own clock, s

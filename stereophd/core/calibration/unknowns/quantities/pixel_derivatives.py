@@ -43,7 +43,7 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
             points = product(turns, points)
     axes = pose.rotation[None] if turns is None else turns @ pose.rotation
     focal, lens = np.array([camera.fx, camera.fy]), camera.lens
-    visible, undistorted, distorted, by_point, by_world = project(
+    ahead, visible, undistorted, distorted, by_point, by_world = project(
         points, axes, focal, lens.code, lens.coefficients, lens.max_radius
     )
     pixels = distorted * focal + [camera.cx, camera.cy]
@@ -51,8 +51,8 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
     if turns is not None:
         motion += np.einsum("nij,nj->ni", by_point, np.cross(points, camera_rate))
     return CameraView(
-        camera, visible, elapsed, log_times, rows, points, turns, undistorted, distorted, by_point, by_world, motion,
-        pixels,
+        camera, ahead, visible, elapsed, log_times, rows, points, turns, undistorted, distorted, by_point, by_world,
+        motion, pixels,
     )  # fmt: skip
 
 
@@ -82,15 +82,16 @@ def _imaged(
 @compiled
 def project(
     points: Array, axes: Array, focal: Array, code: int, coefficients: Array, max_radius: float
-) -> tuple[Booleans, Array, Array, Array, Array]:
-    """Return `visible`, `undistorted`, `distorted`, `by_point` and `by_world` of a `CameraView` of points (n, 3).
+) -> tuple[Booleans, Booleans, Array, Array, Array, Array]:
+    """Return the fields of a `CameraView` of points (n, 3) from `ahead` to `by_world` that depend on the lens.
 
     `axes` (1, 3, 3) or (n, 3, 3) turn the world into the camera's axes; `focal` (2,) are in px. What lies beyond the
     `max_radius` of a lens is imaged as if on it, where the model folds back. Were it out of view, its detections would
     not let the lens become one that folds back sooner.
     """
     count = len(points)
-    visible, undistorted, distorted = np.empty(count, dtype=np.bool_), np.empty((count, 2)), np.empty((count, 2))
+    ahead, visible = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
+    undistorted, distorted = np.empty((count, 2)), np.empty((count, 2))
     by_point, by_world = np.empty((count, 2, 3)), np.empty((count, 2, 3))
     for n in range(count):
         turn = axes[n if axes.shape[0] > 1 else 0]
@@ -99,7 +100,7 @@ def project(
         x, y = points[n, 0] * inverse, points[n, 1] * inverse
         share, x_d, y_d, j00, j01, j10, j11 = _imaged(code, coefficients, max_radius, x, y)
         undistorted[n, 0], undistorted[n, 1] = share * x, share * y
-        visible[n] = seen
+        ahead[n], visible[n] = seen, seen and share == 1.0
         distorted[n, 0], distorted[n, 1] = x_d, y_d
         for i in range(2):
             by_x, by_y = (j00, j01) if i == 0 else (j10, j11)
@@ -110,22 +111,22 @@ def project(
             by_point[n, i, 0], by_point[n, i, 1], by_point[n, i, 2] = by_x, by_y, by_z
             for a in range(3):
                 by_world[n, i, a] = by_x * turn[0, a] + by_y * turn[1, a] + by_z * turn[2, a]
-    return visible, undistorted, distorted, by_point, by_world
+    return ahead, visible, undistorted, distorted, by_point, by_world
 
 
 def bent(view: CameraView, pulls: Array) -> Array:
     """Second derivatives (n, 3, 3) of the raw pixels by the point in the world, summed with weights (n, 2)."""
     axes = view.camera.pose.rotation[None] if view.turns is None else view.turns @ view.camera.pose.rotation
     lens, pulls = view.camera.lens, pulls * [view.camera.fx, view.camera.fy]
-    by_point = _bends(view.points, view.visible, pulls, lens.code, lens.coefficients, lens.max_radius)
+    by_point = _bends(view.points, view.ahead, pulls, lens.code, lens.coefficients, lens.max_radius)
     return np.asarray(axes.swapaxes(1, 2) @ by_point @ axes)
 
 
 @compiled
-def _bends(points: Array, visible: Booleans, pulls: Array, code: int, lens: Array, max_radius: float) -> Array:
+def _bends(points: Array, ahead: Booleans, pulls: Array, code: int, lens: Array, max_radius: float) -> Array:
     """`bent` by the points in the camera's axes, of normalised coordinates; those of the lens are differences."""
     out = np.zeros((len(points), 3, 3))
-    for n in np.flatnonzero(visible):
+    for n in np.flatnonzero(ahead):
         i = 1.0 / points[n, 2]
         x, y, p, q = points[n, 0] * i, points[n, 1] * i, pulls[n, 0], pulls[n, 1]
         a, b, xx, xy, yy = p, q, 0.0, 0.0, 0.0
