@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import LinAlgError, cholesky_banded
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
@@ -21,10 +24,25 @@ from stereophd.core.calibration.adjustment.trajectories import (
     slopes,
 )
 from stereophd.core.calibration.unknowns.parameters import taken
-from stereophd.core.calibration.unknowns.quantities.base import TIMES
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.calibration.unknowns.quantities.base import TIMES, CameraView
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import bent, look
 from stereophd.core.calibration.unknowns.scale import log_scale, predicted
 from stereophd.core.geometry.camera import Camera
+
+# Relative weight on the diagonal that keeps the factorisation of nearly singular knots from failing.
+ROUNDING = 1e-13
+# Knots of less information are held: far from all their detections, the weights of a robust loss underflow.
+LEAST_INFORMATION = 1e-200
+
+
+def factor_knots(bands: Array, damping: float = 0.0) -> Array:
+    """Cholesky factor of the matrix of the knots, both lower banded (12, 6 k), its diagonal damped.
+
+    Unknowns without any weight are held. Raises LinAlgError when the damped matrix is not positive definite.
+    """
+    bands = bands.copy()
+    bands[0] = np.where(bands[0] > LEAST_INFORMATION, bands[0] * (1.0 + damping + ROUNDING), 1.0)
+    return np.asarray(cholesky_banded(bands, overwrite_ab=True, lower=True, check_finite=False))
 
 
 class NoiseEquations(NamedTuple):
@@ -208,26 +226,56 @@ class Linearisation:
         count = len(observations)
         errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
         by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
-        for camera, here in zip(placement.cameras, self.members, strict=True):
-            view = look(
-                camera, world[here], velocities[here], placement.times[here], observations.log_times[here],
-                observations.rows[here],
-            )  # fmt: skip
-            errors[here], visible[here] = observations.points[here] - view.pixels, view.visible
+        for here, view in self._views(placement, world, velocities):
+            errors[here], visible[here] = observations.points[here] - view.pixels, view.ahead
             by_point[here] = view.by_world
-            unknown = parameters.unknown(camera.name) if by_values else ()
+            unknown = parameters.unknown(view.camera.name) if by_values else ()
             parts = [quantity.derivative(view, taken(values, index))[:, :, index >= 0] for quantity, index in unknown]
             if parts:
                 by_camera = np.concatenate(parts, axis=2)
                 by_value[here, :, : by_camera.shape[2]] = by_camera
         return errors, visible, by_point, by_value
 
+    def _views(self, placement: Placement, world: Array, velocities: Array) -> Iterator[tuple[Integers, CameraView]]:
+        """Observations of each camera, and its view on their points."""
+        times, seen = placement.times, self.problem.observations
+        for camera, here in zip(placement.cameras, self.members, strict=True):
+            at = times[here], seen.log_times[here], seen.rows[here]
+            yield here, look(camera, world[here], velocities[here], *at)
+
+    def factor_of_knots(self, states: Array, placement: Placement, bands: Array) -> Array:
+        """Cholesky factor (12, size) of the second derivatives of the cost by the knots, where there is no loss.
+
+        To their matrix in the normal equations, `bands`, those of the pixels are added: what one camera alone sees
+        lies in valleys that the normal equations do not tell. Those are taken where the sum is not positive definite.
+        """
+        curved, bends = bands.copy(), self.bends(placement, positions(states, *placement.path))
+        normal_equations.add_points(placement.path.knot, placement.path.weights, bends, curved)
+        with suppress(LinAlgError):
+            return factor_knots(curved)
+        return factor_knots(bands)
+
+    @property
+    def precisions(self) -> Array:
+        """Precisions (n, 2, 2) of the detections, times what each counts."""
+        precisions, weights = self.problem.observations.precisions, self.problem.observations.weights
+        return precisions if weights is None else weights[:, None, None] * precisions
+
+    def bends(self, placement: Placement, world: Array, pulls: Array | None = None) -> Array:
+        """Second derivatives (n, 3, 3) of the pixels by their points (n, 3), summed with weights (n, 2).
+
+        By default those are the ones of the cost: the weighted errors.
+        """
+        out, precisions = np.empty((len(world), 3, 3)), self.precisions
+        for here, view in self._views(placement, world, np.zeros_like(world)):
+            errors = view.pixels - self.problem.observations.points[here]
+            out[here] = bent(view, (precisions[here] @ errors[:, :, None])[:, :, 0] if pulls is None else pulls[here])
+        return out
+
     def pulled(self, values: Array, states: Array) -> tuple[Array, Array]:
         """Return how the errors of detections pull at the values of their cameras (n, q) and at their points (n, 3)."""
-        observations = self.problem.observations
         _, errors, visible, by_point, by_value = self.residuals(values, states)
-        counted = np.ones(len(observations)) if observations.weights is None else observations.weights
-        pulls = np.einsum("n,nij,nj->ni", visible * counted, observations.precisions, errors)
+        pulls = np.einsum("n,nij,nj->ni", visible, self.precisions, errors)
         by_value, by_point = (np.where(visible[:, None, None], by, 0.0) for by in (by_value, by_point))
         return np.einsum("nrq,nr->nq", by_value, pulls), np.einsum("nra,nr->na", by_point, pulls)
 

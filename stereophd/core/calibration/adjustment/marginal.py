@@ -74,7 +74,7 @@ from stereophd.core.calibration.adjustment.solver import (
     settled_knots,
     within_prior,
 )
-from stereophd.core.calibration.adjustment.trajectories import STATED, banded_product
+from stereophd.core.calibration.adjustment.trajectories import OF_ALL, STATED, positions
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.time_limit import within
 from stereophd.core.calibration.unknowns.scale import log_scale
@@ -103,9 +103,6 @@ DIFFERENCE = 0.1
 # Directions of the posterior beyond this part of the prior are loose. Draws of these, beside which the bend of the
 # others is looked at.
 LOOSE, BENDS = 0.1, 12
-# Step of differences by the knots, in standard deviations of all together; part of the residual at which equations of
-# their second derivatives are solved, and most products with these.
-KNOT_DIFFERENCE, KNOTS_SOLVED, MOST_PRODUCTS = 0.1, 1e-3, 12
 
 
 @dataclass(frozen=True)
@@ -285,68 +282,35 @@ class MarginalPosterior:
     def gradient(self, at: Point) -> Array:
         """Gradient (size,) of the objective."""
         linearisation, equations = self.linearisation, at.equations
-        problem, (values, _) = linearisation.problem, self.parted(at.unknowns)
+        problem, (values, noise) = linearisation.problem, self.parted(at.unknowns)
         slopes = self.slopes(at)
-        _, by_scale = log_scale(problem.parameters, problem.reference, values)
-        by_noise = slopes.by_noise.sum(axis=0)
-        direct = linearisation.of_values(slopes.by_value) + (6.0 * self.links + float(by_noise[0])) * by_scale
-        by_noise[0] += 6.0 * self.links
-        direct = np.append(direct, by_noise[: self.size - len(values)])
-        by_states = linearisation.of_states(slopes.path, slopes.by_point) + self._first_states(at.states)[1]
-        across = self._knots_against(at, by_states)
-        step = _short(equations.bands, across)
-        moved = step * across.reshape(at.states.shape)
-        ahead, behind = (self._pulls(at.unknowns, at.states + sign * moved) for sign in (1.0, -1.0))
+        path, rates = slopes.placement.path, slopes.placement.rates
+        by_states = linearisation.of_states(path, slopes.by_point) + self._first_states(at.states)[1]
+        curved = linearisation.factor_of_knots(at.states, slopes.placement, equations.bands)
+        across = cho_solve_banded((curved, True), by_states, check_finite=False).reshape(at.states.shape)
+        # knots that follow move points and velocities, and with them what the errors pull at the values with
+        moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(slopes.world)) for i in (path, rates))
+        _, errors, visible, by_point, _ = linearisation.residuals(values, at.states, slopes.placement, by_values=False)
+        pulls = np.where(visible[:, None], (linearisation.precisions @ errors[:, :, None])[:, :, 0], 0.0)
+        later = (pulls * (by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
+        by_value = slopes.by_value(linearisation, pulls[:, :, None] * moved[:, None, :], later)
+        products = linearisation.motion.pulls(at.states)[0].T @ across.reshape(-1, 3)
+        by_products = linearisation.noise_at(values, noise).by_unknowns(products + products.T)
+        of_noise = slopes.by_noise.sum(axis=0) - by_products + 6.0 * self.links * OF_ALL
         # the knots are at the minimum but for a trace, whose effect is removed to first order
         left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
-        followed = (ahead - behind) / (2.0 * step)
-        return np.asarray(direct + followed + equations.coupling.T @ left - equations.value_vector)
-
-    def _pulls(self, unknowns: Array, states: Array) -> Array:
-        """Return the part of the vector (size,) of the unknowns in the normal equations that knots change."""
-        linearisation, (values, noise) = self.linearisation, self.parted(unknowns)
-        problem = linearisation.problem
+        by_knots = equations.coupling.T @ left - equations.value_vector
+        coupled = equations.coupling[:, : len(values)].T @ across.ravel()
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
-        by_noise = -linearisation.noise_at(values, noise).by_unknowns(linearisation.motion.pulls(states)[1])
-        of_values = linearisation.of_values(linearisation.pulled(values, states)[0]) + by_noise[0] * by_scale
-        return np.append(of_values, by_noise[: self.size - len(values)])
+        if self.size > len(values):  # the motion is coupled to the scale by its noise
+            coupled -= by_scale * float(equations.coupling[:, len(values)] @ across.ravel())
+        direct = linearisation.of_values(by_value) + float(of_noise[0]) * by_scale - coupled
+        return np.append(direct, of_noise[: self.size - len(values)]) + by_knots
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
         values, noise = self.parted(at.unknowns)
         return VolumeSlopes.of(self.linearisation, values, at.states, noise, at.factor)
-
-    def _knots_against(self, at: Point, right: Array) -> Array:
-        """Solve H x = right (6 k,) with the second derivatives H of the cost by the knots, second ones of pixels too.
-
-        Conjugate gradients with the matrix A of the normal equations as preconditioner, which lacks those.
-        """
-        values, noise = self.parted(at.unknowns)
-        placement = self.linearisation.placed(values, by_values=False)
-
-        def product(direction: Array) -> Array:
-            step = _short(at.equations.bands, direction)
-            moved = step * direction.reshape(at.states.shape)
-            ahead, behind = (
-                self.linearisation.of_knots(values, at.states + sign * moved, noise, placement)[2]
-                for sign in (1.0, -1.0)
-            )
-            return np.asarray((behind - ahead) / (2.0 * step))
-
-        out, residual = np.zeros_like(right), right
-        scaled = cho_solve_banded((at.factor, True), residual, check_finite=False)
-        direction, energy = scaled, float(residual @ scaled)
-        enough = KNOTS_SOLVED**2 * energy
-        for _ in range(MOST_PRODUCTS):
-            image = product(direction)
-            if energy <= enough or float(direction @ image) <= 0.0:
-                break
-            share = energy / float(direction @ image)
-            out, residual = out + share * direction, residual - share * image
-            scaled = cho_solve_banded((at.factor, True), residual, check_finite=False)
-            before, energy = energy, float(residual @ scaled)
-            direction = scaled + energy / before * direction
-        return out
 
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point.
@@ -392,12 +356,6 @@ def _differences(
     share, points = DIFFERENCE * found[0], found[1]
     one, other = (posterior.gradient(point) for point in points)
     return (one - other) / (2.0 * share), ((one + other) / 2.0 - gradient) / share**2
-
-
-def _short(bands: Array, direction: Array) -> float:
-    """Share of a direction of the knots (6 k,) that moves them by `KNOT_DIFFERENCE`."""
-    # knots far away have next to no information, so that rounding may make the square negative
-    return KNOT_DIFFERENCE / max(float(np.sqrt(abs(direction @ banded_product(bands, direction)))), 1e-300)
 
 
 def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:

@@ -46,6 +46,23 @@ def substitute_back(factor: Array, right: Array) -> None:
 
 
 @compiled
+def add_points(knots: Integers, weights: Array, matrices: Array, bands: Array) -> None:
+    """Add matrices (n, 3, 3) of points that knots interpolate with weights (n, 4) to that of the knots (12, 6 k)."""
+    for n in range(len(knots)):
+        start = 6 * knots[n]
+        for b in range(4):
+            for b2 in range(b + 1):
+                weight = weights[n, b] * weights[n, b2]
+                if weight == 0.0:
+                    continue
+                for a in range(3):
+                    for a2 in range(3):
+                        row, column = start + 3 * b + a, start + 3 * b2 + a2
+                        if column <= row:
+                            bands[row - column, column] += weight * matrices[n, a, a2]
+
+
+@compiled
 def accumulate(
     cameras: Integers,
     errors: Array,

@@ -25,27 +25,24 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded, cholesky_banded
+from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded
 
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.adjustment import normal_equations
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, factor_knots
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.trajectories import STATED
 from stereophd.core.calibration.time_limit import within
 
-# Most steps of the knots at given values, and the fall of the cost that is left; most of them that follow a step.
-KNOT_STEPS, KNOTS_SETTLED, FOLLOWING_STEPS = 15, 1e-8, 3
+# Most steps of the knots at given values, and the fall of the cost that is left; most of them that follow a step. Steps
+# that promise less than a standard deviation know the second derivatives of the pixels, which mislead from afar.
+KNOT_STEPS, KNOTS_SETTLED, FOLLOWING_STEPS, KNOTS_NEAR = 15, 1e-8, 3, 1.0
 # A step is halved, down to the least share of it, until the cost falls. The next one may be as long as what was taken,
 # and longer by this factor where that was the whole.
 LEAST_SHARE, LONGER = 1.0 / 64.0, 2.0
 # Marquardt's damping of the first steps, and of equations that are singular: where it starts, its factor, and where it
 # gives up.
 FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10
-# Relative weight on the diagonal that keeps the factorisation of nearly singular knots from failing.
-ROUNDING = 1e-13
-# Knots of less information are held: far from all their detections, the weights of a robust loss underflow.
-LEAST_INFORMATION = 1e-200
 
 
 @dataclass(frozen=True)
@@ -58,16 +55,6 @@ class Adjustment:
     cost: float  # Twice the negative logarithm of the posterior density, without its constant
     distances: Array  # (n,): Squared Mahalanobis distances of the detections
     converged: bool
-
-
-def factor_knots(bands: Array, damping: float = 0.0) -> Array:
-    """Cholesky factor of the matrix of the knots, both lower banded (12, 6 k), its diagonal damped.
-
-    Unknowns without any weight are held. Raises LinAlgError when the damped matrix is not positive definite.
-    """
-    bands = bands.copy()
-    bands[0] = np.where(bands[0] > LEAST_INFORMATION, bands[0] * (1.0 + damping + ROUNDING), 1.0)
-    return np.asarray(cholesky_banded(bands, overwrite_ab=True, lower=True, check_finite=False))
 
 
 @dataclass(frozen=True)
@@ -135,7 +122,7 @@ def settled_knots(
     most: int = KNOT_STEPS,
     settled: float = KNOTS_SETTLED,
 ) -> Array:
-    """Minimise the cost by the knots (k, 2, 3) alone, until it would fall by no more than `settled`.
+    """Minimise the cost by the knots (k, 2, 3) alone, until it would fall by no more than `settled`; no loss counts.
 
     Raises LinAlgError when the matrix of the knots is not positive definite, or the cost is not finite.
     """
@@ -145,8 +132,10 @@ def settled_knots(
         if not np.isfinite(cost):
             raise LinAlgError("the cost is not finite")
         step = cho_solve_banded((factor_knots(bands), True), vector, check_finite=False)
-        if float(vector @ step) <= settled:
+        if (promised := float(vector @ step)) <= settled:
             break
+        if promised <= KNOTS_NEAR:
+            step = cho_solve_banded((linearisation.factor_of_knots(states, placement, bands), True), vector)
         share = 1.0
         while share >= LEAST_SHARE:
             moved = states + share * step.reshape(states.shape)

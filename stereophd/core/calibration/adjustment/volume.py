@@ -1,10 +1,10 @@
 """How the volume of the trajectories, half of log det A, changes with values and points, detection by detection.
 
 With the covariance S of the point of a detection, of weight w, precision P and derivative J by the point, a change of
-A by any of its unknowns changes the volume by w tr(S J^T P dJ). The second derivatives of the pixel that this needs
-are differences of first ones, along the two rows of K = P J S: dJ by a value is the change by the point of the
-derivative by the value. A later time of a detection also moves the weights of its knots, from those of the position to
-those of the velocity. The covariances are those parts of the inverse of A that lie within its band (K. Takahashi,
+A by any of its unknowns changes the volume by w tr(S J^T P dJ). The second derivatives of the pixel by a value that
+this needs are differences of first ones, along the two rows of K = w P J S: dJ by a value is the change by the point of
+the derivative by the value. A later time of a detection also moves the weights of its knots, from those of the position
+to those of the velocity. The covariances are those parts of the inverse of A that lie within its band (K. Takahashi,
 J. Fagan and M.-S. Chin, "Formation of a sparse bus impedance matrix", 1973).
 """
 
@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.trajectories import Interpolation, motion_links, positions
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, Placement
+from stereophd.core.calibration.adjustment.trajectories import motion_links, positions
 from stereophd.core.numerics.compilation.compiled import compiled
 
-# Step of the differences, in pixels.
-STEP_PX = 0.1
+# Step of the differences, in pixels: to one side, so that they are wrong by this part of the focal length.
+STEP_PX = 1e-4
 # Stands for a norm of 0, of what is not seen; its inverse squared is a number.
 LEAST_NORM = 1e-150
 
@@ -58,18 +58,20 @@ def summed_covariances(inverse: Array, knots: Integers, weights: Array, out: Arr
 
 @dataclass(frozen=True)
 class VolumeSlopes:
-    """Derivatives of half of log det A, its parts summing up to the whole."""
+    """Derivatives of half of log det A at some values, its parts summing up to the whole."""
 
-    path: Interpolation
-    by_value: Array  # (n, q): by the values of the camera of each detection
+    values: Array
+    placement: Placement
+    world: Array  # (n, 3): the points of the detections
+    velocities: Array  # (n, 3)
+    rows: Array  # (n, 2, 3): by the derivatives of the pixels of each detection by its point
     by_point: Array  # (n, 3): by the point of each detection
+    by_time: Array  # (n,): by its time, through the weights of its knots
     by_noise: Array  # (l, 6): of each link, by the unknowns of the noise of the motion
 
     @staticmethod
     def of(linearisation: Linearisation, values: Array, states: Array, noise: Array, factor: Array) -> VolumeSlopes:
         """Return the derivatives at values (m,) and knots (k, 2, 3); `factor` (12, 6 k) is that of A, lower banded."""
-        problem = linearisation.problem
-        observations = problem.observations
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
         placement = linearisation.placed(values)
@@ -77,30 +79,34 @@ class VolumeSlopes:
         world, velocities = positions(states, *path), positions(states, *rates)
         _, visible, by_point, _ = linearisation.seen(placement, values, world, velocities, by_values=False)
         by_point = np.where(visible[:, None, None], by_point, 0.0)
-        precisions = observations.precisions
-        if observations.weights is not None:
-            precisions = observations.weights[:, None, None] * precisions
-        count = len(observations)
-        spread = np.zeros((2, count, 3, 3))
+        spread = np.zeros((2, len(world), 3, 3))
         for of_points, weights in zip(spread, (path.weights, rates.weights), strict=True):
             summed_covariances(inverse, path.knot, path.weights[:, :, None] * weights[:, None, :], of_points)
-        rows = precisions @ by_point @ spread[0]
-        of_value, of_point = np.zeros((count, linearisation.columns.shape[1])), np.zeros((count, 3))
-        for r in (0, 1):
-            size = np.linalg.norm(rows[:, r], axis=1)
-            steps = STEP_PX / np.maximum(np.linalg.norm(by_point, axis=(1, 2)), LEAST_NORM)
-            moved = rows[:, r] * (steps / np.maximum(size, LEAST_NORM))[:, None]
-            (_, seen_after, point_after, value_after), (_, seen_before, point_before, value_before) = (
-                linearisation.seen(placement, values, world + sign * moved, velocities) for sign in (1.0, -1.0)
-            )
-            told = visible & seen_after & seen_before
-            scale = (size / (2.0 * steps))[told, None]
-            of_value[told] += scale * (value_after - value_before)[told, r]
-            of_point[told] += scale * (point_after - point_before)[told, r]
-        by_time = np.einsum("nri,nrs,nsj,nij->n", by_point, precisions, by_point, spread[1])
-        of_value += by_time[:, None] * linearisation.time_slopes(values)
-        links = motion_links(problem.knots)
+        weighted = linearisation.precisions @ by_point
+        rows = weighted @ spread[0]
+        by_time = (by_point * (weighted @ spread[1].swapaxes(1, 2))).sum(axis=(1, 2))
+        of_point = np.zeros_like(world)
+        for r, only in enumerate(np.eye(2)):
+            bends = linearisation.bends(placement, world, np.broadcast_to(only, (len(world), 2)))
+            of_point += (bends @ rows[:, r, :, None])[:, :, 0]
+        links = motion_links(linearisation.problem.knots)
         covariances = np.zeros((len(links.knot), 3, 3))
         summed_covariances(inverse, links.knot, links.precisions, covariances)
-        moved_by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
-        return VolumeSlopes(path, of_value, of_point, moved_by_noise)
+        by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
+        return VolumeSlopes(values, placement, world, velocities, rows, of_point, by_time, by_noise)
+
+    def by_value(self, linearisation: Linearisation, more: Array | float = 0.0, later: Array | float = 0.0) -> Array:
+        """Return derivatives (n, q) by the values of the camera of each detection.
+
+        `more` (n, 2, 3) and `later` (n,) add to those by the derivatives of the pixels and by the times.
+        """
+        at = self.placement, self.values
+        _, visible, by_point, before = linearisation.seen(*at, self.world, self.velocities)
+        rows, out = self.rows + more, (self.by_time + later)[:, None] * linearisation.time_slopes(self.values)
+        steps = STEP_PX / np.maximum(np.linalg.norm(by_point, axis=(1, 2)), LEAST_NORM)
+        for r in (0, 1):
+            size = np.linalg.norm(rows[:, r], axis=1)
+            moved = rows[:, r] * (steps / np.maximum(size, LEAST_NORM))[:, None]
+            _, seen_after, _, after = linearisation.seen(*at, self.world + moved, self.velocities)
+            out += np.where(visible & seen_after, size / steps, 0.0)[:, None] * (after - before)[:, r]
+        return out

@@ -1,13 +1,14 @@
 """Every calibration quantity: apply and difference, commuting values, derivatives for every lens model, entries."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from stereophd.config.calibration import CameraPrior
 from stereophd.core.calibration.unknowns.quantities.base import TIMES, Quantity
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import bent, look
 from stereophd.core.calibration.unknowns.quantities.registry import component_names, quantities, quantity_of
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
@@ -88,6 +89,37 @@ def test_the_order_of_quantities_does_not_matter(mounted: bool) -> None:
         back = one.apply(other.apply(camera, second), first)
         for quantity in quantities():
             np.testing.assert_allclose(quantity.difference(there, back), 0.0, atol=1e-10)
+
+
+@pytest.mark.parametrize("lens", LENSES)
+@pytest.mark.parametrize("moving", [False, True])
+def test_second_derivatives_by_the_point_are_those_of_first_ones(lens: str, moving: bool) -> None:
+    camera, rng = make_camera(lens, moving), np.random.default_rng(5)
+    count, step = 20, 1e-5
+    # some of the points lie beyond the radius at which a lens folds back
+    ahead = np.column_stack([rng.uniform(-9.0, 9.0, (count, 2)), rng.uniform(2.0, 9.0, count)])
+    world, pulls, when = camera.pose.to_world(ahead), rng.standard_normal((count, 2)), np.full(count, 3.0)
+
+    def slopes(points: np.ndarray) -> np.ndarray:
+        return np.einsum("nr,nra->na", pulls, look(camera, points, 0.0 * points, when, when, when).by_world)
+
+    numeric = np.stack([(slopes(world + step * e) - slopes(world - step * e)) / (2.0 * step) for e in np.eye(3)], 1)
+    found = bent(look(camera, world, 0.0 * world, when, when, when), pulls)
+    np.testing.assert_allclose(found, numeric, atol=1e-5 * np.abs(numeric).max())
+
+
+def test_what_lies_beyond_the_edge_of_a_lens_is_imaged_on_it() -> None:
+    """The pixel goes on without a jump; it moves about the axis alone."""
+    camera = replace(make_camera("radial", moving=False), pose=Pose(np.eye(3), np.zeros(3)))
+    edge = camera.lens.max_radius
+    ahead = np.array([[share * edge * 0.6, share * edge * 0.8, 1.0] for share in (1.0 - 1e-9, 1.0 + 1e-9, 1.5)])
+    nothing = np.zeros(3)
+    view = look(camera, ahead, 0.0 * ahead, nothing, nothing, nothing)
+    assert view.ahead.all()
+    np.testing.assert_array_equal(view.visible, [True, False, False])
+    np.testing.assert_allclose(view.pixels, view.pixels[[0, 0, 0]], atol=1e-5)
+    moved = np.einsum("nra,na->nr", view.by_world, ahead * [1.0, 1.0, 0.0])
+    np.testing.assert_allclose(moved, 0.0, atol=1e-4)
 
 
 @pytest.mark.parametrize(

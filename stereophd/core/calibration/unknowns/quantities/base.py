@@ -40,8 +40,9 @@ class CameraView:
     """The view of one camera on n points of trajectories at the times of its detections."""
 
     camera: Camera  # At the current values
-    # (n,) of bool: Whether the point lies before the camera and within the lens's `max_radius`; other rows are
-    # meaningless.
+    # `ahead`, `visible`: arrays (n,) of bool: Whether the point lies before the camera (other rows are meaningless),
+    # and within the lens's `max_radius` too.
+    ahead: NDArray[np.bool_]
     visible: NDArray[np.bool_]
     elapsed: Array  # (n,): Time since ``camera.pose.time_s``, s
     log_times: Array  # (n,): Times on the camera's own clock, s
@@ -49,7 +50,8 @@ class CameraView:
     points: Array  # (n, 3): The points in the camera's axes at those times, length
     # (n, 3, 3) or None: Turn of a moving camera since ``camera.pose.time_s``; None of a camera that does not turn.
     turns: Array | None
-    # `undistorted`, `distorted`: arrays (n, 2): Normalised image coordinates before and after the lens.
+    # `undistorted`, `distorted`: arrays (n, 2): Normalised image coordinates before and after the lens, both of a
+    # point within the lens's `max_radius`.
     undistorted: Array
     distorted: Array
     # `by_point`, `by_world`: arrays (n, 2, 3): Derivative of the raw pixel with respect to the point in the camera's

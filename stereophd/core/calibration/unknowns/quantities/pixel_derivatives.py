@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans
@@ -11,6 +13,9 @@ from stereophd.core.geometry.compiled_lenses import distort_point_jacobian
 from stereophd.core.geometry.layout import LENS_NONE
 from stereophd.core.geometry.rotations import rotations
 from stereophd.core.numerics.compilation.compiled import compiled
+
+# Step of differences of a lens's derivatives, in normalised coordinates.
+LENS_STEP = 1e-4
 
 
 def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:
@@ -38,7 +43,7 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
             points = product(turns, points)
     axes = pose.rotation[None] if turns is None else turns @ pose.rotation
     focal, lens = np.array([camera.fx, camera.fy]), camera.lens
-    visible, undistorted, distorted, by_point, by_world = project(
+    ahead, visible, undistorted, distorted, by_point, by_world = project(
         points, axes, focal, lens.code, lens.coefficients, lens.max_radius
     )
     pixels = distorted * focal + [camera.cx, camera.cy]
@@ -46,8 +51,8 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
     if turns is not None:
         motion += np.einsum("nij,nj->ni", by_point, np.cross(points, camera_rate))
     return CameraView(
-        camera, visible, elapsed, log_times, rows, points, turns, undistorted, distorted, by_point, by_world, motion,
-        pixels,
+        camera, ahead, visible, elapsed, log_times, rows, points, turns, undistorted, distorted, by_point, by_world,
+        motion, pixels,
     )  # fmt: skip
 
 
@@ -58,29 +63,44 @@ def product(matrices: Array, vectors: Array) -> Array:
 
 
 @compiled
+def _imaged(
+    code: int, coefficients: Array, max_radius: float, x: float, y: float
+) -> tuple[float, float, float, float, float, float, float]:
+    """Distort a point as `distort_point_jacobian`, or the one on `max_radius` before it, this part of it."""
+    if code == LENS_NONE:
+        return 1.0, x, y, 1.0, 0.0, 0.0, 1.0
+    radius = math.hypot(x, y)
+    share = 1.0 if radius <= max_radius else max_radius / radius
+    x_d, y_d, j00, j01, j10, j11 = distort_point_jacobian(code, coefficients, share * x, share * y)
+    if share < 1.0:  # only turns about the axis move it
+        u, v = x / radius, y / radius
+        turned_0, turned_1 = share * (j01 * u - j00 * v), share * (j11 * u - j10 * v)
+        j00, j01, j10, j11 = -turned_0 * v, turned_0 * u, -turned_1 * v, turned_1 * u
+    return share, x_d, y_d, j00, j01, j10, j11
+
+
+@compiled
 def project(
     points: Array, axes: Array, focal: Array, code: int, coefficients: Array, max_radius: float
-) -> tuple[Booleans, Array, Array, Array, Array]:
-    """Return `visible`, `undistorted`, `distorted`, `by_point` and `by_world` of a `CameraView` of points (n, 3).
+) -> tuple[Booleans, Booleans, Array, Array, Array, Array]:
+    """Return the fields of a `CameraView` of points (n, 3) from `ahead` to `by_world` that depend on the lens.
 
-    `axes` (1, 3, 3) or (n, 3, 3) turn the world into the camera's axes; `focal` (2,) are in px.
+    `axes` (1, 3, 3) or (n, 3, 3) turn the world into the camera's axes; `focal` (2,) are in px. What lies beyond the
+    `max_radius` of a lens is imaged as if on it, where the model folds back. Were it out of view, its detections would
+    not let the lens become one that folds back sooner.
     """
     count = len(points)
-    visible, undistorted, distorted = np.empty(count, dtype=np.bool_), np.empty((count, 2)), np.empty((count, 2))
+    ahead, visible = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
+    undistorted, distorted = np.empty((count, 2)), np.empty((count, 2))
     by_point, by_world = np.empty((count, 2, 3)), np.empty((count, 2, 3))
     for n in range(count):
         turn = axes[n if axes.shape[0] > 1 else 0]
         seen = points[n, 2] > 0.0
         inverse = 1.0 / points[n, 2] if seen else 1.0
         x, y = points[n, 0] * inverse, points[n, 1] * inverse
-        undistorted[n, 0], undistorted[n, 1] = x, y
-        x_d, y_d, j00, j01, j10, j11 = x, y, 1.0, 0.0, 0.0, 1.0
-        if code != LENS_NONE:
-            seen = seen and x * x + y * y <= max_radius * max_radius
-            x_d, y_d, j00, j01, j10, j11 = distort_point_jacobian(
-                code, coefficients, x if seen else 0.0, y if seen else 0.0
-            )
-        visible[n] = seen
+        share, x_d, y_d, j00, j01, j10, j11 = _imaged(code, coefficients, max_radius, x, y)
+        undistorted[n, 0], undistorted[n, 1] = share * x, share * y
+        ahead[n], visible[n] = seen, seen and share == 1.0
         distorted[n, 0], distorted[n, 1] = x_d, y_d
         for i in range(2):
             by_x, by_y = (j00, j01) if i == 0 else (j10, j11)
@@ -91,7 +111,41 @@ def project(
             by_point[n, i, 0], by_point[n, i, 1], by_point[n, i, 2] = by_x, by_y, by_z
             for a in range(3):
                 by_world[n, i, a] = by_x * turn[0, a] + by_y * turn[1, a] + by_z * turn[2, a]
-    return visible, undistorted, distorted, by_point, by_world
+    return ahead, visible, undistorted, distorted, by_point, by_world
+
+
+def bent(view: CameraView, pulls: Array) -> Array:
+    """Second derivatives (n, 3, 3) of the raw pixels by the point in the world, summed with weights (n, 2)."""
+    axes = view.camera.pose.rotation[None] if view.turns is None else view.turns @ view.camera.pose.rotation
+    lens, pulls = view.camera.lens, pulls * [view.camera.fx, view.camera.fy]
+    by_point = _bends(view.points, view.ahead, pulls, lens.code, lens.coefficients, lens.max_radius)
+    return np.asarray(axes.swapaxes(1, 2) @ by_point @ axes)
+
+
+@compiled
+def _bends(points: Array, ahead: Booleans, pulls: Array, code: int, lens: Array, max_radius: float) -> Array:
+    """`bent` by the points in the camera's axes, of normalised coordinates; those of the lens are differences."""
+    out = np.zeros((len(points), 3, 3))
+    for n in np.flatnonzero(ahead):
+        i = 1.0 / points[n, 2]
+        x, y, p, q = points[n, 0] * i, points[n, 1] * i, pulls[n, 0], pulls[n, 1]
+        a, b, xx, xy, yy = p, q, 0.0, 0.0, 0.0
+        if code != LENS_NONE:
+            _, _, _, j00, j01, j10, j11 = _imaged(code, lens, max_radius, x, y)
+            _, _, _, r00, r01, r10, r11 = _imaged(code, lens, max_radius, x + LENS_STEP, y)
+            _, _, _, l00, l01, l10, l11 = _imaged(code, lens, max_radius, x - LENS_STEP, y)
+            _, _, _, _, d01, _, d11 = _imaged(code, lens, max_radius, x, y + LENS_STEP)
+            _, _, _, _, u01, _, u11 = _imaged(code, lens, max_radius, x, y - LENS_STEP)
+            a, b, half = p * j00 + q * j10, p * j01 + q * j11, 0.5 / LENS_STEP
+            xx, xy = half * (p * (r00 - l00) + q * (r10 - l10)), half * (p * (r01 - l01) + q * (r11 - l11))
+            yy = half * (p * (d01 - u01) + q * (d11 - u11))
+        s = i * i
+        out[n, 0, 0], out[n, 0, 1], out[n, 1, 1] = s * xx, s * xy, s * yy
+        out[n, 0, 2] = -s * (x * xx + y * xy + a)
+        out[n, 1, 2] = -s * (x * xy + y * yy + b)
+        out[n, 2, 2] = s * (x * x * xx + 2.0 * x * y * xy + y * y * yy + 2.0 * (a * x + b * y))
+        out[n, 1, 0], out[n, 2, 0], out[n, 2, 1] = out[n, 0, 1], out[n, 0, 2], out[n, 1, 2]
+    return out
 
 
 def turned(view: CameraView, axes: Array) -> Array:
