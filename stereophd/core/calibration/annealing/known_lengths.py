@@ -22,8 +22,8 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
-from stereophd.core.calibration.adjustment.solver import Eliminated, factor_knots
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, factor_knots
+from stereophd.core.calibration.adjustment.solver import Eliminated
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.fits import problem_of
 from stereophd.core.calibration.annealing.known_scale import (
