@@ -63,14 +63,13 @@ import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, factor_knots
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
     LEAST_SHARE,
     LONGER,
     Adjustment,
     Eliminated,
-    factor_knots,
     settled_knots,
     within_prior,
 )
@@ -305,7 +304,7 @@ class MarginalPosterior:
         if self.size > len(values):  # the motion is coupled to the scale by its noise
             coupled -= by_scale * float(equations.coupling[:, len(values)] @ across.ravel())
         direct = linearisation.of_values(by_value) + float(of_noise[0]) * by_scale - coupled
-        return np.append(direct, of_noise[: self.size - len(values)]) + by_knots
+        return np.asarray(np.append(direct, of_noise[: self.size - len(values)]) + by_knots)
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""

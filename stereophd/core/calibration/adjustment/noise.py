@@ -37,9 +37,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, factor_knots
 from stereophd.core.calibration.adjustment.problem import Observations, Problem
-from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, factor_knots, within_prior
+from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, within_prior
 from stereophd.core.calibration.adjustment.trajectories import positions
 from stereophd.core.numerics.compilation.compiled import compiled
 

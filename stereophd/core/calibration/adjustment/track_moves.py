@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, factor_knots
 from stereophd.core.calibration.adjustment.problem import Problem
-from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, factor_knots
+from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated
 from stereophd.core.calibration.unknowns.scale import log_scale
 
 # Points of the tracks that are looked at.

@@ -18,8 +18,8 @@ import numpy as np
 from stereophd.core.alignment.to_points import ControlPoints, adjust_to_points, align_to_points
 from stereophd.core.alignment.to_track import align_to_track
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.solver import Eliminated, factor_knots, settled_knots
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, factor_knots
+from stereophd.core.calibration.adjustment.solver import Eliminated, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.controlled_linearisation import WORLD, ControlledLinearisation
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, at_values, problem_of

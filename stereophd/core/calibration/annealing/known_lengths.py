@@ -25,8 +25,8 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.solver import Eliminated, factor_knots
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, factor_knots
+from stereophd.core.calibration.adjustment.solver import Eliminated
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.fits import at_values, problem_of
 from stereophd.core.calibration.annealing.known_scale import (

@@ -14,10 +14,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, factor_knots
 from stereophd.core.calibration.adjustment.problem import Observations, Problem
 from stereophd.core.calibration.adjustment.recording import Scans
-from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, factor_knots, within_prior
+from stereophd.core.calibration.adjustment.solver import Adjustment, Eliminated, within_prior
 from stereophd.core.calibration.adjustment.trajectories import straying
 from stereophd.core.calibration.adjustment.volume import inverse_in_band, summed_covariances
 
