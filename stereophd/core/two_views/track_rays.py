@@ -1,7 +1,7 @@
 """Rays of one-camera tracks at common times, for any clocks and lenses of the cameras.
 
 A row compares track a at the time of one of its detections with track b at the same true time. Which time on the
-clock of b that is depends on both clocks; the pixels of b are interpolated there, between its own detections.
+clock of b that is depends on both clocks; the rays of b are interpolated there, between its own detections.
 """
 
 from __future__ import annotations
@@ -46,10 +46,20 @@ class RawTracks:
         steps = [np.diff(self.log_times[a:b]) for a, b in zip(self.first[:-1], self.first[1:], strict=True)]
         return np.array([LONGEST_GAP * float(np.median(step)) for step in steps])
 
+    @cached_property
+    def cameras_of_entries(self) -> Integers:
+        """Camera (n,) of each entry."""
+        return np.repeat(self.cameras, np.diff(self.first))
+
     def at(self, tracks: Integers, log_times: Array) -> tuple[Array, Booleans]:
         """Pixels (n, 2) of tracks (n,) at times on their cameras' clocks, and whether they were seen around then."""
+        right, part, seen = self.between(tracks, log_times)
+        return interpolated(self.pixels, right, part), seen
+
+    def between(self, tracks: Integers, log_times: Array) -> tuple[Integers, Array, Booleans]:
+        """Entries (n,) that follow times on the clocks of tracks (n,), parts (n,) of the step to them; seen as `at`."""
         if not len(tracks):  # there may be no track at all
-            return np.empty((0, 2)), np.empty(0, dtype=np.bool_)
+            return np.empty(0, dtype=np.int64), np.empty(0), np.empty(0, dtype=np.bool_)
         margin = 0.25 * self._spacing
         since = np.clip(log_times - self.log_times.min(), -margin, self._spacing - 2.0 * margin)
         right = np.searchsorted(self._keys, since + tracks * self._spacing)
@@ -57,8 +67,12 @@ class RawTracks:
         before, after = self.log_times[right - 1], self.log_times[right]
         part = (log_times - before) / (after - before)
         seen = (part >= 0.0) & (part <= 1.0) & (after - before <= self.longest_gaps[tracks])
-        part = np.clip(part, 0.0, 1.0)[:, None]
-        return (1.0 - part) * self.pixels[right - 1] + part * self.pixels[right], seen
+        return right, np.clip(part, 0.0, 1.0), seen
+
+
+def interpolated(values: Array, right: Integers, part: Array) -> Array:
+    """Interpolate values (e, 2) of entries between those before `right` (n,) and these, at parts (n,) of the step."""
+    return np.asarray((1.0 - part)[:, None] * values[right - 1] + part[:, None] * values[right])
 
 
 @dataclass(frozen=True)
@@ -75,12 +89,16 @@ def rays_of(cameras: Sequence[Camera], tracks: RawTracks, entries: Integers, oth
     """Rays of the entries (r,) of tracks a, and of tracks b (r,) at the same true times, by these cameras."""
     of_entry = np.searchsorted(tracks.first, entries, side="right") - 1
     index = np.stack([tracks.cameras[of_entry], tracks.cameras[others]], axis=1)
-    times, pixels_b, seen = _common_times(cameras, tracks, entries, others, index)
+    times, right, part, seen = _common_times(cameras, tracks, entries, others, index)
+    # pairs share detections: each of these is undistorted once
+    used = np.zeros(len(tracks.pixels), dtype=np.bool_)
+    used[entries] = used[right] = used[right - 1] = True
+    slopes = np.empty((len(used), 2))
+    for number, camera in enumerate(cameras):
+        rows = np.flatnonzero(used & (tracks.cameras_of_entries == number))
+        slopes[rows] = camera.rays(tracks.pixels[rows])[:, :2]
     rays = np.ones((len(entries), 2, 3))
-    for side, pixels in enumerate((tracks.pixels[entries], pixels_b)):
-        for number in np.unique(index[:, side]).tolist():
-            rows = np.flatnonzero(index[:, side] == number)
-            rays[rows, side] = cameras[number].rays(pixels[rows])
+    rays[:, 0, :2], rays[:, 1, :2] = slopes[entries], interpolated(slopes, right, part)
     seen &= np.isfinite(rays).all(axis=(1, 2))
     rays[~seen] = 1.0
     return Rays(rays, times, index, seen)
@@ -98,15 +116,15 @@ def ray_poses(cameras: Sequence[Camera], rays: Rays) -> tuple[Array, Array]:
 
 def _common_times(
     cameras: Sequence[Camera], tracks: RawTracks, entries: Integers, others: Integers, index: Integers
-) -> tuple[Array, Array, Booleans]:
-    """True times (r,) of entries, the pixels (r, 2) of the other tracks then, and whether those were seen."""
+) -> tuple[Array, Integers, Array, Booleans]:
+    """True times (r,) of entries, and where these lie between the entries of the other tracks (`between`)."""
     offset, rate, readout = np.array([[c.clock.offset_s, c.clock.rate, c.readout_s] for c in cameras]).T
     times = offset[index[:, 0]] + rate[index[:, 0]] * tracks.log_times[entries]
     times = times + readout[index[:, 0]] * tracks.rows[entries]
     log_times = (times - offset[index[:, 1]]) / rate[index[:, 1]]
-    found, seen = tracks.at(others, log_times)
+    right, part, seen = tracks.between(others, log_times)
     if readout.any():
         heights = np.array([float(camera.height) for camera in cameras])
-        delay = readout[index[:, 1]] * found[:, 1] / heights[index[:, 1]]
-        found, seen = tracks.at(others, log_times - delay / rate[index[:, 1]])
-    return times, found, seen
+        rows = interpolated(tracks.pixels, right, part)[:, 1] / heights[index[:, 1]]
+        right, part, seen = tracks.between(others, log_times - readout[index[:, 1]] * rows / rate[index[:, 1]])
+    return times, right, part, seen
