@@ -69,7 +69,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
         "agreeing_starts": agreeing_with_best(starts),
         "stages": [list(stage.names) for stage in task.stages],
     }
-    if not is_timed:
+    if (offset_places(problem.parameters) >= 0).any():
         details["clocks"] = _clock_report(task)
     if best is None:
         return Outcome.of_none(problem.parameters, why_none_succeeded(starts, is_timed, run.is_searched), details)
@@ -149,7 +149,7 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
 
 def _each(calls: Iterable[Callable[[], Start]], jobs: int) -> Iterator[Start]:
     """Starts that calls return, in order; what is not needed is not begun beyond as many as there are workers."""
-    return map(call, calls) if jobs == 1 else on_processes(call, calls, jobs, tell=PROGRESS.info)
+    return map(call, calls) if jobs == 1 else on_processes(call, calls, jobs, tell=PROGRESS.debug)
 
 
 def _clock_report(task: Task) -> dict[str, Any]:

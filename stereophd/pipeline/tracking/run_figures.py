@@ -31,8 +31,6 @@ OUTLIER = 8.0
 # An estimate that was little more than its detection has next to no residual, which shows neither noise nor outliers:
 # one is judged if at least this share of the variance of the noise is expected of it.
 LEAST_EXPECTED = 0.1
-# Estimates for which it is computed how far errors of cameras move them.
-MOST_SHOWN = 512
 # Step of the derivatives of a projection, over the standard deviation of the position.
 DERIVATIVE_STEP = 0.1
 
@@ -182,30 +180,7 @@ class IdentitySums:
     existence: float = 0.0
     speed: float = 0.0
     position_std: float = 0.0
-
-
-@dataclass
-class EstimateSample:
-    """Every n-th estimate of a run: its time, state and covariance."""
-
-    every: int = 1
-    count: int = 0
-    rows: list[tuple[float, Array, Array]] = field(default_factory=list)
-
-    def add(self, time_s: float, states: Array, covariances: Array) -> None:
-        """Take in estimates; too many are thinned to every second."""
-        for row in range(-self.count % self.every, len(states), self.every):
-            self.rows.append((time_s, states[row], covariances[row]))
-        self.count += len(states)
-        while len(self.rows) > MOST_SHOWN:
-            self.rows, self.every = self.rows[::2], 2 * self.every
-
-    def camera_error(self, cameras: Iterable[Camera]) -> dict[str, float | None]:
-        """Return how far an error of one pixel of one camera moves estimates, for ``report.json``."""
-        columns = [np.array(column) for column in zip(*self.rows, strict=True)]
-        moves = moves_of_a_pixel(tuple(cameras), *columns) if columns else None
-        length, stds = (None, None) if moves is None else map(finite_or_none, moves)
-        return {"move_per_px": length, "stds_per_px": stds}
+    last: tuple[Array, Array] | None = None  # The last estimate: its state (6,) and covariance (6, 6)
 
 
 @dataclass
@@ -226,7 +201,6 @@ class RunFigures:
     new_detections: int = 0
     new_log_likelihood: float = 0.0
     cameras_part: CommonPart | None = None  # Of what uncertain cameras add
-    shown: EstimateSample = field(default_factory=EstimateSample)
 
     def add(self, record: Record, cameras: Mapping[str, Camera]) -> None:
         """Count a record, reported or not, of a run of these cameras."""
@@ -254,19 +228,21 @@ class RunFigures:
     def add_estimates(self, estimates: Estimates, time_s: float) -> None:
         """Count what is reported at a time, s."""
         self.confirmed += len(estimates.track_ids)
-        self.shown.add(time_s, estimates.states, estimates.covariances)
         if not len(estimates.track_ids):
             return
         speeds = np.sqrt(np.einsum("ni,ni->n", estimates.states[:, 3:], estimates.states[:, 3:]))
         stds = np.sqrt(np.trace(estimates.covariances[:, :3, :3], axis1=1, axis2=2))
         columns = (estimates.track_ids, estimates.existence, speeds, stds)
-        for track_id, existence, speed, std in zip(*(column.tolist() for column in columns), strict=True):
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        for row, (track_id, existence, speed, std) in enumerate(rows):
             identity = self.identities.setdefault(track_id, IdentitySums(time_s, time_s))
             identity.last_s = time_s
             identity.n_estimates += 1
             identity.existence += existence
             identity.speed += speed
             identity.position_std += std
+            if self.cameras_part is None:
+                identity.last = estimates.states[row].copy(), estimates.covariances[row].copy()
 
     def report(self, cameras: Mapping[str, Camera], reports: int, estimates: int) -> dict[str, Any]:
         """Return the figures of a run that wrote so many reports and so many estimates, tentative ones included."""
@@ -288,10 +264,13 @@ class RunFigures:
 
     def _of_cameras(self, cameras: Mapping[str, Camera]) -> dict[str, Any]:
         """Return what the cameras leave uncertain, or what they would, if they were not as exact as they are stated."""
-        if self.cameras_part is None:
-            return {"camera_error": self.shown.camera_error(cameras.values())}
-        common, other = self.cameras_part.stds()
-        return {"cameras_part": {"common_std": common, "other_std": other}}
+        if self.cameras_part is not None:
+            common, other = self.cameras_part.stds()
+            return {"cameras_part": {"common_std": common, "other_std": other}}
+        last = [(one.last_s, *one.last) for one in self.identities.values() if one.last is not None]
+        moves = moves_of_a_pixel(tuple(cameras.values()), *map(np.array, zip(*last, strict=True))) if last else None
+        length, stds = (None, None) if moves is None else map(finite_or_none, moves)
+        return {"camera_error": {"move_per_px": length, "stds_per_px": stds}}
 
     def _track(self, track_id: int, identity: IdentitySums, cameras: Iterable[str]) -> dict[str, Any]:
         detections = self.detections.get(track_id, {})

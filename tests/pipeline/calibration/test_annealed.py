@@ -41,6 +41,9 @@ class Limit:
     def is_over(self) -> bool:
         return len(self.begun) >= self.last
 
+    def begin(self, stage: str) -> bool:
+        return bool(stage) and not self.is_over
+
 
 @pytest.fixture
 def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Start]]:
@@ -100,6 +103,7 @@ class Run:
     problem: CalibrationProblem
     section: Any
     limit: TimeLimit = ENDLESS
+    is_searched: bool = False
 
 
 @pytest.mark.parametrize(("model", "expected"), [("lenses", [1, 9]), ("as_stated", [1])])

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from stereophd.pipeline.tracking.run_figures import MOST_SHOWN, CameraSums, EstimateSample, are_usual
+from stereophd.core.multi.state.estimates import Estimates
+from stereophd.pipeline.tracking.run_figures import CameraSums, RunFigures, are_usual
 from tests.scenes import build_camera
 
 
@@ -53,25 +54,16 @@ def test_an_error_of_a_pixel_moves_tracks_in_depth() -> None:
         / np.asarray(camera.detector.sigma) for camera in cameras
     ]  # fmt: skip
     covariance = np.linalg.inv(sum(slope @ slope.T for slope in slopes))
-    sample, moves = EstimateSample(), []
+    moves = []
     for detections in (1.0, 9.0):
-        sample = EstimateSample()
-        whole = np.eye(6)
-        whole[:3, :3] = covariance / detections
-        sample.add(0.0, np.hstack([place, np.zeros((1, 3))]), whole[None])
-        error = sample.camera_error(cameras)
+        whole = np.eye(6)[None] * np.array([1.0, np.nan])[:, None, None]  # of the second nothing is known
+        whole[0, :3, :3] = covariance / detections
+        states = np.hstack([place, np.zeros((1, 3))])
+        estimates = Estimates(np.arange(2), np.vstack([states, states]), whole, np.ones(2), np.arange(2))
+        figures = RunFigures()
+        figures.add_estimates(estimates, 0.0)
+        error = figures.report({camera.name: camera for camera in cameras}, 1, 2)["camera_error"]
         assert error["move_per_px"] == pytest.approx(81.0 / (cameras[0].fx * 1.0), rel=0.05)
         moves.append(error["stds_per_px"])
     assert moves[1] == pytest.approx(3.0 * moves[0], rel=0.01)
-    assert EstimateSample().camera_error(cameras) == {"move_per_px": None, "stds_per_px": None}
-
-
-def test_estimates_are_thinned_evenly_however_they_come() -> None:
-    found = []
-    for size in (1, 7):
-        sample = EstimateSample()
-        for start in range(0, 14 * MOST_SHOWN, size):
-            numbers = np.arange(start, min(start + size, 14 * MOST_SHOWN), dtype=float)
-            sample.add(0.0, numbers[:, None], numbers[:, None])
-        found.append([int(row[1][0]) for row in sample.rows])
-    assert found[0] == found[1] == list(range(0, 14 * MOST_SHOWN, 16))
+    assert RunFigures().report({}, 0, 0)["camera_error"] == {"move_per_px": None, "stds_per_px": None}

@@ -41,7 +41,7 @@ def factor_knots(bands: Array, damping: float = 0.0) -> Array:
     Unknowns without any weight are held. Raises LinAlgError when the damped matrix is not positive definite.
     """
     bands = bands.copy()
-    bands[0] = np.where(bands[0] > LEAST_INFORMATION, bands[0] * (1.0 + damping + ROUNDING), 1.0)
+    bands[0] = np.where(np.abs(bands[0]) > LEAST_INFORMATION, bands[0] * (1.0 + damping + ROUNDING), 1.0)
     return np.asarray(cholesky_banded(bands, overwrite_ab=True, lower=True, check_finite=False))
 
 

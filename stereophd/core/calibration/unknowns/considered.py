@@ -20,7 +20,7 @@ from functools import cached_property
 
 import numpy as np
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet, taken
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.geometry.camera import Camera
@@ -29,6 +29,8 @@ from stereophd.core.numerics.compilation.compiled import compiled
 
 # Sweeps in which the weights are found, and the part of the information of a track that is taken as not of its rays.
 SWEEPS, OTHER = 15, 1e-2
+# A covariance with an eigenvalue below this part of the largest is singular.
+SINGULAR = 1e-10
 
 
 @dataclass(frozen=True)
@@ -84,9 +86,11 @@ def moves_of_a_pixel(
     """Return how far a camera that is turned until its detections lie one pixel off moves estimates (see `moves`).
 
     Medians over the estimates: of a length, and of standard deviations that they state; for the worst camera and
-    direction. None without estimates.
+    direction. None without estimates whose covariance is positive definite.
     """
-    usable = np.linalg.eigvalsh(covariances[:, :3, :3])[:, 0] > 0.0 if len(states) else np.zeros(0, dtype=np.bool_)
+    usable: Booleans = np.asarray(np.isfinite(covariances).all(axis=(1, 2)))
+    eigenvalues = np.linalg.eigvalsh(covariances[usable, :3, :3])
+    usable[usable] = eigenvalues[:, 0] > SINGULAR * eigenvalues[:, -1]
     if not usable.any():
         return None
     parameters = [Parameter(f"rotation_{axis}", camera.name, 0.0, 1.0) for camera in cameras for axis in "xy"]

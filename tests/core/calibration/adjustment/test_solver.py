@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import LinAlgError
 from scipy.optimize import least_squares
 
 from stereophd.core.bounds.calibration import TruePositions, calibration_bound
@@ -287,3 +288,12 @@ def test_where_all_values_are_held_only_trajectories_are_adjusted() -> None:
     assert found.converged
     np.testing.assert_array_equal(found.values, values)
     np.testing.assert_allclose(found.covariance, np.diag(problem.parameters.prior_std**2))
+
+
+def test_a_matrix_that_is_not_positive_definite_is_not_factored_whatever_the_unit() -> None:
+    bands = np.zeros((12, 6))
+    bands[0] = [1.0, 2.0, -0.04, 1.0, 1.0, 0.0]  # of the last nothing is known: it is held
+    for unit in (1.0, 1e6):
+        with pytest.raises(LinAlgError):
+            factor_knots(unit * bands)
+    assert factor_knots(np.abs(bands))[0, -1] == 1.0
