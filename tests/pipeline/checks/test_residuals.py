@@ -205,6 +205,16 @@ def test_errors_of_single_objects_that_last_are_told_and_called_no_error_of_a_ca
         assert ERRORS_LAST in {one.cause for one in found if one.status == "warning"} <= {ERRORS_LAST, DO_NOT_MEET}
 
 
+@pytest.mark.parametrize(("fewest", "cause"), [(8, ERRORS_LAST), (1000, "pose_inaccurate")])
+def test_a_cause_is_doubted_only_where_a_pair_shows_that_distances_last(
+    fewest: int, cause: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A warning said that errors last, though the pair had too few tracks to say it."""
+    monkeypatch.setattr("stereophd.pipeline.checks.residuals.LEAST_TRACKS", fewest)
+    (found,) = _findings(CAMERAS[:2], lasting_px=1.5, seed=6, frames=200, objects=10)
+    assert found.cause == cause
+
+
 def _pair(distance: np.ndarray, tracks: np.ndarray, times: np.ndarray) -> Partners:
     """Partners whose rows follow each other."""
     places = np.random.default_rng(7).uniform(100.0, 500.0, (2, len(tracks), 2))
@@ -233,8 +243,7 @@ def test_the_rate_of_a_clock_counts_from_the_same_time_in_all_pairs() -> None:
     for late in (0.0, 30.0):
         pair = _pair(np.zeros(20), np.arange(20) // 10, times + late)
         for rows in Shifts.of(pair, CAMERAS[0], CAMERAS[1], 5.0):
-            usable = len(rows.slopes) == 20
-            assert usable
+            assert len(rows.slopes) == 20
             np.testing.assert_allclose(rows.slopes[:, 7], rows.slopes[:, 5] * (times + late - 5.0))
 
 
