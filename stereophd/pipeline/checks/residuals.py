@@ -39,9 +39,8 @@ FALSE_ALARMS, TOLERATED, LEAST_SQUARE = 0.001, 0.1, 9.0
 ALIKE = 2.0
 # Distances last if the mean product of successive ones exceeds this part of the variance of a detection, of which a
 # track averages several, and so many errors of white noise, for so many pairs of tracks; a cause must leave less than
-# this share of what lasts. From this root mean square on, standard deviations, cameras do not agree: that of chance is
-# 3.5 where most rays meet within three.
-LASTING, LASTING_ERRORS, LEAST_TRACKS, MOST_LEFT, LARGEST_DISTANCE = 0.1, 4.0, 8, 0.25, 2.5
+# this share of what lasts. Beyond the whole variance of a detection cameras do not agree.
+LASTING, LASTING_ERRORS, LEAST_TRACKS, MOST_LEFT = 0.1, 4.0, 8, 0.25
 ERRORS_LAST = "errors_last"
 # Steps of numerical derivatives: px, and of the numbers that change a camera.
 STEP_PX, STEP = 0.01, 1e-5
@@ -71,9 +70,10 @@ CAUSES = (
     ),
     Cause(
         "clock_rate", "rate of the clock", (RATE, CLOCK),
-        "follow the speed of the objects times the time that passes: its times seem to run at another rate, by "
-        "{percent:.2g} %", "check the frame rates from which times were computed; import again with the true ones "
-        "(`rates`), or state clock.rate",
+        "follow the speed of the objects times the time that passes: the times of {name} seem to run at "
+        "{factor:.5g} times the rate of those of other cameras",
+        "check the frame rates from which times were computed; import again with the true ones (`rates`), or multiply "
+        "its times by",
     ),
     Cause(
         "readout_inaccurate", "shutter", (SHUTTER,),
@@ -132,28 +132,41 @@ def check_residuals(geometry: Geometry) -> Iterator[Finding]:
     ]  # fmt: skip
     boxes = any(sample.box_height_px is not None for sample in samples)
     explained = _certain(samples, pairs)
-    doubted = explained[0] if explained is not None and explained[0].leaves_what_lasts else None
-    if explained is not None and doubted is None and not (boxes and not explained[0].cause.of_boxes):
-        yield _named(samples, len(pairs), *explained)
-        return
+    if explained is not None and not (boxes and not explained[0].cause.of_boxes):
+        best = explained[0]
+        concerned = (pair for pair in pairs if best.camera in (None, pair.a, pair.b))
+        if not (best.leaves_what_lasts and any(_lasts(pair) for pair in concerned)):
+            yield _named(samples, len(pairs), *explained)
+            return
     for pair in pairs:
         names = f"{samples[pair.a].camera.name} and {samples[pair.b].camera.name}"
         mean, spread, count = float(pair.distance.mean()), float(pair.distance.std()), len(np.unique(pair.tracks))
-        (variance, errors), is_doubted = pair.lasting, doubted and doubted.camera in (None, pair.a, pair.b)
+        variance, lasts = pair.lasting[0], not boxes and _lasts(pair)
         text = (
             f"{names}: the rays of {count} pairs of tracks miss each other by {mean:+.2f} +- {spread:.2f} "
             f"standard deviations, {max(variance, 0.0) ** 0.5:.2f} of which last from frame to frame"
         )
-        if not boxes and (is_doubted or (variance > LASTING and errors > LASTING_ERRORS and count >= LEAST_TRACKS)):
-            apart = np.hypot(mean, spread) > LARGEST_DISTANCE
+        if lasts:
+            apart = variance > 1.0
             yield Finding(
                 "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
                 "alone explains it, or the errors of detections last, as those of smoothed labels do; tracks are less "
                 "certain than they state", round(spread, 3), 1.0, None,
                 CHECK_CAMERAS if apart else LASTING_REMEDY, DO_NOT_MEET if apart else ERRORS_LAST,
             )  # fmt: skip
+        elif lasts is None:
+            text += f": of fewer than {LEAST_TRACKS} pairs of tracks this is not judged"
+            yield Finding("geometry.residuals", "not checked", text, round(spread, 3), 1.0)
         else:
             yield Finding("geometry.residuals", "ok", text, round(spread, 3), 1.0)
+
+
+def _lasts(pair: Partners) -> bool | None:
+    """Return whether distances last from frame to frame; None if they do, of too few pairs of tracks to judge it."""
+    variance, errors = pair.lasting
+    if variance <= LASTING or errors <= LASTING_ERRORS:
+        return False
+    return len(np.unique(pair.tracks)) >= LEAST_TRACKS or None
 
 
 def _certain(
@@ -179,9 +192,13 @@ def _named(
     """Return the finding that names the best of the causes and those that explain as much (see `_certain`)."""
     # of two cameras the log does not show which one
     cause, same = best.cause, [fit for fit in (fits if pairs == 1 else alike) if fit.cause is best.cause]
-    remedy, change = cause.remedy, None
-    if cause.name == "clock_offset":
+    if CLOCK in cause.numbers:
         best = max(same, key=lambda fit: fit.value)
+    factor, name = 1.0 + best.value, samples[best.camera or 0].camera.name
+    remedy, change = cause.remedy, None
+    if cause.name == "clock_rate":
+        remedy += f" {1.0 / factor:.5g} (clock.rate) and check its offset again"
+    if cause.name == "clock_offset":
         remedy, change = shift_remedy(-best.value), shifted(samples[best.camera or 0], -best.value)
 
     def names(of: list[CauseFit]) -> str:
@@ -194,13 +211,12 @@ def _named(
     # what all cameras have alike is one number, and no shift
     shift, error = (best.shift * samples[best.camera or 0].camera.detector.sigma.mean()).tolist()
     size = f"at least {shift:.2g} +- {error:.1g}"
-    # of two cameras that are not told apart either may be the fast one
-    text = cause.text.format(value=best.value, factor=1.0 + best.value, size=size, percent=100.0 * abs(best.value))
+    text = cause.text.format(value=best.value, factor=factor, size=size, name=name)
     return Finding(
         "geometry.residuals", "warning",
         f"{names(same)}: the distances of rays from those of other cameras {text} (this explains "
         f"{percent(best.share)} of their squares{instead}); tracks are less certain than they state",
-        round(best.value if len(cause.numbers) == 1 else shift, 5), 0.0,
+        round(shift if cause.numbers[0] in TURNS else best.value, 5), 0.0,
         names(same) if best.camera is not None and len({fit.camera for fit in (*same, *others)}) == 1 else None, remedy,
         cause.name, change,
     )  # fmt: skip
@@ -249,7 +265,9 @@ class CauseFit:
 def explanations(samples: list[CameraSample], pairs: list[Partners]) -> Iterator[CauseFit]:
     """Yield how each cause explains the distances: of each camera, and of all that state nothing."""
     cameras = [sample.camera for sample in samples]
-    rows = [(pair.a, pair.b, *Shifts.of(pair, cameras[pair.a], cameras[pair.b])) for pair in pairs]
+    # a camera has one clock in all of its pairs
+    middle = float(pairs[0].times.mean()) if pairs else 0.0
+    rows = [(pair.a, pair.b, *Shifts.of(pair, cameras[pair.a], cameras[pair.b], middle)) for pair in pairs]
     rows = [row for row in rows if len(row[2].tracks)]
     for camera in range(len(samples)):
         own = [first if a == camera else second for a, b, first, second in rows if camera in (a, b)]
@@ -278,14 +296,14 @@ class Shifts:
         return np.flatnonzero(self.following >= 0)
 
     @staticmethod
-    def of(pair: Partners, first: Camera, second: Camera) -> tuple[Shifts, Shifts]:
-        """Return the rows of both cameras of a pair."""
+    def of(pair: Partners, first: Camera, second: Camera, middle: float) -> tuple[Shifts, Shifts]:
+        """Return the rows of both cameras of a pair, whose clocks are off by their offsets at the time `middle`, s."""
         a, b = (motion.places for motion in pair.sides)
         slopes = [
             (signed_distances(first, second, a + da, b + db) - signed_distances(first, second, a - da, b - db))
             / (2.0 * STEP_PX) for da, db in STEP_PX * np.eye(4).reshape(4, 2, 2)
         ]  # fmt: skip
-        cameras, tables, squares, since = (first, second), [], [], pair.times - pair.times.mean()
+        cameras, tables, squares, since = (first, second), [], [], pair.times - middle
         for camera, motion, slope in zip(cameras, pair.sides, (slopes[:2], slopes[2:]), strict=True):
             shifts = shifts_of(camera, motion.places, motion.velocity, since)
             tables.append(np.column_stack([np.einsum("an,nak->nk", slope, shifts), pair.distance]))
@@ -317,8 +335,8 @@ def shifts_of(camera: Camera, pixels: Array, velocity: Array, since: Array) -> A
 
     These are turns about its axes, rad, the logarithm of the focal length, the first radial coefficient, the lateness
     of its clock and the time that its shutter takes, s, and the rate of its clock, by which it is late in the times
-    `since` (n,) the middle, s. Velocities (n, 2) are px/s. A move of a camera looks much like
-    a turn; what it differs by depends on the depth, and that on the noise whose distances are to be explained.
+    `since` (n,) some moment, s. Velocities (n, 2) are px/s. A move of a camera looks much like a turn; what it differs
+    by depends on the depth, and that on the noise whose distances are to be explained.
     """
     points = camera.unproject(pixels, np.ones(len(pixels)))
     columns = [
@@ -347,7 +365,7 @@ class Regression:
     sums: Array  # (g, 9, 9)
     squares: Array  # (8, 8): Mean products of shifts
     noise: float  # Mean square of the distances
-    lasting: Array  # (8, 8): Sums of products of successive rows of pairs of tracks: 0 of white noise
+    lasting: Array  # (9, 9): Sums of products of successive rows of pairs of tracks: 0 of white noise
     successive: int  # Number of these
 
     @staticmethod

@@ -13,7 +13,7 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
-from stereophd.pipeline.checks.geometry.partners import _following, _nearest_of_frame
+from stereophd.pipeline.checks.geometry.partners import Partners, TrackMotion, _following, _nearest_of_frame
 from stereophd.pipeline.checks.geometry.rays import Candidates, Reading, distances, measure, signed_distances
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.checks.residuals import (
@@ -23,6 +23,7 @@ from stereophd.pipeline.checks.residuals import (
     CauseFit,
     Regression,
     Shifts,
+    _lasts,
     check_residuals,
 )
 from tests.scenes import build_camera
@@ -107,9 +108,21 @@ def test_a_clock_of_another_rate_is_not_called_late(rate: float) -> None:
     """It is late by 0.08 s in the mean, which explains a part of what it does."""
     (found,) = _findings(rate=rate)
     assert (found.status, found.cause, found.camera) == ("warning", "clock_rate", "right")
-    percent = re.search(r"at another rate, by ([\d.]+) %", found.message)
-    assert percent is not None
-    assert float(percent[1]) == pytest.approx(2.0, abs=0.4)
+    assert found.value == pytest.approx(rate - 1.0, abs=0.004)
+    factor = re.search(r"the times of right seem to run at ([\d.]+) times", found.message)
+    inverse = re.search(r"multiply its times by ([\d.]+)", str(found.remedy))
+    assert factor is not None
+    assert inverse is not None
+    assert float(factor[1]) == pytest.approx(rate, abs=0.004)
+    assert float(factor[1]) * float(inverse[1]) == pytest.approx(1.0, abs=1e-3)
+
+
+@pytest.mark.parametrize(("rate", "fast"), [(1.02, "right"), (0.98, "left")])
+def test_of_two_cameras_it_is_told_which_runs_faster_than_the_other(rate: float, fast: str) -> None:
+    (found,) = _findings(CAMERAS[:2], rate=rate)
+    assert (found.cause, found.camera) == ("clock_rate", None)
+    assert found.value == pytest.approx(0.02, abs=0.004)
+    assert f"the times of {fast} seem to run at 1.0" in found.message
 
 
 def test_a_lens_left_out_is_named() -> None:
@@ -180,6 +193,7 @@ def test_distances_that_last_are_no_white_noise_whatever_explains_them(
     found = _findings((CAMERAS[0], turned), seed=6)
     assert [(one.status, one.cause) for one in found] == [("warning", DO_NOT_MEET)]
     assert [one.status for one in _findings(CAMERAS[:2], seed=6)] == ["ok"]
+    assert [one.status for one in _findings((CAMERAS[0], turned), seed=5)] == ["not checked"]
 
 
 @pytest.mark.parametrize("cameras", [2, 3])
@@ -187,7 +201,50 @@ def test_errors_of_single_objects_that_last_are_told_and_called_no_error_of_a_ca
     """A focal length or a pose was named in a quarter of such logs, and the others were silent."""
     for seed in (5, 6, 7):
         found = _findings(CAMERAS[:cameras], lasting_px=1.5, seed=seed, frames=200, objects=10)
-        assert {one.cause for one in found if one.status == "warning"} == {ERRORS_LAST}
+        # what lasts of 1.5 px is about the variance of a detection, beyond which it is the other word
+        assert ERRORS_LAST in {one.cause for one in found if one.status == "warning"} <= {ERRORS_LAST, DO_NOT_MEET}
+
+
+@pytest.mark.parametrize(("fewest", "cause"), [(8, ERRORS_LAST), (1000, "pose_inaccurate")])
+def test_a_cause_is_doubted_only_where_a_pair_shows_that_distances_last(
+    fewest: int, cause: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A warning said that errors last, though the pair had too few tracks to say it."""
+    monkeypatch.setattr("stereophd.pipeline.checks.residuals.LEAST_TRACKS", fewest)
+    (found,) = _findings(CAMERAS[:2], lasting_px=1.5, seed=6, frames=200, objects=10)
+    assert found.cause == cause
+
+
+def _pair(distance: np.ndarray, tracks: np.ndarray, times: np.ndarray) -> Partners:
+    """Partners whose rows follow each other."""
+    places = np.random.default_rng(7).uniform(100.0, 500.0, (2, len(tracks), 2))
+    sides = (TrackMotion(places[0], 10.0 + places[1], tracks), TrackMotion(places[1], 10.0 + places[0], tracks))
+    return Partners(0, 1, sides, distance, tracks, times, _following(tracks, 2 * np.arange(len(tracks))))
+
+
+def test_rays_that_meet_exactly_leave_nothing_that_lasts() -> None:
+    """Rectified images: all rows are the same."""
+    pair = _pair(np.zeros(40), np.arange(40) // 4, np.arange(40.0))
+    assert pair.lasting == (0.0, 0.0)
+    assert _lasts(pair) is False
+
+
+@pytest.mark.parametrize(("pairs_of_tracks", "size", "lasts"), [
+    (20, 1.5, True), (20, 0.0, False), (4, 1.5, None), (1, 1.5, None), (1, 0.0, False),
+])  # fmt: skip
+def test_what_lasts_of_few_pairs_of_tracks_is_not_judged(pairs_of_tracks: int, size: float, lasts: bool | None) -> None:
+    tracks = np.arange(60 * pairs_of_tracks) // 60
+    noise = np.random.default_rng(5).normal(size=len(tracks))
+    assert _lasts(_pair(noise + size, tracks, np.arange(float(len(tracks))))) is lasts
+
+
+def test_the_rate_of_a_clock_counts_from_the_same_time_in_all_pairs() -> None:
+    times = np.arange(20.0)
+    for late in (0.0, 30.0):
+        pair = _pair(np.zeros(20), np.arange(20) // 10, times + late)
+        for rows in Shifts.of(pair, CAMERAS[0], CAMERAS[1], 5.0):
+            assert len(rows.slopes) == 20
+            np.testing.assert_allclose(rows.slopes[:, 7], rows.slopes[:, 5] * (times + late - 5.0))
 
 
 def test_a_cause_that_leaves_what_lasts_is_none() -> None:
@@ -221,9 +278,9 @@ def test_signed_distances_are_those_of_the_checks() -> None:
 def _fit(tracks: np.ndarray, distance: np.ndarray, *slopes: np.ndarray) -> CauseFit:
     """Fit slopes, each a shift of a pixel, as the numbers of a pose or, of one, a clock."""
     cause = next(cause for cause in CAUSES if len(cause.numbers) == len(slopes))
-    table = np.zeros((len(distance), 8))
+    table = np.zeros((len(distance), 9))
     table[:, cause.numbers], table[:, -1] = np.stack(slopes, axis=1), distance
-    return Regression.of([_shifts(table, table[:, :7].T @ table[:, :7], tracks)]).fit(cause, 0)
+    return Regression.of([_shifts(table, table[:, :8].T @ table[:, :8], tracks)]).fit(cause, 0)
 
 
 def _shifts(table: np.ndarray, squares: np.ndarray, tracks: np.ndarray) -> Shifts:
@@ -261,11 +318,11 @@ def test_chance_makes_nothing_certain() -> None:
 def test_what_distances_hardly_show_is_left_out() -> None:
     """A shift along the rays all but leaves them as they are: its size would be noise (6 px were called 177)."""
     rng = np.random.default_rng(2)
-    table = np.zeros((600, 8))
+    table = np.zeros((600, 9))
     table[:, :3] = rng.normal(size=(600, 3)) * [1.0, 0.02, 1.0]
     table[:, -1] = rng.normal(size=600) - 3.0 * table[:, 0]
     pose = next(cause for cause in CAUSES if cause.name == "pose_inaccurate")
-    fit = Regression.of([_shifts(table, 600.0 * np.eye(7), np.arange(600) // 40)]).fit(pose, 0)
+    fit = Regression.of([_shifts(table, 600.0 * np.eye(8), np.arange(600) // 40)]).fit(pose, 0)
     assert len(fit.parts) == 2
     assert fit.shift[0] == pytest.approx(3.0, rel=0.1)
 

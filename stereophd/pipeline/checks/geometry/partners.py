@@ -43,15 +43,16 @@ class Partners:
     def lasting(self) -> tuple[float, float]:
         """Mean product of successive distances, of white noise 0, and that over the error that white noise gives it.
 
-        The pairs of tracks with the largest products do not count: they may be those of different objects.
+        The pairs of tracks with the largest products do not count: they may be those of different objects. One always
+        does.
         """
         first = np.flatnonzero(self.following >= 0)
         products = self.distance[first] * self.distance[self.following[first]]
         _, owners, counts = np.unique(self.tracks[first], return_inverse=True, return_counts=True)
         sums = np.bincount(owners, products, len(counts))
-        kept = np.argsort(-sums)[int(np.ceil(MOST_WRONG * len(sums))) :]
+        kept = np.argsort(-sums)[min(int(np.ceil(MOST_WRONG * len(sums))), len(sums) - 1) :]
         mean = float(sums[kept].sum() / max(counts[kept].sum(), 1))
-        return mean, mean * float(counts[kept].sum()) ** 0.5 / float((self.distance**2).mean())
+        return mean, mean * float(counts[kept].sum()) ** 0.5 / max(float((self.distance**2).mean()), 1e-12)
 
 
 class TrackMotion(NamedTuple):
