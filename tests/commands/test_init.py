@@ -21,11 +21,13 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.init import init
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
-from stereophd.config.loading import load_config, make_config
+from stereophd.config.loading import load_cameras, load_config, make_config
 from stereophd.errors import InputError
 from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
 from stereophd.pipeline.initial import acceleration
 from stereophd.pipeline.initial.acceleration import _of_windows
+from stereophd.pipeline.initial.draft import draft_from_log
+from stereophd.pipeline.initial.template import template
 
 ROOT = Path(__file__).parents[2]
 ACCELERATION = 0.3
@@ -181,6 +183,17 @@ def test_cameras_whose_rays_do_not_meet_are_calibrated_first(
     assert said_by == "checks" or "# from the depths at which rays" not in Path(config).read_text()
     for camera in load_config(config).cameras.values():
         assert camera.detector.sigma_px == pytest.approx([1.0, 1.0], rel=0.3)
+
+
+def test_three_cameras_that_do_not_agree_are_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    values = yaml.safe_load((ROOT / "configs" / "quickstart.yaml").read_text())
+    simulate(make_config({**values, "simulate": values["simulate"] | {"duration_s": 1.0}}), tmp_path / "out")
+    monkeypatch.setattr("stereophd.pipeline.initial.draft._mistake", lambda _: None)
+    monkeypatch.setattr("stereophd.pipeline.initial.draft._with_tracks", lambda draft, *_: (draft, "so the log says"))
+    log = tmp_path / "out" / "detections.parquet"
+    draft = draft_from_log(template("m", load_cameras(log.with_name("cameras.yaml")).cameras, "lab"), log)
+    first, second, third = values["cameras"]
+    assert draft.findings[0].message == f"{first}, {second} and {third} do not agree: so the log says"
 
 
 def test_a_detector_that_is_given_stays(scene: Path, tmp_path: Path) -> None:

@@ -36,8 +36,13 @@ def warnings_of(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
 
 
 def is_mistake(found: Finding) -> bool:
-    """Whether a finding names a mistake in times, pixels or cameras: until it is corrected, what rays say is untrue."""
-    names_one = found.name in ("log.frame_rate", "geometry.cause") or found.cause == "pixels_normalised"
+    """Whether a finding names a mistake in times, pixels or cameras: until it is corrected, what rays say is untrue.
+
+    Frames at another rate than the stated one are none: the times can be right.
+    """
+    if found.name == "log.frame_rate":
+        return found.status == "warning" and found.cause != "frame_rate"
+    names_one = found.name == "geometry.cause" or found.cause == "pixels_normalised"
     return names_one and found.status == "warning" and found.cause != DO_NOT_MEET
 
 

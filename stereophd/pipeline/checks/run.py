@@ -43,9 +43,6 @@ def check_log(
     frames = (frame for frame in covered(cameras, reader, str(log_path)) if frame.time_s >= from_s)
     samples = sample_log(frames, cameras, most)
     whole = sum(len(sample.times) for sample in samples) < most * len(cameras)
-    # a noise that is not stated, or contradicted, is what it is about one-camera tracks, whatever poses and clocks are
-    estimated = loaded.estimated_cameras
-    samples = [one.with_measured_noise if one.camera.name in estimated else one for one in samples]
     if config.object.shape != "point":
         samples = [one.with_noise_of_middles for one in samples]
     # read all the same, so that it shows why they lie there
@@ -54,8 +51,10 @@ def check_log(
     # a quick check precedes a run, which states what it drops
     rows = (*check_rows(reader.counts), *check_rows(looked_at)) if thorough else ()
     findings = [*rows, *_of_files(loaded, samples, whole)]
+    # a noise that is not stated, or contradicted, is what it is about one-camera tracks, whatever poses and clocks are
     doubted = any(found.name == "detector.sigma" for found in warnings_of(tuple(findings)))
-    samples = [one.with_measured_noise if doubted else one.with_noise_shown for one in samples]
+    unstated = [one.camera.name for one in samples] if doubted else loaded.estimated_cameras
+    samples = [one.with_measured_noise(only_less=one.camera.name not in unstated) for one in samples]
     if any(is_mistake(found) for found in findings):
         why = "rays are compared once times and pixels are corrected"
         return (*findings, Finding("geometry.rays", "not checked", why))
@@ -82,7 +81,8 @@ def check_log(
     if warnings_of(tuple(rays)):
         # more noise than about one-camera tracks may be what keeps these rays together: less would only part them
         findings = [one for one in findings if not is_overstated(one)]
-    if not any(found.name == "geometry.cause" for found in warnings_of(tuple(rays))):
+    # speeds and accelerations follow from the times
+    if not {"geometry.cause", "log.frame_rate"} & {found.name for found in warnings_of((*findings, *rays))}:
         rays += check_settings(config, measure_scene(geometry), samples, whole)
     return (*findings, *rays)
 

@@ -73,12 +73,13 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     if is_placed:
         started, priors = starting_detectors(cameras, unknown, samples)
         placed = [sample.with_camera(camera) for sample, camera in zip(samples, started, strict=True)]
-        doubt = _mistake([sample.with_measured_noise if sample.camera.name in unknown else sample for sample in placed])
+        doubt = _mistake([one.with_measured_noise() if one.camera.name in unknown else one for one in placed])
         if doubt is None:
             tracked, why = _with_tracks(_with_cameras(draft, started, unknown), placed, priors, log_path)
             if why is None:
                 return tracked
-            text = f"{' and '.join(draft.cameras)} do not agree: {why}"
+            *others, last = draft.cameras
+            text = f"{', '.join(others)} and {last} do not agree: {why}"
             doubt = Finding("geometry.rays", "warning", text, remedy=CHECK_CAMERAS, cause=DO_NOT_MEET)
         draft, cause = replace(draft, findings=(doubt,)), doubt.message
     # rays and tracks of wrong cameras say nothing of the noise either

@@ -14,7 +14,7 @@ from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import LogWriter
-from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL, alternatives
 from stereophd.pipeline.checks.geometry.causes import (
     LEAST_CLOCK_FRAMES,
@@ -630,6 +630,61 @@ def test_a_noise_that_holds_the_error_of_a_pose_does_not_hide_it(tmp_path: Path)
         assert {one.cause for one in found if one.status == "warning" and one.name.startswith("geometry")} == causes
 
 
+@pytest.mark.parametrize("sigma", [(0.4, 3.0), (3.0, 0.4)])
+@pytest.mark.parametrize("factor", [1.0, 3.0])
+def test_a_noise_that_differs_between_the_axes_is_measured_along_them(sigma: tuple[float, ...], factor: float) -> None:
+    """One noise for both axes took the place of the true ones: rays that met did no more."""
+    rng, frames = np.random.default_rng(2), []
+    for k in range(300):
+        place = 400.0 + 100.0 * np.sin(0.02 * k + np.array([[0.0, 1.0], [2.0, 4.0]]))
+        frames.append(Frame(k / RATE, 0, k, place + rng.normal(0.0, sigma, (2, 2))))
+    sample = sample_log(frames, CAMERAS[:1])[0]
+    assert sample.noise_px is not None  # by the axes of another detector
+    stated = sample.with_camera(sample.camera.with_noise(factor * np.array(sigma)))
+    assert [found.status for found in check_files([stated]) if found.name == "detector.sigma"] == ["ok"]
+    for only_less in (True, False):
+        shown = stated.with_measured_noise(only_less).camera.detector.sigma
+        assert shown == pytest.approx(sigma, rel=0.4)
+        assert shown[0] / shown[1] == pytest.approx(sigma[0] / sigma[1])
+
+
+def test_objects_that_rest_in_whole_pixels_show_no_noise(tmp_path: Path) -> None:
+    """Their differences are nought: no detector has such a noise, and pixels are no more exact than whole ones."""
+    estimated = [f"cameras.{camera.name}.detector=estimate" for camera in CAMERAS]
+    loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml", estimated)
+    assert set(loaded.estimated_cameras) == {camera.name for camera in CAMERAS}
+    points = np.random.default_rng(3).uniform([-2, -1, 6], [2, 1, 9], (4, 3))
+    resting = [Frame(k / RATE, c, k, CAMERAS[c].project(points).round()) for k in range(100) for c in (0, 1)]
+    for one in sample_log(resting, CAMERAS):
+        assert one.measured_noise_px is None
+        assert one.with_measured_noise(only_less=True) is one
+    with LogWriter(tmp_path / "log.parquet") as table:
+        for frame in resting:
+            table.write(frame.time_s, CAMERAS[frame.camera].name, frame.frame, frame.pixels)
+    assert "geometry.rays" in {one.name for one in check_log(loaded, tmp_path / "log.parquet", cameras=CAMERAS)}
+
+
+def test_the_least_noise_bounds_what_tracks_show() -> None:
+    exact = [Frame(k / RATE, 0, k, 400.0 + 100.0 * np.sin([[0.02 * k, 0.03 * k]])) for k in range(300)]
+    sample = sample_log(exact, CAMERAS[:1])[0]
+    least = pytest.approx([sampling.LEAST_MEASURED_PX] * 2)
+    assert all(sample.with_measured_noise(less).camera.detector.sigma == least for less in (True, False))
+
+
+def test_a_stated_frame_rate_that_is_off_does_not_keep_rays_from_being_compared(tmp_path: Path) -> None:
+    """The times can be right: only the settings, which follow from them, are left out."""
+    loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml")
+    with LogWriter(tmp_path / "log.parquet") as table:
+        for frame in _frames(CAMERAS, count=300):
+            table.write(frame.time_s, CAMERAS[frame.camera].name, frame.frame, frame.pixels)
+    cameras = tuple(replace(camera, frame_rate_hz=1.03 * RATE) for camera in CAMERAS)
+    found = check_log(loaded, tmp_path / "log.parquet", cameras=cameras)
+    assert [one.cause for one in found if one.status == "warning"] == ["frame_rate"] * 2
+    assert [one.status for one in found if one.name == "geometry.rays"] == ["ok"]
+    assert not any(map(is_mistake, found))
+    assert {one.name.split(".")[0] for one in found} <= {"input", "log", "camera", "detector", "geometry"}
+
+
 def test_a_check_that_cannot_be_made_is_listed(samples: list[CameraSample]) -> None:
     few = sample_log(_frames(CAMERAS)[:10], CAMERAS)
     assert [one.status for one in check_files(few) if one.name == "detector.sigma"] == ["not checked"] * 2
@@ -637,11 +692,11 @@ def test_a_check_that_cannot_be_made_is_listed(samples: list[CameraSample]) -> N
 
 def test_a_noise_that_is_not_stated_is_that_about_one_camera_tracks(samples: list[CameraSample]) -> None:
     for sample in samples:
-        measured = sample.with_measured_noise
+        measured = sample.with_measured_noise()
         assert measured.camera.detector.sigma == pytest.approx([1.0, 1.0], abs=0.4)
         assert measured.tracks is sample.tracks
         boxes = replace(sample, box_height_px=60.0)
-        assert boxes.with_measured_noise is boxes
+        assert boxes.with_measured_noise() is boxes
 
 
 def test_detections_that_no_track_explains_are_compared_with_the_stated_clutter() -> None:

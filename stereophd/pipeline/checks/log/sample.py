@@ -55,8 +55,9 @@ class CameraSample:
 
     def with_camera(self, camera: Camera) -> CameraSample:
         """Return the frames with another description of their camera; their one-camera tracks stay."""
-        other = replace(self)
-        other.__dict__.update(self.__dict__ | {"camera": camera})
+        other = replace(self, camera=camera)
+        # the noise about them is told along the axes of the detector
+        other.__dict__.update({key: one for key, one in self.__dict__.items() if key not in ("camera", "noise_px")})
         return other
 
     def around(self, times: Array) -> tuple[Integers, Array]:
@@ -75,24 +76,18 @@ class CameraSample:
 
         return self.with_camera(with_noise_of_middles(self.camera, self.box_height_px))
 
-    @property
-    def with_measured_noise(self) -> CameraSample:
-        """The frames with the noise about their one-camera tracks as that of the detector; unchanged where none shows.
+    def with_measured_noise(self, only_less: bool = False) -> CameraSample:
+        """Return the frames with the noise about their one-camera tracks; unchanged where none shows.
 
-        Wrong poses and clocks do not show in it, nor do errors that last, such as those of boxes.
+        Wrong poses and clocks do not show in it, nor do errors that last, such as those of boxes. If `only_less`, a
+        noise that is no larger than what their third differences leave room for stays: one that was estimated from
+        residuals holds what poses, clocks and lenses add to them, and would hide it. The ratio of the axes stays.
         """
-        sigma = self.measured_noise_px
-        return self if sigma is None else self.with_camera(self.camera.with_noise(sigma))
-
-    @property
-    def with_noise_shown(self) -> CameraSample:
-        """The frames with no more noise than leaves their third differences so small, whatever objects and poses do.
-
-        A noise that was estimated from residuals holds what poses, clocks and lenses add to them, and would hide it.
-        """
-        if self.measured_noise_px is None or not self.noise_px or self.noise_px[2] >= self.camera.detector.sigma.mean():
+        if self.noise_px is None or (measured := self.measured_noise_px) is None:
             return self
-        return self.with_camera(self.camera.with_noise(self.noise_px[2]))
+        sigma = self.camera.detector.sigma
+        noise = min(sigma.mean(), max(self.noise_px[2], LEAST_MEASURED_PX)) if only_less else measured
+        return self.with_camera(self.camera.with_noise(sigma * (noise / sigma.mean())))
 
     @property
     def measured_noise_px(self) -> float | None:
@@ -208,8 +203,10 @@ class CameraSample:
 
     @cached_property
     def noise_px(self) -> tuple[float, float, float] | None:
-        """Standard deviation of a detection about its track, px, the least and the largest; None without long tracks.
+        """Standard deviation of a detection about its track, px, the least and the largest; None where none shows.
 
+        It is the mean of both axes, whose ratio is taken to be that of the detector. None shows without long tracks,
+        and where most detections rest in whole pixels, which hide it.
         From third differences, which a steady acceleration does not change; the median resists wrong links. What white
         acceleration adds to their variance grows with the cube of the step, so that two steps tell it from noise. The
         least noise is three standard errors less; the largest is all that one step shows, and three more: swerves over
@@ -218,7 +215,7 @@ class CameraSample:
         times = self.times[self.frame_of]
         even = [track for track in self.tracks if np.ptp(np.diff(times[track])) < 0.2 * self.interval_s]
         once, twice = (self._third_differences(even, step) for step in (1, 2))
-        if min(len(once), len(twice)) < LEAST_DIFFERENCES:
+        if min(len(once), len(twice)) < LEAST_DIFFERENCES or np.median(np.abs(once)) == 0.0:
             return None
         # 1 + 9 + 9 + 1 = 20 times the variance of one detection
         single, double = (float(np.median(np.abs(each)) / 0.6745) ** 2 / 20.0 for each in (once, twice))
@@ -230,8 +227,10 @@ class CameraSample:
 
     def _third_differences(self, tracks: Iterable[Integers], step: int) -> Array:
         """Return third differences (n,), px, of one-camera tracks with even times, over steps of so many frames."""
+        sigma = self.camera.detector.sigma
+        pixels = self.pixels / (sigma / sigma.mean())
         differences = [
-            np.diff(self.pixels[track[first::step]], n=3, axis=0).ravel() for track in tracks for first in range(step)
+            np.diff(pixels[track[first::step]], n=3, axis=0).ravel() for track in tracks for first in range(step)
         ]
         return np.concatenate(differences) if differences else np.empty(0)
 
