@@ -118,7 +118,7 @@ def _written(session: Session, report: dict[str, Any], log: Path | None) -> list
 
 
 def _detectors(detectors: dict[str, dict[str, Any]]) -> list[str]:
-    """Return the detector of each camera, with its source; what is said of several of them is said once."""
+    """Return the detector of each camera, with its source; a source that several share is one line of its own."""
     sources = Counter(detector["source"] for detector in detectors.values())
     lines = []
     for name, detector in detectors.items():

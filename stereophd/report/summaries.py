@@ -228,13 +228,11 @@ def _camera_error(tracking: Mapping[str, Any], described: Mapping[str, Any], uni
     focal = [f for camera in described.values() if isinstance(f := (camera.get("intrinsics") or {}).get("fx"), float)]
     if error.get("move_per_px") is not None:
         angle = f" (a turn by {number(math.degrees(1.0 / median(focal)), 2)} deg)" if focal else ""
+        yield "position std takes the cameras as exact"
         yield (
-            f"position std takes the cameras as exact; were detections of one camera all 1 px off{angle}, tracks would "
-            "move"
-        )
-        yield (
-            f"by up to {number(error['move_per_px'], 2)} {unit}, and by up to {number(error['stds_per_px'], 2)} "
-            "standard deviations in the direction in which they are surest"
+            f"detections of one camera that all lie 1 px off{angle} would move tracks by up to "
+            f"{number(error['move_per_px'], 2)} {unit}, and by up to {number(error['stds_per_px'], 2)} standard "
+            "deviations"
         )
 
 

@@ -1,9 +1,11 @@
 """Adjustments of cameras and trajectories to detections: to paired tracks, to the tracks of a filter, to fits."""
 
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import LinAlgError
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
@@ -305,7 +307,8 @@ def _fit(
     """Adjust, and time the detections by the cameras found."""
     # the loss would leave out at once what knots have to reach out for: detections beyond the last one so far, or
     # nearly all where the knots begin at points whose depths rays hardly show
-    states = settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=SETTLING_STEPS)
+    with suppress(LinAlgError):  # where they cannot settle they begin as they are
+        states = settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=SETTLING_STEPS)
     found = adjust(problem, values, states, max_iterations)
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:

@@ -72,10 +72,10 @@ def with_lengths(task: Task, fit: Fit, length: float, std: float) -> tuple[Fit, 
             pairs = pairs[_odds_of_lengths(answer, best, pairs, length, std) + odds > 0.0]
         if len(pairs) <= count:
             break  # with the lengths of some pairs others keep theirs, too
-        found = _updated(answer, best, pairs, length, std)
+        found = _updated(task, answer, best, pairs, length, std)
         if found is None:
             break
-        best, count = at_values(task, *found), len(pairs)
+        best, count = found, len(pairs)
     return best, count
 
 
@@ -140,10 +140,8 @@ def _deviations(answer: _Answer, fit: Fit, pairs: Integers, length: float, std: 
     return information, along
 
 
-def _updated(
-    answer: _Answer, fit: Fit, pairs: Integers, length: float, std: float
-) -> tuple[Fit, Array, Array, Array] | None:
-    """Return a fit, and its values, knots and covariance by lengths of pairs (p, 2), too; None where these misfit."""
+def _updated(task: Task, answer: _Answer, fit: Fit, pairs: Integers, length: float, std: float) -> Fit | None:
+    """Adjust a fit to the lengths of pairs (p, 2); None where these contradict the answer."""
     values, states, covariance = fit.adjustment.values, fit.adjustment.states, fit.adjustment.covariance
     (pair, times), cost = _sampled(fit, pairs, states.size), np.inf
     try:
@@ -153,7 +151,7 @@ def _updated(
             values, states = values + step[: len(values)], states + step[len(values) :].reshape(states.shape)
     except LinAlgError:
         return None
-    return (fit, values, states, covariance) if cost <= MOST_COST * len(times) else None
+    return at_values(task, fit, values, states, covariance) if cost <= MOST_COST * len(times) else None
 
 
 def _sampled(fit: Fit, pairs: Integers, size: int, least: int = 1) -> tuple[Integers, Array]:

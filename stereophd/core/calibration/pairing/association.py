@@ -20,8 +20,8 @@ from stereophd.wording import percent
 
 # A detection belongs to a track within this squared Mahalanobis distance in its (inflated) noise.
 TRACK_GATE = 9.0
-# Frames after which progress is told.
-TOLD_EVERY = 50
+# Frames after which progress is reported.
+REPORTED_EVERY = 50
 # Tracks of a smaller existence are not asked.
 LEAST_EXISTENCE = 0.6
 
@@ -72,7 +72,7 @@ def track_detections(multi_filter: PmbFilter, scans: Scans, inflation: float) ->
     total = 0.0
     found: list[tuple[Integers, Integers, Array, Array]] = []
     for number, event in enumerate(scans.events):
-        if number % TOLD_EVERY == 0:
+        if number % REPORTED_EVERY == 0:
             within(f"objects are followed, {percent(number / len(scans.events))} of the frames")
         wide = inflated(event, inflation)
         state, info, estimates = multi_filter.step(state, wide)

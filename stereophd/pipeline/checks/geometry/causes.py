@@ -264,7 +264,7 @@ def _drifting(geometry: Geometry, concerned: list[int], camera: int, steps: int)
 
 
 def _of_rate(geometry: Geometry, camera: int, factors: tuple[str, str], times: Array) -> Trial:
-    """Return the trial of other times of a camera, by a factor that is told with its inverse.
+    """Return the trial of other times of a camera, which run by a factor: it and its inverse are printed.
 
     Two cameras do not show which of them is wrong.
     """

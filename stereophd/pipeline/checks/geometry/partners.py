@@ -117,13 +117,13 @@ def partners(
     rows, best, nearest = np.arange(len(chosen)), found.argmin(axis=1), found.min(axis=1)
     index, following = index[rows, best], following[rows, best]
     near = (nearest <= farthest) & _nearest_of_frame(first.frame_of[chosen], index, nearest)
-    lasting, tracks = _lasting(track_a[chosen][near], track_b[index][near])
-    if lasting.sum() < LEAST_DETECTIONS:
+    joined, tracks = _joined(track_a[chosen][near], track_b[index][near])
+    if joined.sum() < LEAST_DETECTIONS:
         return None
-    own, index, following = chosen[near][lasting], index[near][lasting], following[near][lasting]
+    own, index, following = chosen[near][joined], index[near][joined], following[near][joined]
     speed = 0.5 * (motion[b].velocity[index] + motion[b].velocity[following])
-    pixels_a, pixels_b = first.pixels[own], pixels_b[rows, best][near][lasting]
-    weight = passed[near][lasting][:, None]
+    pixels_a, pixels_b = first.pixels[own], pixels_b[rows, best][near][joined]
+    weight = passed[near][joined][:, None]
     places_b = (1.0 - weight) * motion[b].places[index] + weight * motion[b].places[following]
     # rolling shutters: from the times of frames to those of rows
     delay = speed * (_delays(first.camera, pixels_a) - _delays(second.camera, pixels_b))[:, None]
@@ -132,8 +132,8 @@ def partners(
         TrackMotion(motion[a].places[own], motion[a].velocity[own], track_a[own]),
         TrackMotion(places_b + delay, speed, track_b[index]),
     )
-    tracks = tracks[lasting]
-    return Partners(a, b, sides, distance, tracks, times[own], _following(tracks, interval[near][lasting]))
+    tracks = tracks[joined]
+    return Partners(a, b, sides, distance, tracks, times[own], _following(tracks, interval[near][joined]))
 
 
 def _following(tracks: Integers, intervals: Integers) -> Integers:
@@ -164,7 +164,7 @@ def _delays(camera: Camera, pixels: Array) -> Array:
     return np.zeros(len(pixels)) if delays is None else delays
 
 
-def _lasting(track_a: Integers, track_b: Integers) -> tuple[NDArray[np.bool_], Integers]:
+def _joined(track_a: Integers, track_b: Integers) -> tuple[NDArray[np.bool_], Integers]:
     """Return which partners belong to tracks that meet most of the time, and the number of each pair of tracks."""
     _, number, count = np.unique(np.stack([track_a, track_b]), axis=1, return_inverse=True, return_counts=True)
     _, own, total = np.unique(track_a, return_inverse=True, return_counts=True)

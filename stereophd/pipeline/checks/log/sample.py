@@ -56,7 +56,7 @@ class CameraSample:
     def with_camera(self, camera: Camera) -> CameraSample:
         """Return the frames with another description of their camera; their one-camera tracks stay."""
         other = replace(self, camera=camera)
-        # the noise about them is told along the axes of the detector
+        # the noise about them is measured along the axes of the detector
         other.__dict__.update({key: one for key, one in self.__dict__.items() if key not in ("camera", "noise_px")})
         return other
 
