@@ -87,8 +87,7 @@ class Rays(ArrayRows):
 
 def rays_of(cameras: Sequence[Camera], tracks: RawTracks, entries: Integers, others: Integers) -> Rays:
     """Rays of the entries (r,) of tracks a, and of tracks b (r,) at the same true times, by these cameras."""
-    of_entry = np.searchsorted(tracks.first, entries, side="right") - 1
-    index = np.stack([tracks.cameras[of_entry], tracks.cameras[others]], axis=1)
+    index = np.stack([tracks.cameras_of_entries[entries], tracks.cameras[others]], axis=1)
     times, right, part, seen = _common_times(cameras, tracks, entries, others, index)
     # pairs share detections: each of these is undistorted once
     used = np.zeros(len(tracks.pixels), dtype=np.bool_)
