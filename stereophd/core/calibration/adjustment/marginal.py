@@ -61,6 +61,7 @@ from itertools import count
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
+from scipy.optimize import brentq
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, factor_knots
@@ -74,7 +75,7 @@ from stereophd.core.calibration.adjustment.solver import (
     within_prior,
 )
 from stereophd.core.calibration.adjustment.trajectories import OF_ALL, STATED, positions
-from stereophd.core.calibration.adjustment.volume import VolumeSlopes
+from stereophd.core.calibration.adjustment.volume import VolumeSlopes, inverse_in_band
 from stereophd.core.calibration.time_limit import within
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.random_streams import BENDS_SEED
@@ -91,6 +92,8 @@ SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS = 0.05, 20.0, 1.0, 200
 # A search has settled as well where so many steps lower the objective by less than this together: no detection tells
 # their points apart. It follows curved valleys of scenes that hold little, step by small step.
 STALLED_STEPS, STALLED = 6, 0.5
+# Most steps of the noise of the motion where the values stay, the longest one, and that at which it has settled.
+MOST_MOTIONS, LONGEST_MOTION, MOTION_SETTLED = 12, 3.0, 0.03
 # A step is halved until the objective falls by this part of what the gradient says.
 DECREASE = 1e-4
 # Squared distance from which a detection is left out by the loss.
@@ -114,11 +117,14 @@ class MarginalOptimum:
     motion_noise: Array  # (6,): Unknowns of the noise of the motion (`MotionNoise`), in units of the scene's scale
 
 
-def marginal_optimum(problem: Problem, found: Adjustment, noise: Array = STATED) -> MarginalOptimum:
+def marginal_optimum(
+    problem: Problem, found: Adjustment, noise: Array = STATED, settled: float = SETTLED
+) -> MarginalOptimum:
     """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
 
-    The problem holds nothing. The search begins at a noise of the motion (6,). Returns the adjustment given,
-    not converged, at the noise stated, where the normal equations are singular.
+    The search begins at a noise of the motion (6,), and ends where a step is no longer than `settled` posterior standard
+    deviations. Returns the adjustment given, not converged, at the noise stated, where the normal equations are
+    singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
@@ -126,7 +132,7 @@ def marginal_optimum(problem: Problem, found: Adjustment, noise: Array = STATED)
     try:
         for _ in range(MOST_WEIGHTINGS):
             posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
-            at, left = _minimised(posterior, posterior.at(unknowns, states))
+            at, left = _minimised(posterior, posterior.at(unknowns, states), settled)
             unknowns, states, before = at.unknowns, at.states, weights
             weights = problem.weights(at.equations.distances)
             if np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
@@ -273,6 +279,37 @@ class MarginalPosterior:
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
         return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume)
 
+    def with_shown_motion(self, values: Array, states: Array, noise: Array = STATED) -> Point:
+        """Return the point of values (m,), which stay, at the noise of the motion that fits there, from one (6,) on.
+
+        The objective falls with u as E - g, of the energy E of the motion, which goes with e^-2u, and the number g of
+        differences between knots that the detections determine: 6 l less the trace of the motion's part of A by A^-1.
+        That hardly changes with u, so that E e^-2d = g + (u + d) / std^2 gives the next step d (D. J. C. MacKay,
+        "Bayesian interpolation", Neural Computation 4, 1992).
+        """
+        linearisation = self.linearisation
+        for _ in range(MOST_MOTIONS):
+            at = self.at(np.append(values, noise[: self.size - len(values)]), states)
+            if not self.links:
+                break
+            states, inverse = at.states, np.zeros_like(at.factor)
+            inverse_in_band(at.factor, inverse)
+            precision, (_, products) = linearisation.noise_at(values, noise).precision, linearisation.motion.pulls(states)
+            by_pairs = inverse * linearisation.motion.with_axes(precision)
+            determined = 6.0 * self.links - float(2.0 * by_pairs.sum() - by_pairs[0].sum())
+            energy, information = float((precision * products).sum()), self.prior_std[len(values)] ** -2
+
+            def excess(step: float) -> float:
+                return float(energy * np.exp(-2.0 * step) - determined - information * (noise[0] + step))
+
+            ends = -LONGEST_MOTION, LONGEST_MOTION
+            is_between = excess(ends[0]) > 0.0 > excess(ends[1])
+            step = float(brentq(excess, *ends)) if is_between else ends[int(excess(0.0) > 0.0)]
+            if abs(step) <= MOTION_SETTLED:
+                break
+            noise = noise + step * OF_ALL
+        return at
+
     def parted(self, unknowns: Array) -> tuple[Array, Array]:
         """Return values (m,), and the unknowns (6,) of the noise of the motion."""
         count = self.linearisation.problem.parameters.size
@@ -304,6 +341,8 @@ class MarginalPosterior:
         if self.size > len(values):  # the motion is coupled to the scale by its noise
             coupled -= by_scale * float(equations.coupling[:, len(values)] @ across.ravel())
         direct = linearisation.of_values(by_value) + float(of_noise[0]) * by_scale - coupled
+        if problem.held is not None:
+            direct[problem.held] = 0.0
         return np.asarray(np.append(direct, of_noise[: self.size - len(values)]) + by_knots)
 
     def slopes(self, at: Point) -> VolumeSlopes:
@@ -357,7 +396,7 @@ def _differences(
     return (one - other) / (2.0 * share), ((one + other) / 2.0 - gradient) / share**2
 
 
-def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
+def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple[Point, float]:
     """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
     length, longest, objectives = 0.0, LONGEST_STEP, [at.objective]
     for number in range(MOST_STEPS):
@@ -368,7 +407,7 @@ def _minimised(posterior: MarginalPosterior, at: Point) -> tuple[Point, float]:
             return at, np.inf
         downhill = -root.T @ gradient
         length = float(np.linalg.norm(downhill))
-        if length <= SETTLED:
+        if length <= settled:
             break
         taken = min(length, longest)
         step = taken / length * root @ downhill

@@ -154,22 +154,25 @@ def adjust(
 ) -> Adjustment:
     """Minimise from values (m,) and knots (k, 2, 3), trying about `max_iterations` steps at most.
 
-    Converged when a step promises to lower the cost by less than the part `tolerance` of it. The covariance is that of
-    the undamped equations; held values keep that of the prior.
+    Converged when a step promises to lower the cost by less than the part `tolerance` of it: one without damping, or a
+    damped one where that without it is not lower or does not exist. The covariance is that of the undamped equations;
+    held values keep that of the prior.
     """
     linearisation = Linearisation.of(problem)
     current = linearisation.at(values, states)
     damping, longest, converged, iteration = FIRST_DAMPING, np.inf, False, 0
+    is_damped = False  # whether the step without damping failed here
     while iteration < max_iterations and damping < MOST_DAMPING:
         within(f"cameras and trajectories are adjusted, step {iteration + 1}")
         try:
             value_step, state_step = solve(current, damping)
         except LinAlgError:
+            is_damped = is_damped or damping == 0.0
             damping, iteration = max(DAMPING_FACTOR * damping, FIRST_DAMPING), iteration + 1
             continue
         promised = float(value_step @ current.value_vector + state_step @ current.state_vector)
         if promised <= tolerance * max(current.cost, 1.0):
-            if converged := damping == 0.0:
+            if converged := is_damped or damping == 0.0:
                 break
             damping = 0.0
             continue
@@ -183,8 +186,10 @@ def adjust(
                 break
             share *= 0.5
         if not is_lower:
+            is_damped = is_damped or damping == 0.0
             damping = max(DAMPING_FACTOR * damping, FIRST_DAMPING)
             continue
+        is_damped = False
         longest = (LONGER if share == whole else 1.0) * share * length
         (values, states, current), damping = tried, damping / DAMPING_FACTOR
     covariance = posterior_covariance(current, problem.parameters.prior_std)

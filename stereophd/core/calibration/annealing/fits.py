@@ -10,10 +10,11 @@ from scipy.linalg import LinAlgError
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
-from stereophd.core.calibration.adjustment.solver import adjust, settled_knots
+from stereophd.core.calibration.adjustment.solver import Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
+    STATED,
     Knots,
     MotionNoise,
     fit_states,
@@ -45,6 +46,8 @@ SEARCHED_PART = 0.1
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
 # Steps of the knots, whatever the loss says, before an adjustment.
 SETTLING_STEPS = 3
+# Step, in posterior standard deviations, at which the search for a marginal optimum of a pass has settled.
+SETTLED_IN_PASSES = 1.0
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 25
 # Passes in which fitted trajectories choose their detections.
@@ -174,7 +177,7 @@ def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
     # the optimum of the first parts of the log is flat, and of all with many unknowns: the history need not end at its
     # last digit
     most = ANNEALED_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
-    return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), most)
+    return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), most, is_confirmed=False)
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
@@ -192,7 +195,7 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
 
 
-def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None:
+def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int, is_confirmed: bool = True) -> Fit | None:
     """Adjust to some of the detections, with the association of all; None if no object of two cameras is left.
 
     Trajectories of which one camera alone is left hold no information about the cameras, and collapse into it.
@@ -207,7 +210,7 @@ def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int) -> Fit | None
     if fit.observations.weights is None:
         observations = replace(observations, weights=None)
     of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
-    return adjusted_to(task, fit, observations, of_fit, detections, most)
+    return adjusted_to(task, fit, observations, of_fit, detections, most, is_confirmed)
 
 
 def adjusted_to(
@@ -217,6 +220,7 @@ def adjusted_to(
     of_fit: Integers,
     detections: Integers,
     max_iterations: int = MOST_ITERATIONS,
+    is_confirmed: bool = True,
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
@@ -229,11 +233,12 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
-    found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations)
+    how = None if not is_confirmed else fit.is_marginal
+    found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, how)
     standing = ~_collapsed(task, found)
     if standing.all():
         return found
-    return _part(task, found, np.flatnonzero(standing), max_iterations) or found
+    return _part(task, found, np.flatnonzero(standing), max_iterations, is_confirmed) or found
 
 
 def _collapsed(task: Task, fit: Fit) -> Booleans:
@@ -303,17 +308,45 @@ def _fit(
     states: Array,
     detections: Integers,
     max_iterations: int = MOST_ITERATIONS,
+    is_marginal: bool | None = False,
 ) -> Fit:
     """Adjust, and time the detections by the cameras found."""
     # the loss would leave out at once what knots have to reach out for: detections beyond the last one so far, or
     # nearly all where the knots begin at points whose depths rays hardly show
     with suppress(LinAlgError):  # where they cannot settle they begin as they are
         states = settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=SETTLING_STEPS)
-    found = adjust(problem, values, states, max_iterations)
+    is_joint = is_marginal is None or (problem.held is not None and bool(problem.held.all()))
+    joint = None if is_marginal and not is_joint else adjust(problem, values, states, max_iterations)
+    found, noise = (joint, STATED) if joint is not None and is_joint else _confirmed(problem, values, states, joint)
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:
         observations = replace(observations, times=true_times(cameras, observations))
-    return Fit(found, problem.knots, observations, detections, problem.held)
+    return Fit(found, problem.knots, observations, detections, problem.held, noise, found is not joint)
+
+
+def _confirmed(problem: Problem, values: Array, states: Array, joint: Adjustment | None) -> tuple[Adjustment, Array]:
+    """Return a joint optimum if the marginal posterior is greater there than at the values (m,) that it began with.
+
+    Else return the optimum of the marginal posterior that is found from these; with it the noise of the motion (6,).
+    Where objects move by less than is stated, or manoeuvre, the joint optimum may lie anywhere: of one object before
+    two cameras for ten minutes focal lengths grew tenfold. Both are judged at the noise of the motion that they show.
+    """
+    distances = Linearisation.of(problem).at(values, states).distances
+    weights = problem.weights(distances)
+    if joint is not None:
+        weights = np.maximum(weights, problem.weights(joint.distances))
+    still = replace(problem.weighted(weights), held=np.ones(len(values), dtype=np.bool_))
+    posterior = MarginalPosterior(Linearisation.of(still))
+    begun = posterior.with_shown_motion(values, states)
+    noise = posterior.parted(begun.unknowns)[1]
+    if joint is not None:
+        ended = posterior.with_shown_motion(joint.values, joint.states, noise)
+        if ended.objective <= begun.objective:
+            return joint, posterior.parted(ended.unknowns)[1]
+    prior = np.diag(problem.parameters.prior_std**2)
+    start = Adjustment(values, begun.states, prior, begun.equations.cost, distances, converged=False)
+    found = marginal_optimum(problem, start, noise, SETTLED_IN_PASSES)
+    return found.adjustment, found.motion_noise
 
 
 def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:

@@ -133,7 +133,7 @@ class Fit:
     """Cameras and trajectories after an adjustment, with the detections of the recording they were adjusted to.
 
     `held` (m,) are the values that the adjustment did not move; None if it moved all. `motion_noise` (6,) are unknowns
-    of the noise of the motion (`MotionNoise`) beside what is stated, where the trajectories were integrated out.
+    of the noise of the motion (`MotionNoise`) beside what is stated, at which the marginal posterior is greatest.
     """
 
     adjustment: Adjustment
@@ -142,6 +142,7 @@ class Fit:
     detections: Integers
     held: NDArray[np.bool_] | None = None
     motion_noise: Array = field(default_factory=lambda: STATED)
+    is_marginal: bool = False  # Whether the joint optimum was refuted by the marginal posterior (`fits.adjusted_to`)
 
     @property
     def motion_factors(self) -> Array:
