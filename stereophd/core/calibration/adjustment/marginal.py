@@ -122,7 +122,7 @@ def marginal_optimum(
 ) -> MarginalOptimum:
     """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
 
-    The search begins at a noise of the motion (6,), and ends where a step is no longer than `settled` posterior standard
+    The search begins at a noise of the motion (6,), and ends at a step of at most `settled` posterior standard
     deviations. Returns the adjustment given, not converged, at the noise stated, where the normal equations are
     singular.
     """
@@ -282,10 +282,9 @@ class MarginalPosterior:
     def with_shown_motion(self, values: Array, states: Array, noise: Array = STATED) -> Point:
         """Return the point of values (m,), which stay, at the noise of the motion that fits there, from one (6,) on.
 
-        The objective falls with u as E - g, of the energy E of the motion, which goes with e^-2u, and the number g of
-        differences between knots that the detections determine: 6 l less the trace of the motion's part of A by A^-1.
-        That hardly changes with u, so that E e^-2d = g + (u + d) / std^2 gives the next step d (D. J. C. MacKay,
-        "Bayesian interpolation", Neural Computation 4, 1992).
+        That is E = g + u / std^2, of the energy E of the motion and the number g of differences between knots that the
+        detections determine: 6 l less the trace of the motion's part of A by A^-1. E goes with e^-2u, and g hardly
+        changes (D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4, 1992).
         """
         linearisation = self.linearisation
         for _ in range(MOST_MOTIONS):
@@ -294,17 +293,14 @@ class MarginalPosterior:
                 break
             states, inverse = at.states, np.zeros_like(at.factor)
             inverse_in_band(at.factor, inverse)
-            precision, (_, products) = linearisation.noise_at(values, noise).precision, linearisation.motion.pulls(states)
+            precision, (_, products) = (
+                linearisation.noise_at(values, noise).precision,
+                linearisation.motion.pulls(states),
+            )
             by_pairs = inverse * linearisation.motion.with_axes(precision)
             determined = 6.0 * self.links - float(2.0 * by_pairs.sum() - by_pairs[0].sum())
-            energy, information = float((precision * products).sum()), self.prior_std[len(values)] ** -2
-
-            def excess(step: float) -> float:
-                return float(energy * np.exp(-2.0 * step) - determined - information * (noise[0] + step))
-
-            ends = -LONGEST_MOTION, LONGEST_MOTION
-            is_between = excess(ends[0]) > 0.0 > excess(ends[1])
-            step = float(brentq(excess, *ends)) if is_between else ends[int(excess(0.0) > 0.0)]
+            energy = float((precision * products).sum())
+            step = _motion_step(energy, determined, float(noise[0]), float(self.prior_std[len(values)]))
             if abs(step) <= MOTION_SETTLED:
                 break
             noise = noise + step * OF_ALL
@@ -378,6 +374,17 @@ def at_answer(problem: Problem, adjustment: Adjustment, noise: Array) -> tuple[M
     posterior = MarginalPosterior(Linearisation.of(problem.weighted(problem.weights(adjustment.distances))))
     unknowns = np.append(adjustment.values, noise[: posterior.size - len(adjustment.values)])
     return posterior, posterior.at(unknowns, adjustment.states)
+
+
+def _motion_step(energy: float, determined: float, now: float, std: float) -> float:
+    """Step d of u, the noise of the motion, to where E e^-2d = g + (u + d) / std^2; no longer than allowed."""
+
+    def excess(step: float) -> float:
+        return float(energy * np.exp(-2.0 * step)) - determined - (now + step) / std**2
+
+    if excess(LONGEST_MOTION) > 0.0:
+        return LONGEST_MOTION
+    return float(brentq(excess, -LONGEST_MOTION, LONGEST_MOTION)) if excess(-LONGEST_MOTION) > 0.0 else -LONGEST_MOTION
 
 
 def _differences(

@@ -43,6 +43,8 @@ LEAST_SHARE, LONGER = 1.0 / 64.0, 2.0
 # Marquardt's damping of the first steps, and of equations that are singular: where it starts, its factor, and where it
 # gives up.
 FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10
+# Most steps that do not lower the cost: damping can grow from the first to the most, and a step be halved.
+STALLED_STEPS = 20
 
 
 @dataclass(frozen=True)
@@ -154,25 +156,24 @@ def adjust(
 ) -> Adjustment:
     """Minimise from values (m,) and knots (k, 2, 3), trying about `max_iterations` steps at most.
 
-    Converged when a step promises to lower the cost by less than the part `tolerance` of it: one without damping, or a
-    damped one where that without it is not lower or does not exist. The covariance is that of the undamped equations;
-    held values keep that of the prior.
+    Converged when a step without damping promises to lower the cost by less than the part `tolerance` of it. Ends, too,
+    where so many steps (`STALLED_STEPS`) do not: at the edge of a lens the slope promises what is not there. The
+    covariance is that of the undamped equations; held values keep that of the prior.
     """
     linearisation = Linearisation.of(problem)
     current = linearisation.at(values, states)
     damping, longest, converged, iteration = FIRST_DAMPING, np.inf, False, 0
-    is_damped = False  # whether the step without damping failed here
-    while iteration < max_iterations and damping < MOST_DAMPING:
+    lowest, lowered = current.cost, 0
+    while iteration < max_iterations and damping < MOST_DAMPING and iteration - lowered <= STALLED_STEPS:
         within(f"cameras and trajectories are adjusted, step {iteration + 1}")
         try:
             value_step, state_step = solve(current, damping)
         except LinAlgError:
-            is_damped = is_damped or damping == 0.0
             damping, iteration = max(DAMPING_FACTOR * damping, FIRST_DAMPING), iteration + 1
             continue
         promised = float(value_step @ current.value_vector + state_step @ current.state_vector)
         if promised <= tolerance * max(current.cost, 1.0):
-            if converged := is_damped or damping == 0.0:
+            if converged := damping == 0.0:
                 break
             damping = 0.0
             continue
@@ -186,12 +187,12 @@ def adjust(
                 break
             share *= 0.5
         if not is_lower:
-            is_damped = is_damped or damping == 0.0
             damping = max(DAMPING_FACTOR * damping, FIRST_DAMPING)
             continue
-        is_damped = False
         longest = (LONGER if share == whole else 1.0) * share * length
         (values, states, current), damping = tried, damping / DAMPING_FACTOR
+        if current.cost < lowest - tolerance * max(lowest, 1.0):
+            lowest, lowered = current.cost, iteration
     covariance = posterior_covariance(current, problem.parameters.prior_std)
     return Adjustment(values, states, covariance, current.cost, current.distances, converged)
 

@@ -14,7 +14,6 @@ from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, ma
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
-    STATED,
     Knots,
     MotionNoise,
     fit_states,
@@ -91,7 +90,7 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
-    return _fit(task, problem, pairing.values, states, detections, ANNEALED_ITERATIONS)
+    return _pass_fit(task, problem, pairing.values, states, detections)
 
 
 def with_clocks(task: Task, draws: Array) -> Array:
@@ -128,7 +127,7 @@ def tracked_fit(
     precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
-    return _fit(task, problem, values, states, detections, ANNEALED_ITERATIONS)
+    return _pass_fit(task, problem, values, states, detections)
 
 
 def refitted(task: Task, fit: Fit, tracked: bool = False, still: bool = False) -> Fit | None:
@@ -177,7 +176,7 @@ def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
     # the optimum of the first parts of the log is flat, and of all with many unknowns: the history need not end at its
     # last digit
     most = ANNEALED_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
-    return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), most, is_confirmed=False)
+    return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), most)
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
@@ -195,7 +194,7 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
 
 
-def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int, is_confirmed: bool = True) -> Fit | None:
+def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int | None = None) -> Fit | None:
     """Adjust to some of the detections, with the association of all; None if no object of two cameras is left.
 
     Trajectories of which one camera alone is left hold no information about the cameras, and collapse into it.
@@ -210,7 +209,7 @@ def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int, is_confirmed:
     if fit.observations.weights is None:
         observations = replace(observations, weights=None)
     of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
-    return adjusted_to(task, fit, observations, of_fit, detections, most, is_confirmed)
+    return adjusted_to(task, fit, observations, of_fit, detections, most)
 
 
 def adjusted_to(
@@ -219,13 +218,13 @@ def adjusted_to(
     observations: Observations,
     of_fit: Integers,
     detections: Integers,
-    max_iterations: int = MOST_ITERATIONS,
-    is_confirmed: bool = True,
+    most: int | None = None,
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
-    What the fit held is held again, and the noise of the motion is that of the fit. Stretches that collapse into a
-    camera (`adjustment.collapsed_stretches`) are left out, and the others are adjusted to again.
+    To the optimum of the marginal posterior, or, with at most so many steps (`most`) and where all values are held, to
+    the joint one. What the fit held is held again, and the noise of the motion is that of the fit. Stretches that
+    collapse into a camera (`adjustment.collapsed_stretches`) are left out, and the others are adjusted to again.
     """
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
     knots = replace(_knots(task, observations, points, fit.adjustment.values), noise_std=fit.knots.noise_std)
@@ -233,12 +232,18 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
-    how = None if not is_confirmed else fit.is_marginal
-    found = _fit(task, problem, fit.adjustment.values, states, detections, max_iterations, how)
+    values = fit.adjustment.values
+    states = _settled(problem, values, states)
+    if most is None and (fit.held is None or not fit.held.all()):
+        marginal = marginal_optimum(problem, _at(problem, values, states), fit.motion_noise, SETTLED_IN_PASSES)
+        found = _fit(task, problem, marginal.adjustment, detections, marginal.motion_noise)
+    else:
+        joint = adjust(problem, values, states, most or MOST_ITERATIONS)
+        found = _fit(task, problem, joint, detections, fit.motion_noise)
     standing = ~_collapsed(task, found)
     if standing.all():
         return found
-    return _part(task, found, np.flatnonzero(standing), max_iterations, is_confirmed) or found
+    return _part(task, found, np.flatnonzero(standing), most) or found
 
 
 def _collapsed(task: Task, fit: Fit) -> Booleans:
@@ -301,52 +306,52 @@ def with_stated_motion(task: Task, fit: Fit) -> Fit:
     return replace(fit, knots=replace(fit.knots, noise_std=least_noise(task.filter.motion)))
 
 
-def _fit(
-    task: Task,
-    problem: Problem,
-    values: Array,
-    states: Array,
-    detections: Integers,
-    max_iterations: int = MOST_ITERATIONS,
-    is_marginal: bool | None = False,
-) -> Fit:
-    """Adjust, and time the detections by the cameras found."""
-    # the loss would leave out at once what knots have to reach out for: detections beyond the last one so far, or
-    # nearly all where the knots begin at points whose depths rays hardly show
-    with suppress(LinAlgError):  # where they cannot settle they begin as they are
-        states = settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=SETTLING_STEPS)
-    is_joint = is_marginal is None or (problem.held is not None and bool(problem.held.all()))
-    joint = None if is_marginal and not is_joint else adjust(problem, values, states, max_iterations)
-    found, noise = (joint, STATED) if joint is not None and is_joint else _confirmed(problem, values, states, joint)
+def _pass_fit(task: Task, problem: Problem, values: Array, states: Array, detections: Integers) -> Fit:
+    """Adjust to the detections of a pass, where the cameras may be far off.
+
+    The joint optimum is found from afar. Where objects move by less than is stated, or manoeuvre, it may lie anywhere:
+    of one object before two cameras for ten minutes focal lengths grew tenfold. It counts if the marginal posterior is
+    greater there than at the values (m,) that it began with, at the noise of the motion that each of them shows. Else
+    the optimum of that is looked for from these.
+    """
+    states = _settled(problem, values, states)
+    begun, joint = _at(problem, values, states), adjust(problem, values, states, ANNEALED_ITERATIONS)
+    weights = np.maximum(problem.weights(begun.distances), problem.weights(joint.distances))
+    still = replace(problem.weighted(weights), held=np.ones(len(values), dtype=np.bool_))
+    posterior = MarginalPosterior(Linearisation.of(still))
+    first = posterior.with_shown_motion(values, states)
+    noise = posterior.parted(first.unknowns)[1]
+    last = posterior.with_shown_motion(joint.values, joint.states, noise)
+    if last.objective <= first.objective:
+        return _fit(task, problem, joint, detections, posterior.parted(last.unknowns)[1])
+    found = marginal_optimum(problem, replace(begun, states=first.states), noise, SETTLED_IN_PASSES)
+    return _fit(task, problem, found.adjustment, detections, found.motion_noise)
+
+
+def _settled(problem: Problem, values: Array, states: Array) -> Array:
+    """Return knots (k, 2, 3) that reach out for their detections, whatever the loss says.
+
+    It would leave out at once what lies beyond the last detection so far, or nearly all where the knots begin at points
+    whose depths rays hardly show. Knots that cannot settle stay as they are.
+    """
+    with suppress(LinAlgError):
+        return settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=SETTLING_STEPS)
+    return states
+
+
+def _at(problem: Problem, values: Array, states: Array) -> Adjustment:
+    """Return values (m,) and knots (k, 2, 3) as an adjustment that has not begun."""
+    there = Linearisation.of(problem).at(values, states)
+    prior = np.diag(problem.parameters.prior_std**2)
+    return Adjustment(values, states, prior, there.cost, there.distances, converged=False)
+
+
+def _fit(task: Task, problem: Problem, found: Adjustment, detections: Integers, noise: Array) -> Fit:
+    """Return the fit of an adjustment, its detections timed by the cameras found."""
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:
         observations = replace(observations, times=true_times(cameras, observations))
-    return Fit(found, problem.knots, observations, detections, problem.held, noise, found is not joint)
-
-
-def _confirmed(problem: Problem, values: Array, states: Array, joint: Adjustment | None) -> tuple[Adjustment, Array]:
-    """Return a joint optimum if the marginal posterior is greater there than at the values (m,) that it began with.
-
-    Else return the optimum of the marginal posterior that is found from these; with it the noise of the motion (6,).
-    Where objects move by less than is stated, or manoeuvre, the joint optimum may lie anywhere: of one object before
-    two cameras for ten minutes focal lengths grew tenfold. Both are judged at the noise of the motion that they show.
-    """
-    distances = Linearisation.of(problem).at(values, states).distances
-    weights = problem.weights(distances)
-    if joint is not None:
-        weights = np.maximum(weights, problem.weights(joint.distances))
-    still = replace(problem.weighted(weights), held=np.ones(len(values), dtype=np.bool_))
-    posterior = MarginalPosterior(Linearisation.of(still))
-    begun = posterior.with_shown_motion(values, states)
-    noise = posterior.parted(begun.unknowns)[1]
-    if joint is not None:
-        ended = posterior.with_shown_motion(joint.values, joint.states, noise)
-        if ended.objective <= begun.objective:
-            return joint, posterior.parted(ended.unknowns)[1]
-    prior = np.diag(problem.parameters.prior_std**2)
-    start = Adjustment(values, begun.states, prior, begun.equations.cost, distances, converged=False)
-    found = marginal_optimum(problem, start, noise, SETTLED_IN_PASSES)
-    return found.adjustment, found.motion_noise
+    return Fit(found, problem.knots, observations, detections, problem.held, noise)
 
 
 def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:

@@ -18,12 +18,10 @@ from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.annealing.fits import (
     FITTED_PASSES,
-    marginal_fit,
     paired_fit,
     pairings_of,
     refitted,
     tracked_fit,
-    with_stated_motion,
 )
 from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
 from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio
@@ -109,10 +107,6 @@ def _judged(task: Task, start: Start) -> Start:
     fit = start.fit
     assert fit is not None
     part, why = explained(task, fit), disagreement(task, fit)
-    if why is not None and task.parameters.prior_disagreement(fit.adjustment.values) is not None:
-        # joint optima of objects that manoeuvre may be far from the prior although the marginal one is not
-        fit = with_stated_motion(task, marginal_fit(task, fit))
-        start, why = start.with_pass(fit), disagreement(task, fit)
     if why is not None:
         return replace(start, outcome=why, explained=part)
     prior = float(task.parameters.log_prior(fit.adjustment.values))

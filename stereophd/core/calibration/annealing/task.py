@@ -142,7 +142,6 @@ class Fit:
     detections: Integers
     held: NDArray[np.bool_] | None = None
     motion_noise: Array = field(default_factory=lambda: STATED)
-    is_marginal: bool = False  # Whether the joint optimum was refuted by the marginal posterior (`fits.adjusted_to`)
 
     @property
     def motion_factors(self) -> Array:
