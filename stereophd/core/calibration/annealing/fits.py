@@ -4,7 +4,6 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
 from stereophd.core.arrays import Array, Booleans, Integers
@@ -24,14 +23,13 @@ from stereophd.core.calibration.adjustment.trajectories import (
     positions,
 )
 from stereophd.core.calibration.annealing.membership import chosen_detections
-from stereophd.core.calibration.annealing.rejected import collapsed, lone
+from stereophd.core.calibration.annealing.rejected import lone
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.pairing.association import keep, shared, track_detections, with_cameras
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import enlarged, reduced
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
@@ -40,8 +38,8 @@ ANNEALED_LOSS = Loss(normal_equations.CAUCHY, 2.0)
 FITTED_LOSS = Loss(normal_equations.FLOOR, 1e-3)
 # Spread of the draws about clock offsets that motion shows, in parts of the prior's.
 SEARCHED_PART = 0.1
-# Iterations of an adjustment, of one that others follow or that is for the history, and of one for the history where
-# more than poses is unknown.
+# Iterations of an adjustment, of one that others follow, and of one for the history, which need not end at the last
+# digit: the optimum of the first parts of the log is flat.
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
 # Steps of the knots, whatever the loss says, before an adjustment.
 SETTLING_STEPS = 3
@@ -172,11 +170,23 @@ def fit_from(task: Task, values: Array) -> Fit | None:
 
 
 def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
-    """Adjust to the detections until a time only, with the association of the whole run; None without any."""
-    # the optimum of the first parts of the log is flat, and of all with many unknowns: the history need not end at its
-    # last digit
-    most = ANNEALED_ITERATIONS if task.parameters.only_moves else HISTORY_ITERATIONS
-    return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), most)
+    """Adjust to the detections until a time only, with the association of the whole run.
+
+    None if no object of two cameras is left. Trajectories of which one camera alone is left hold no information about
+    the cameras.
+    """
+    rows = np.flatnonzero(fit.observations.times <= time_s)
+    chosen = shared(fit.observations.trajectories[rows], fit.observations.cameras[rows], 1)
+    rows = rows[np.isin(fit.observations.trajectories[rows], chosen)]
+    trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
+    if not len(trajectories):
+        return None
+    cameras = task.parameters.build(fit.adjustment.values)
+    observations = task.observations(cameras, numbers.astype(np.int64), fit.detections[rows])
+    if fit.observations.weights is None:
+        observations = replace(observations, weights=None)
+    of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
+    return adjusted_to(task, fit, observations, of_fit, detections, HISTORY_ITERATIONS)
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
@@ -194,24 +204,6 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
 
 
-def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int | None = None) -> Fit | None:
-    """Adjust to some of the detections, with the association of all; None if no object of two cameras is left.
-
-    Trajectories of which one camera alone is left hold no information about the cameras, and collapse into it.
-    """
-    chosen = shared(fit.observations.trajectories[rows], fit.observations.cameras[rows], 1)
-    rows = rows[np.isin(fit.observations.trajectories[rows], chosen)]
-    trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
-    if not len(trajectories):
-        return None
-    cameras = task.parameters.build(fit.adjustment.values)
-    observations = task.observations(cameras, numbers.astype(np.int64), fit.detections[rows])
-    if fit.observations.weights is None:
-        observations = replace(observations, weights=None)
-    of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
-    return adjusted_to(task, fit, observations, of_fit, detections, most)
-
-
 def adjusted_to(
     task: Task,
     fit: Fit,
@@ -223,8 +215,8 @@ def adjusted_to(
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
     To the optimum of the marginal posterior, or, with at most so many steps (`most`) and where all values are held, to
-    the joint one. What the fit held is held again, and the noise of the motion is that of the fit. Stretches that
-    collapse into a camera (`adjustment.collapsed_stretches`) are left out, and the others are adjusted to again.
+    the joint one, which puts what one camera alone sees for long into that camera, where it need not accelerate. What
+    the fit held is held again, and the noise of the motion is that of the fit.
     """
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
     knots = replace(_knots(task, observations, points, fit.adjustment.values), noise_std=fit.knots.noise_std)
@@ -236,26 +228,9 @@ def adjusted_to(
     states = _settled(problem, values, states)
     if most is None and (fit.held is None or not fit.held.all()):
         marginal = marginal_optimum(problem, _at(problem, values, states), fit.motion_noise, SETTLED_IN_PASSES)
-        found = _fit(task, problem, marginal.adjustment, detections, marginal.motion_noise)
-    else:
-        joint = adjust(problem, values, states, most or MOST_ITERATIONS)
-        found = _fit(task, problem, joint, detections, fit.motion_noise)
-    standing = ~_collapsed(task, found)
-    if standing.all():
-        return found
-    return _part(task, found, np.flatnonzero(standing), most) or found
-
-
-def _collapsed(task: Task, fit: Fit) -> Booleans:
-    """Which detections (n,) of a fit belong to stretches that have collapsed into their camera."""
-    seen = fit.observations
-    points = positions(fit.adjustment.states, *interpolation(fit.knots, seen.trajectories, seen.times))
-    still = np.zeros_like(points)
-    distances = [
-        np.linalg.norm(look(camera, points, still, seen.times, seen.log_times, seen.rows).points, axis=1)
-        for camera in task.parameters.build(fit.adjustment.values)
-    ]
-    return collapsed(seen.trajectories, seen.times, seen.cameras, np.stack(distances, axis=1))
+        return _fit(task, problem, marginal.adjustment, detections, marginal.motion_noise)
+    joint = adjust(problem, values, states, most or MOST_ITERATIONS)
+    return _fit(task, problem, joint, detections, fit.motion_noise)
 
 
 def problem_of(task: Task, fit: Fit) -> Problem:
