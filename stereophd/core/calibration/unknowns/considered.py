@@ -49,11 +49,14 @@ class CameraUncertainty:
     def moves(self, times: Array, states: Array, covariances: Array) -> Array:
         """Derivatives (n, 3, m) of the positions of estimates at times (n,), s, by the values.
 
-        The estimates have states (n, 6) and covariances (n, 6, 6).
+        The estimates have states (n, 6) and covariances (n, 6, 6). Those of positions that are singular count as
+        regular ones, a part `SINGULAR` of the largest eigenvalue wide.
         """
         count, size = len(states), self.parameters.size
-        roots = np.linalg.cholesky(covariances[:, :3, :3])
-        inverse = np.linalg.inv(covariances[:, :3, :3])
+        eigenvalues, vectors = np.linalg.eigh(covariances[:, :3, :3])
+        eigenvalues = np.maximum(eigenvalues, SINGULAR * eigenvalues[:, -1:])
+        roots = vectors * np.sqrt(eigenvalues)[:, None, :]
+        inverse = (vectors / eigenvalues[:, None, :]) @ np.swapaxes(vectors, 1, 2)
         information, pulls = [], []
         for camera in self.parameters.cameras:
             log_times = (times - camera.clock.offset_s) / camera.clock.rate
