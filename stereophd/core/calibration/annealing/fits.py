@@ -88,7 +88,7 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
-    return _pass_fit(task, problem, pairing.values, states, detections)
+    return confirmed_fit(task, problem, pairing.values, states, detections)
 
 
 def with_clocks(task: Task, draws: Array) -> Array:
@@ -125,7 +125,7 @@ def tracked_fit(
     precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
-    return _pass_fit(task, problem, values, states, detections)
+    return confirmed_fit(task, problem, values, states, detections)
 
 
 def refitted(task: Task, fit: Fit, tracked: bool = False, still: bool = False) -> Fit | None:
@@ -281,7 +281,7 @@ def with_stated_motion(task: Task, fit: Fit) -> Fit:
     return replace(fit, knots=replace(fit.knots, noise_std=least_noise(task.filter.motion)))
 
 
-def _pass_fit(task: Task, problem: Problem, values: Array, states: Array, detections: Integers) -> Fit:
+def confirmed_fit(task: Task, problem: Problem, values: Array, states: Array, detections: Integers) -> Fit:
     """Adjust to the detections of a pass, where the cameras may be far off.
 
     The joint optimum is found from afar. Where objects move by less than is stated, or manoeuvre, it may lie anywhere:
