@@ -13,6 +13,7 @@ from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, ma
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
+    STATED,
     Knots,
     MotionNoise,
     fit_states,
@@ -103,11 +104,17 @@ def with_clocks(task: Task, draws: Array) -> Array:
 
 
 def tracked_fit(
-    task: Task, values: Array, inflation: float, held: Booleans | None = None, ratio: float = 1.0
+    task: Task,
+    values: Array,
+    inflation: float,
+    held: Booleans | None = None,
+    ratio: float = 1.0,
+    noise: Array = STATED,
 ) -> Fit | None:
     """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any.
 
-    `held` (m,) are values that stay; the filter gets the cameras enlarged by `ratio` (`annealing.tracking_scale`).
+    `held` (m,) are values that stay; the filter gets the cameras enlarged by `ratio` (`annealing.tracking_scale`). The
+    noise (6,) of the motion is looked for from the given one on.
     """
     cameras = task.parameters.build(values)
     scans = task.tracked_scans(cameras)
@@ -125,7 +132,7 @@ def tracked_fit(
     precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
-    return confirmed_fit(task, problem, values, states, detections)
+    return confirmed_fit(task, problem, values, states, detections, noise)
 
 
 def refitted(task: Task, fit: Fit, tracked: bool = False, still: bool = False) -> Fit | None:
@@ -281,26 +288,31 @@ def with_stated_motion(task: Task, fit: Fit) -> Fit:
     return replace(fit, knots=replace(fit.knots, noise_std=least_noise(task.filter.motion)))
 
 
-def confirmed_fit(task: Task, problem: Problem, values: Array, states: Array, detections: Integers) -> Fit:
+def confirmed_fit(
+    task: Task, problem: Problem, values: Array, states: Array, detections: Integers, noise: Array = STATED
+) -> Fit:
     """Adjust to the detections of a pass, where the cameras may be far off.
 
     The joint optimum is found from afar. Where objects move by less than is stated, or manoeuvre, it may lie anywhere:
     of one object before two cameras for ten minutes focal lengths grew tenfold. It counts if the marginal posterior is
-    greater there than at the values (m,) that it began with, at the noise of the motion that each of them shows. Else
-    the optimum of that is looked for from these.
+    greater there than at the values (m,) that it began with, at the noise of the motion (6,) that shows. Else the
+    optimum of that is looked for from these.
     """
     states = _settled(problem, values, states)
     begun, joint = _at(problem, values, states), adjust(problem, values, states, ANNEALED_ITERATIONS)
     weights = np.maximum(problem.weights(begun.distances), problem.weights(joint.distances))
     still = replace(problem.weighted(weights), held=np.ones(len(values), dtype=np.bool_))
     posterior = MarginalPosterior(Linearisation.of(still))
-    first = posterior.with_shown_motion(values, states)
-    noise = posterior.parted(first.unknowns)[1]
-    last = posterior.with_shown_motion(joint.values, joint.states, noise)
-    if last.objective <= first.objective:
-        return _fit(task, problem, joint, detections, posterior.parted(last.unknowns)[1])
-    found = marginal_optimum(problem, replace(begun, states=first.states), noise, SETTLED_IN_PASSES)
-    return _fit(task, problem, found.adjustment, detections, found.motion_noise)
+    with suppress(LinAlgError):
+        first = posterior.with_shown_motion(values, states, noise)
+        noise = posterior.parted(first.unknowns)[1]
+        last = posterior.with_shown_motion(joint.values, joint.states, noise, first.objective)
+        noise = posterior.parted(last.unknowns)[1]
+        if last.objective > first.objective:
+            begun = replace(begun, states=first.states)
+            found = marginal_optimum(problem, begun, posterior.parted(first.unknowns)[1], SETTLED_IN_PASSES)
+            return _fit(task, problem, found.adjustment, detections, found.motion_noise)
+    return _fit(task, problem, joint, detections, noise)
 
 
 def _settled(problem: Problem, values: Array, states: Array) -> Array:

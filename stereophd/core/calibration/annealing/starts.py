@@ -16,6 +16,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.recording import Scans
+from stereophd.core.calibration.adjustment.trajectories import STATED
 from stereophd.core.calibration.annealing.fits import (
     FITTED_PASSES,
     paired_fit,
@@ -79,8 +80,8 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
         step = f"pass {number_of_pass + 1} of {len(inflations)}, {inflation:g} times the noise"
         if not task.limit.begin(f"{_name_of(task, begun)}: {step}"):
             return replace(begun, fit=None, outcome=TIME_OVER)
-        ratio = 1.0 if fit is None else depth_ratio(task, fit, KEPT_WITHIN)
-        fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio)
+        ratio, noise = (1.0, STATED) if fit is None else (depth_ratio(task, fit, KEPT_WITHIN), fit.motion_noise)
+        fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio, noise)
         if fit is None:
             why = f"no track is shared by two cameras at {inflation:g} times the noise"
             return replace(begun, fit=None, outcome=why)
