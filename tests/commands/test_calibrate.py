@@ -130,7 +130,7 @@ WAYS = {
     "smc": (
         (
             "calibration.posterior=smc",
-            "calibration.smc={particles: 8, moves: 1}",
+            "calibration.smc={particles: 8, moves: 1, max_events: 60}",
             *ONE_START,
             "calibration.scale={kind: baseline, cameras: [left, right], distance: 40, std: 0.5}",
         ),
@@ -350,7 +350,8 @@ def test_an_optimum_that_was_not_found_is_not_determined(
 
 @pytest.mark.parametrize("model", ["constant_velocity", "static"])
 def test_one_object_that_stands_still_leaves_the_cameras_undetermined(tmp_path: Path, model: str) -> None:
-    overrides = (*QUICK, "simulate.objects=null", "simulate.given=[{position: [0, 0, 150]}]", f"motion.model={model}")
+    standing = ("simulate.objects=null", "simulate.given=[{position: [0, 0, 150]}]", f"motion.model={model}")
+    overrides = (*QUICK, *ONE_START, *standing)
     simulate(load_config(CONFIG, overrides), tmp_path / "scene")
     report = calibrate(
         loaded(tmp_path / "scene", overrides), tmp_path / "scene" / "detections.parquet", tmp_path / "out", plots=False
@@ -405,7 +406,9 @@ def test_a_known_length_between_two_objects_is_kept(tmp_path: Path) -> None:
 
 def test_more_clutter_than_stated_is_told_from_objects(scene: Path, tmp_path: Path) -> None:
     # a tenth of what there is: two thirds of the detections would be expected to be of objects, a third are
-    overrides = (*QUICK, *(f"cameras.{name}.detector.clutter_per_frame=0.3" for name in ("left", "right")))
+    overrides = (
+        *QUICK, *ONE_START, *(f"cameras.{name}.detector.clutter_per_frame=0.3" for name in ("left", "right"))
+    )  # fmt: skip
     log = scene / "detections.parquet"
     guess = (scene / "guess.yaml").read_text().replace("clutter_per_frame: 3.0", "clutter_per_frame: 0.3")
     (tmp_path / "scene").mkdir()
@@ -450,7 +453,7 @@ def test_rolling_shutters_are_taken_into_account(tmp_path: Path) -> None:
 
 
 def test_three_cameras_of_which_two_are_unknown(tmp_path: Path) -> None:
-    quick = ("simulate.duration_s=25", *ONE_START)
+    quick = ("simulate.duration_s=15", *ONE_START)
     simulate(load_config(THREE, quick), tmp_path / "scene")
     report = calibrate(
         loaded(tmp_path / "scene", quick, THREE),

@@ -74,7 +74,7 @@ USES = {
         "--seen-by 1 --seen-within 1 --out OUT --no-plots",
     ),
     "calibrate": Use("run", "calibrate config.yaml log.parquet --out OUT", 6),
-    "calibrate several": Use("run", "calibrate config.yaml log.parquet other.parquet --out OUT", 1),
+    "calibrate several": Use("run", "calibrate config.yaml log.parquet other.parquet --jobs 1 --out OUT", 1),
     "evaluate of folders": Use("run", "evaluate runs runs --cutoff 1 --out OUT --no-plots", 2),
     "experiment": Use("experiment", "experiment config.yaml --out OUT", 4),
     "align to a track": Use("control", "align cameras.yaml --to control.parquet --tracks tracks.parquet --out OUT", 6),

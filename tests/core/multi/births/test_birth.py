@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
 
@@ -15,14 +17,18 @@ from tests.core.disparity.cases import LENSES, birth_moments, make_camera, make_
 PIXELS = np.array([[10.0, 15.0], [400.0, 300.0], [790.0, 40.0]])
 
 
+@cache
+def drawn() -> tuple[np.ndarray, np.ndarray]:
+    """Standard normal depths and velocities."""
+    rng, count = np.random.default_rng(1), 300_000
+    return rng.standard_normal(count), rng.standard_normal((count, 3))
+
+
 def sampled(space: DisparitySpace, point: np.ndarray, prior: tuple[float, float], speed: float) -> np.ndarray:
     """States (n, 6): depth drawn from the prior on disparity, velocity from N(0, speed^2 I) in the world."""
-    rng = np.random.default_rng(1)
-    count = 300_000
-    disparity = prior[0] + prior[1] * rng.standard_normal(count)
-    states = np.column_stack([np.tile(point, (count, 1)), disparity])
-    world = space.to_world(states)
-    return space.from_world(np.column_stack([world, speed * rng.standard_normal((count, 3))]))
+    depths, velocities = drawn()
+    states = np.column_stack([np.tile(point, (len(depths), 1)), prior[0] + prior[1] * depths])
+    return space.from_world(np.column_stack([space.to_world(states), speed * velocities]))
 
 
 @pytest.mark.parametrize("rectification", ["horizontal", "vertical"])
