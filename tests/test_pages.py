@@ -74,7 +74,7 @@ def ready(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return a folder with what the pages begin with: configurations, a short demonstration, logs of some days."""
     folder = tmp_path_factory.mktemp("pages")
     shutil.copytree(ROOT / "configs", folder / "configs")
-    short = re.sub(r"duration_s: [\d.]+", "duration_s: 1.0", config_text())
+    short = re.sub(r"duration_s: [\d.]+", "duration_s: 2.0", config_text())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("stereophd.commands.demo.config_text", lambda: short)
         demo(folder / "out")

@@ -66,6 +66,7 @@ def test_all_experiments_of_the_paper_are_tested() -> None:
 
 
 class TestManyObjects:
+    @pytest.mark.usefixtures("without_checks")
     @pytest.mark.parametrize("smooth", [False, True])
     def test_as_simulate_track_and_evaluate(self, load: Load, tmp_path: Path, smooth: bool) -> None:
         loaded = load(*(["report.smooth={}"] if smooth else []))

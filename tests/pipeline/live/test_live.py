@@ -34,6 +34,8 @@ from stereophd.pipeline.tracking import loop
 from stereophd.pipeline.tracking.knocked import Knock, KnockTest
 from stereophd.pipeline.workers.aside import Aside
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 HALL = Path(__file__).resolve().parents[3] / "sample_data"
 
 
