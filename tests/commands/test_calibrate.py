@@ -452,7 +452,7 @@ def test_rolling_shutters_are_taken_into_account(tmp_path: Path) -> None:
 
 
 def test_three_cameras_of_which_two_are_unknown(tmp_path: Path) -> None:
-    quick = ("simulate.duration_s=15", *ONE_START)
+    quick = ("simulate.duration_s=25", *ONE_START)
     simulate(load_config(THREE, quick), tmp_path / "scene")
     report = calibrate(
         loaded(tmp_path / "scene", quick, THREE),

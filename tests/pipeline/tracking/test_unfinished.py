@@ -38,7 +38,7 @@ pytestmark = pytest.mark.usefixtures("without_checks")
 def scene(tmp_path_factory: pytest.TempPathFactory) -> tuple[LoadedConfig, Path]:
     folder = tmp_path_factory.mktemp("journal")
     (folder / "scene.yaml").write_text(SCENE)
-    loaded = load_config(folder / "scene.yaml", ["simulate.duration_s=6.0"])
+    loaded = load_config(folder / "scene.yaml", ["simulate.duration_s=10.0"])
     simulate(loaded, folder / "scene")
     return loaded, folder / "scene" / "detections.parquet"
 
