@@ -130,11 +130,19 @@ WAYS = {
     "smc": (
         (
             "calibration.posterior=smc",
+            "calibration.smc={particles: 8, moves: 1}",
+            *ONE_START,
+            "calibration.scale={kind: baseline, cameras: [left, right], distance: 40, std: 0.5}",
+        ),
+        4,
+    ),
+    "smc of a lens and a clock": (
+        (
+            "calibration.posterior=smc",
             "calibration.smc={particles: 8, moves: 1, max_events: 30}",
             "calibration.priors.right.focal_std=0.05",
             "calibration.priors.right.clock_offset_std_s=0.05",
             *ONE_START,
-            "calibration.scale={kind: baseline, cameras: [left, right], distance: 40, std: 0.5}",
         ),
         4,
     ),
