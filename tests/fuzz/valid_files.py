@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyarrow.compute as pc
 import pyarrow.csv as csv
 import pyarrow.parquet as pq
 import yaml
@@ -74,8 +75,8 @@ USES = {
         "run", "evaluate tracked/tracks.parquet truth.parquet --cutoff 1 --cameras cameras.yaml --log log.parquet "
         "--seen-by 1 --seen-within 1 --out OUT --no-plots",
     ),
-    "calibrate": Use("run", "calibrate config.yaml log.parquet --out OUT", 6),
-    "calibrate several": Use("run", "calibrate config.yaml log.parquet other.parquet --jobs 1 --out OUT", 1),
+    "calibrate": Use("run", "calibrate config.yaml short.parquet --out OUT", 6),
+    "calibrate several": Use("run", "calibrate config.yaml short.parquet shorter.parquet --jobs 1 --out OUT", 1),
     "evaluate of folders": Use("run", "evaluate runs runs --cutoff 1 --out OUT --no-plots", 2),
     "experiment": Use("experiment", "experiment config.yaml --out OUT", 4),
     "align to a track": Use("control", "align cameras.yaml --to control.parquet --tracks tracks.parquet --out OUT", 6),
@@ -130,6 +131,9 @@ def write_run(folder: Path) -> None:
     (folder / "scene").rmdir()
     (folder / "detections.parquet").rename(folder / "log.parquet")
     shutil.copy(folder / "log.parquet", folder / "other.parquet")
+    whole = pq.read_table(folder / "log.parquet")
+    for name, end_s in (("short", 0.8), ("shorter", 0.7)):  # too short to calibrate by, which takes long
+        pq.write_table(whole.filter(pc.less(whole["time_s"], end_s)), folder / f"{name}.parquet")
     track(loaded, folder / "log.parquet", folder / "tracked")
     evaluate(
         folder / "tracked" / "tracks.parquet", folder / "truth.parquet", folder / "scores", cutoff=1.0, plots=False
