@@ -192,6 +192,7 @@ def test_calibration_errors_are_those_of_the_guess_before_any_data() -> None:
     assert found["scale_std_ratio"] == pytest.approx(np.ones(2))
 
 
+@pytest.mark.usefixtures("without_figure")
 def test_the_table_as_json(load: Load, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from stereophd.cli.app import run
 
