@@ -80,7 +80,7 @@ def test_the_examples_run(
     for name in ("detections", "truth"):  # the page says nothing of the length
         path = tmp_path / "sample_data" / "hall" / f"{name}.parquet"
         table = pq.read_table(path)
-        pq.write_table(table.filter(pc.less(table["time_s"], 5.0)), path)
+        pq.write_table(table.filter(pc.less(table["time_s"], 3.0)), path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(stereophd, "demo", demo, raising=False)
     names: dict[str, object] = {}

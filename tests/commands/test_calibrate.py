@@ -405,7 +405,9 @@ def test_a_known_length_between_two_objects_is_kept(tmp_path: Path) -> None:
 
 def test_more_clutter_than_stated_is_told_from_objects(scene: Path, tmp_path: Path) -> None:
     # a tenth of what there is: two thirds of the detections would be expected to be of objects, a third are
-    overrides = (*QUICK, *(f"cameras.{name}.detector.clutter_per_frame=0.3" for name in ("left", "right")))
+    overrides = (
+        *QUICK, *ONE_START, *(f"cameras.{name}.detector.clutter_per_frame=0.3" for name in ("left", "right"))
+    )  # fmt: skip
     log = scene / "detections.parquet"
     guess = (scene / "guess.yaml").read_text().replace("clutter_per_frame: 3.0", "clutter_per_frame: 0.3")
     (tmp_path / "scene").mkdir()

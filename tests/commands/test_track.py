@@ -176,6 +176,7 @@ def test_files_and_their_columns(config_path: Path, tmp_path: Path) -> None:
     assert [done for done, _ in calls] == sorted(done for done, _ in calls)
 
 
+@pytest.mark.usefixtures("without_checks")
 def test_provenance(config_path: Path, tmp_path: Path) -> None:
     loaded, folder = made(config_path)
     report = track(loaded, folder / "detections.parquet", tmp_path / "out")
@@ -215,6 +216,7 @@ def test_same_bytes_again_and_with_two_threads(
     assert digests(tmp_path / "one") == digests(tmp_path / "two")
 
 
+@pytest.mark.usefixtures("without_checks")
 def test_the_seed_draws_the_samples(config_path: Path, tmp_path: Path) -> None:
     loaded, folder = made(config_path, "simulate.duration_s=8.0")
     log = folder / "detections.parquet"
@@ -253,6 +255,7 @@ def test_objects_are_tracked(config_path: Path, tmp_path: Path, overrides: tuple
     assert np.mean(scores) < limit
 
 
+@pytest.mark.usefixtures("without_checks")
 def test_times_are_true_times(config_path: Path, tmp_path: Path) -> None:
     """The tracks are on the common clock: scans in order, and where the log's clocks differ, corrected."""
     loaded, folder = made(config_path, *UNEVEN)
@@ -266,6 +269,7 @@ def test_times_are_true_times(config_path: Path, tmp_path: Path) -> None:
         np.testing.assert_allclose(times, phase + frames / rate, rtol=0, atol=1e-9)
 
 
+@pytest.mark.usefixtures("without_checks")
 def test_nobody_there(config_path: Path, tmp_path: Path) -> None:
     """Empty frames count: nothing is reported, and the likelihood is that of nearly no clutter."""
     loaded, folder = made(config_path, *NOBODY, "cameras.right.detector.clutter_per_frame=0.0")
@@ -293,6 +297,7 @@ def test_no_filter_is_an_input_error(config_path: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("without_checks")
 def test_outputs_are_replaced_only_by_force(config_path: Path, tmp_path: Path) -> None:
     loaded, folder = made(config_path, "simulate.duration_s=3.0")
     log = folder / "detections.parquet"

@@ -24,6 +24,8 @@ from stereophd.core.metrics.truth.registration import Registration
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.pipeline.cameras_covariance import in_world, rows_of, stated_uncertainty
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_data"
 STDS = {"center_x": 0.03, "rotation_y": 2e-3, "focal": 4e-3, "clock_offset": 5e-3}
 

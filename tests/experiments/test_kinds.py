@@ -26,16 +26,16 @@ PAPER = Path(__file__).parent.parent.parent / "configs" / "paper"
 # What makes an experiment of the paper small, and the quantities that its figure shows.
 SMALL = {
     "static_scene": ["experiment.runs=1", "experiment.scenario.bound_scenes=1", "experiment.cases={}"],
-    "table2": ["experiment.runs=3"],
-    "figure4": ["experiment.runs=2", "experiment.scenario.reference_samples=20000"],
-    "figure7": ["experiment.runs=2", "experiment.scenario.reference_samples=20000"],
-    "figure10": ["experiment.runs=2"],
-    "figure11": ["experiment.runs=2", "experiment.scenario.steps=6", "experiment.scenario.bound_trajectories=2"],
+    "table2": ["experiment.runs=1"],
+    "figure4": ["experiment.runs=1", "experiment.scenario.reference_samples=20000"],
+    "figure7": ["experiment.runs=1", "experiment.scenario.reference_samples=20000"],
+    "figure10": ["experiment.runs=1"],
+    "figure11": ["experiment.runs=1", "experiment.scenario.steps=6", "experiment.scenario.bound_trajectories=2"],
     "figure12": ["experiment.runs=1", "simulate.duration_s=10"],
     "figure13": [
         "experiment.runs=1",
-        "simulate.duration_s=40",
-        "experiment.scenario={kind: calibration, every_s: 20, bound_scenes: 1}",
+        "simulate.duration_s=20",
+        "experiment.scenario={kind: calibration, every_s: 10, bound_scenes: 1}",
         "calibration.annealed.starts=1",
         "calibration.sequential={moves: none, particles: 4, likelihood: phd, samples: 16}",
         "experiment.methods.sequential={calibration.method: sequential, calibration.sequential: "
@@ -66,6 +66,7 @@ def test_all_experiments_of_the_paper_are_tested() -> None:
 
 
 class TestManyObjects:
+    @pytest.mark.usefixtures("without_checks")
     @pytest.mark.parametrize("smooth", [False, True])
     def test_as_simulate_track_and_evaluate(self, load: Load, tmp_path: Path, smooth: bool) -> None:
         loaded = load(*(["report.smooth={}"] if smooth else []))
@@ -191,6 +192,7 @@ def test_calibration_errors_are_those_of_the_guess_before_any_data() -> None:
     assert found["scale_std_ratio"] == pytest.approx(np.ones(2))
 
 
+@pytest.mark.usefixtures("without_figure")
 def test_the_table_as_json(load: Load, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     from stereophd.cli.app import run
 

@@ -68,11 +68,6 @@ def local_workers() -> list[int]:
     return [p.pid for p in children if any("worker_process" in word for word in p.cmdline())]
 
 
-def test_two_processes(load: Load, tmp_path: Path, expected: dict[str, bytes]) -> None:
-    experiment(load(), tmp_path / "two", jobs=2)
-    assert contents(tmp_path / "two") == expected
-
-
 def test_a_killed_process_loses_no_run(
     load: Load, tmp_path: Path, expected_of_many: dict[str, bytes], caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -91,11 +86,6 @@ def cluster() -> Iterator[object]:
         n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, silence_logs="CRITICAL"
     ) as local:
         yield local
-
-
-def test_dask(load: Load, tmp_path: Path, expected: dict[str, bytes], cluster: object) -> None:
-    experiment(load(), tmp_path / "dask", dask=cluster.scheduler_address)  # type: ignore[attr-defined]
-    assert contents(tmp_path / "dask") == expected
 
 
 def test_a_killed_worker_of_dask_loses_no_run(

@@ -14,6 +14,8 @@ from pathlib import Path
 
 import pytest
 
+from stereophd.cli.app import run as command_line
+
 EXAMPLE = Path(__file__).parent / "example"
 ROOT = Path(__file__).parents[2]
 
@@ -67,13 +69,13 @@ def test_all_four_kinds_are_used_by_a_run(example: Path) -> None:
     assert export.returncode == 0, export.stderr
     tracks = {line.split(";")[1] for line in (example / "tracks.txt").read_text().splitlines()}
     assert len(tracks) >= 3
-    # the same scene with the package's own words: the plug-ins are the same models under other names
+    # the same scene with the package's own words, in this process: the plug-ins are the same models under other names
     own = {
         "motion": "{model: constant_velocity, acceleration_std: 0.3}",
         "filter": settings["filter"].replace("cautious", "pmb"),
     }
     words = [word for key, value in own.items() for word in ("--set", f"{key}={value}")]
-    assert run(example, "track", str(config), str(log), "--out", "own", "-q", *words).returncode == 0
+    assert command_line(["track", str(config), str(log), "--out", str(example / "own"), "-q", *words]) == 0
     assert run(example, "export", "semicolons", "own", "--out", "own.txt").returncode == 0
     assert (example / "own.txt").read_text() == (example / "tracks.txt").read_text()
 

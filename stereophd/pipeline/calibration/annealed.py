@@ -131,7 +131,7 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
     new = range(len(starts), count)
 
     def is_done() -> bool:
-        return enough(starts, agreeing) or (bool(starts) and run.limit.is_over)
+        return len(starts) == count or enough(starts, agreeing) or (bool(starts) and run.limit.is_over)
 
     if is_done():
         return starts

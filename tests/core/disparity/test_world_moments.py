@@ -17,7 +17,7 @@ from tests.core.disparity.cases import (
     state_in,
     weighted,
 )
-from tests.core.disparity.moves import REFERENCE_SAMPLES, monte_carlo_margins, sample_sets
+from tests.core.disparity.moves import monte_carlo_margins, reference_samples, sample_sets
 
 
 @pytest.mark.parametrize("method", ["qmc", "particle"])
@@ -30,7 +30,7 @@ def test_world_moments_against_sampling(method: str, rectification: str, dt: flo
     for std in (0.3, 4.0):
         mean = state_in(space, [*space.camera.pose.to_world([[3.0, -2.0, 120.0]])[0].tolist(), 1.0, 2.0, -1.0])
         covariance = random_covariance(np.random.default_rng(10), [2.0, 2.0, std, 4.0, 4.0, 0.2])
-        samples = np.random.default_rng(11).standard_normal((12, REFERENCE_SAMPLES // 2))
+        samples = reference_samples()
         disparity = mean[2] + samples[:6].T @ np.linalg.cholesky(covariance)[2]
         kept = disparity >= mean[2] / 10.0
         assert kept.all() == (std == 0.3)

@@ -239,8 +239,7 @@ BAD_ROWS = [
 ]
 
 
-@pytest.mark.parametrize("piece", [1, 2, 3, 100])
-@pytest.mark.parametrize("offset", [0.0, 0.125])
+@pytest.mark.parametrize(("piece", "offset"), [(1, 0.0), (2, 0.125), (3, 0.0), (100, 0.125)])
 @pytest.mark.parametrize(("position", "bad_row", "kind", "message"), BAD_ROWS)
 class TestBadRow:
     """One bad row in a good log: an error that names it, or dropped and counted."""

@@ -86,6 +86,8 @@ def test_a_run_that_is_continued_goes_on_after_the_starts_that_are_kept(run_all:
     assert [one.number for one in run_all([5.0, None, None, 5.0, *[None] * 4], first)] == [0, 1, 2, 3]
     agreeing = [start(0, 5.0), start(1, 5.0)]
     assert run_all([None] * COUNT, agreeing) == agreeing
+    # the run was interrupted after the last of all
+    assert run_all([None] * COUNT, [start(k, None) for k in range(COUNT)])[-1].number == COUNT - 1
 
 
 def test_what_the_time_has_cut_short_is_not_kept(run_all: Any) -> None:

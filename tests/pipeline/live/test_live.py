@@ -34,6 +34,8 @@ from stereophd.pipeline.tracking import loop
 from stereophd.pipeline.tracking.knocked import Knock, KnockTest
 from stereophd.pipeline.workers.aside import Aside
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 HALL = Path(__file__).resolve().parents[3] / "sample_data"
 
 
@@ -64,24 +66,37 @@ def run(loaded: LoadedConfig, frames: Sequence[Message], out: Path | None = None
     return report, [json.loads(line) for line in lines.getvalue().splitlines()]
 
 
+# report, rows and files
+Plain = tuple[dict[str, Any], list[Any], Path]
+
+
+@pytest.fixture(scope="module")
+def plain(loaded: LoadedConfig, frames: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Plain:
+    """A run in which no frame is late."""
+    out = tmp_path_factory.mktemp("live") / "plain"
+    return *run(loaded, frames, out), out
+
+
 def by_event(lines: Sequence[Any]) -> dict[tuple[str, int], Any]:
     """Return the last line of each event, without whether it was revised."""
     return {(line["camera"], line["frame"]): {**line, "revised": False} for line in lines}
 
 
-def test_the_order_of_arrival_does_not_matter(loaded: LoadedConfig, frames: list[Message], tmp_path: Path) -> None:
-    plain, expected = run(loaded, frames, tmp_path / "plain")
-    assert plain["late_frames"] == 0
+def test_the_order_of_arrival_does_not_matter(
+    loaded: LoadedConfig, frames: list[Message], plain: Plain, tmp_path: Path
+) -> None:
+    report, expected, out = plain
+    assert report["late_frames"] == 0
     assert len(expected) == len(frames)
     late, lines = run(loaded, shuffled(frames, 0.5), tmp_path / "late")
     assert late["late_frames"] > 10
     assert late["revised_events"] == sum(line["revised"] for line in lines)
     assert by_event(lines) == by_event(expected)
     # the log that both wrote, and its tracks, are those of a batch run to the byte
-    track(loaded, tmp_path / "plain" / "detections.parquet", tmp_path / "batch")
+    track(loaded, out / "detections.parquet", tmp_path / "batch")
     for name in ("tracks.parquet", "scans.parquet"):
         batch = (tmp_path / "batch" / name).read_bytes()
-        assert batch == (tmp_path / "plain" / name).read_bytes() == (tmp_path / "late" / name).read_bytes()
+        assert batch == (out / name).read_bytes() == (tmp_path / "late" / name).read_bytes()
 
 
 def test_a_stream_without_a_frame_is_refused(loaded: LoadedConfig, tmp_path: Path) -> None:
@@ -90,7 +105,7 @@ def test_a_stream_without_a_frame_is_refused(loaded: LoadedConfig, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
-def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Message]) -> None:
+def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Message], plain: Plain) -> None:
     waiting = load_config(
         loaded.path, ["report.times=events", "live.wait_s=0.6"], cameras_path=HALL / "hall" / "cameras.yaml"
     )
@@ -99,7 +114,7 @@ def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Mes
     assert run(loaded, delayed)[0]["late_frames"] > 10
     report, lines = run(waiting, delayed)
     assert report["late_frames"] == 0
-    assert by_event(lines) == by_event(run(loaded, frames)[1])
+    assert by_event(lines) == by_event(plain[1])
 
 
 def test_a_frame_that_is_too_late_is_counted_or_refused(loaded: LoadedConfig, frames: list[Message]) -> None:
@@ -156,7 +171,7 @@ def test_rows_of_a_grid_are_predicted_to_now(loaded: LoadedConfig, frames: list[
     assert last == {row["time_s"]: row["tracks"] for row in run(gridded, frames)[1]}
 
 
-def test_rows_with_a_lag_are_smoothed(loaded: LoadedConfig, frames: list[Message]) -> None:
+def test_rows_with_a_lag_are_smoothed(loaded: LoadedConfig, frames: list[Message], plain: Plain) -> None:
     lagging = load_config(
         loaded.path, ["report.times=events", "report.lag_s=0.8"], cameras_path=HALL / "hall" / "cameras.yaml"
     )
@@ -170,7 +185,7 @@ def test_rows_with_a_lag_are_smoothed(loaded: LoadedConfig, frames: list[Message
 
     track_live(lagging, arrivals(), "frames", LiveOutputs([JsonLines(lines)]))
     rows = [json.loads(line) for line in lines.getvalue().splitlines()]
-    at_once = run(loaded, frames)[1]
+    at_once = plain[1]
     assert [(row["camera"], row["frame"]) for row in rows] == [(row["camera"], row["frame"]) for row in at_once]
     table = pq.read_table(HALL / "hall" / "truth.parquet")
     truth = np.stack([table[name].to_numpy() for name in ("time_s", "x", "y", "z")], axis=1)
@@ -213,8 +228,9 @@ def test_a_recording_holds_what_was_used(loaded: LoadedConfig, frames: list[Mess
 
 
 def test_files_are_whole_at_checkpoints_and_a_killed_run_goes_on(
-    loaded: LoadedConfig, frames: list[Message], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    loaded: LoadedConfig, frames: list[Message], plain: Plain, tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
     """The work of a checkpoint is done in this process; whoever looks between two frames finds files of a batch run."""
 
     def start(self: Aside, work: Any) -> None:
@@ -245,9 +261,8 @@ def test_files_are_whole_at_checkpoints_and_a_killed_run_goes_on(
         track_live(loaded, iter(frames[20:]), "frames", LiveOutputs(folder=out))
     monkeypatch.setattr(commands, "CHECKPOINT_EVERY_S", 60.0)
     track_live(loaded, iter(frames[20:]), "frames", LiveOutputs(folder=out, resume=True))
-    run(loaded, frames, tmp_path / "plain")
     for name in ("tracks.parquet", "scans.parquet", "detections.parquet"):
-        assert (out / name).read_bytes() == (tmp_path / "plain" / name).read_bytes()
+        assert (out / name).read_bytes() == (plain[2] / name).read_bytes()
     assert not recording.exists()
 
 

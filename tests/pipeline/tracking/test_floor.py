@@ -14,6 +14,8 @@ from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 SCENE = """
 units: {length: m}
 seed: 3

@@ -23,6 +23,8 @@ from stereophd.pipeline.tracking.loop import Attribution, grid_times
 from tests.commands.test_track import SCAN_COLUMNS, SCENE, TRACK_COLUMNS, assert_columns
 from tests.core.trajectories.test_smoothing import batch, filtered, simulated
 
+pytestmark = pytest.mark.usefixtures("without_checks")
+
 STEP_S = 0.15
 GRID = f"report.times=grid {STEP_S}"
 # the cameras share neither rate nor phase; both see all objects; the truth is written at the times of the grid

@@ -21,6 +21,7 @@ from stereophd.core.calibration.annealing.fits import (
 )
 from stereophd.core.calibration.annealing.method import (
     FREE,
+    Calibrated,
     Choices,
     calibrated,
     may_be_freed,
@@ -63,6 +64,13 @@ def task(made: MadeUp) -> Task:
 @pytest.fixture(scope="module")
 def paired(task: Task) -> Fit:
     return paired_fit(task, pairings_of(task, task.parameters.prior_mean, np.random.SeedSequence(1))[0])
+
+
+@pytest.fixture(scope="module")
+def right(task: Task) -> Calibrated:
+    """The answer of one start, with the noise as it is."""
+    starts = [run_start(task, 0, task.parameters.prior_mean, np.random.SeedSequence(1))]
+    return calibrated(replace(task, settings=AnnealedSettings(starts=1)), starts, Choices())
 
 
 def objects_of(fit: Fit) -> list[set[int]]:
@@ -148,34 +156,32 @@ def test_what_disagrees_is_named(made: MadeUp, task: Task) -> None:
     assert str(disagreement(task, far)).endswith("standard deviations from the prior")
 
 
-def test_core_alone_calibrates(made: MadeUp, task: Task) -> None:
-    starts = [run_start(task, 0, task.parameters.prior_mean, np.random.SeedSequence(1))]
-    result = calibrated(replace(task, settings=AnnealedSettings(starts=1)), starts, Choices())
-    check_near_truth(made, result.fit)
-    assert result.doubt == ""
-    assert (result.believed.noise == 1.0).all()
-    assert result.believed.given_up == ()
-    assert not any(remark.is_reservation for remark in result.remarks)
+def test_core_alone_calibrates(made: MadeUp, task: Task, right: Calibrated) -> None:
+    check_near_truth(made, right.fit)
+    assert right.doubt == ""
+    assert (right.believed.noise == 1.0).all()
+    assert right.believed.given_up == ()
+    assert not any(remark.is_reservation for remark in right.remarks)
     # of an answer that is doubted no values are said
-    first = next(one for one in result.believed.held if one.group.quantity == "principal_point")
+    first = next(one for one in right.believed.held if one.group.quantity == "principal_point")
     contradicted = replace(first, log_evidence=1e3, values=np.full(len(first.values), 2.67e6))
     for statements in ({"held": (contradicted,)}, {"given_up": (contradicted,)}):
-        believed = replace(result.believed, **statements)
+        believed = replace(right.believed, **statements)
         said, doubted = (statement_remarks(believed, is_doubted=one)[0].text for one in (False, True))
         assert "+2.67e+06 +- " in said
         assert "+" not in doubted
         assert f"stated: another {contradicted.group.names[0]}" in doubted
     # two cameras do not show their focal lengths
-    focal = next(one for one in result.believed.held if one.group.quantity == "focal")
+    focal = next(one for one in right.believed.held if one.group.quantity == "focal")
     wrong = replace(focal, log_evidence=1e3)
     assert not may_be_freed(wrong, Choices(model=FREE), task.parameters)
-    (said,) = (one for one in statement_remarks(replace(result.believed, held=(wrong,)), False) if one.topic == "model")
+    (said,) = (one for one in statement_remarks(replace(right.believed, held=(wrong,)), False) if one.topic == "model")
     assert said.text.endswith(f"another {', '.join(focal.group.names)} fits; measure it: two cameras do not show it")
     assert may_be_freed(first, Choices(model=FREE), task.parameters)
     # and where tracks depend on these, a warning says so
     for moves, count in ((2.5, 1), (0.5, 0)):
         held = (replace(focal, moves=moves, expected_move=0.1, log_evidence=-5.0),)
-        remarks = statement_remarks(replace(result.believed, given_up=(), held=held), False)
+        remarks = statement_remarks(replace(right.believed, given_up=(), held=held), False)
         assert [one.is_reservation for one in remarks] == [False] * count
         assert all("off by 2.5 of their stated standard deviations" in one.text for one in remarks)
 
@@ -198,10 +204,9 @@ def test_a_noise_that_is_stated_too_small_lets_a_start_succeed(made: MadeUp, tas
     assert evidence(small, fit) == pytest.approx(evidence(task, fit), abs=30.0)
 
 
-def test_noise_that_is_stated_wrong_is_replaced(made: MadeUp, task: Task) -> None:
+def test_noise_that_is_stated_wrong_is_replaced(made: MadeUp, task: Task, right: Calibrated) -> None:
     stated = task.with_noise(np.array([3.0, 3.0]))
     starts = [run_start(stated, 0, task.parameters.prior_mean, np.random.SeedSequence(1))]
-    right = calibrated(task, [run_start(task, 0, task.parameters.prior_mean, np.random.SeedSequence(1))], Choices())
     result = calibrated(stated, starts, Choices())
     np.testing.assert_allclose(result.believed.noise, 1.0 / 3.0, rtol=0.2)
     assert [remark.topic for remark in result.remarks].count("noise") == 2

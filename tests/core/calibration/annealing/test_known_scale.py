@@ -1,5 +1,6 @@
 """A known distance or speed, found among many tracks."""
 
+from functools import cache
 from types import SimpleNamespace
 from typing import Any
 
@@ -130,10 +131,16 @@ def test_pairs_that_keep_their_distance_by_chance_are_not_taken_for_the_known_on
     assert answers >= (6 if together == 0.0 else 1)
 
 
+@cache
+def pairs_without_a_rod(seed: int, together: float) -> ObjectPairs:
+    """The pairs of a crowd, which two tests ask."""
+    return object_pairs(crowd(seed, False, together)[0])
+
+
 @pytest.mark.parametrize("together", [0.0, 0.5])
 def test_without_a_rod_a_distance_is_seldom_found(together: float) -> None:
     """One distance was always found before."""
-    pairs = [object_pairs(crowd(seed, False, together)[0]) for seed in range(8)]
+    pairs = [pairs_without_a_rod(seed, together) for seed in range(8)]
     # some pairs do keep their distance
     assert sum(len(one.rigid()) for one in pairs) > 6
     assert sum(known_distance(one, 15.0, 0.0, 0.12) is not None for one in pairs) <= 2
@@ -144,7 +151,7 @@ def test_chance_makes_as_many_rigid_pairs_as_expected() -> None:
     for together in (0.0, 0.5):
         ratios = []
         for seed in range(6):
-            pairs = object_pairs(crowd(seed, False, together)[0])
+            pairs = pairs_without_a_rod(seed, together)
             expected = np.sort(pairs.by_chance(pairs.moving)[pairs.moving])
             ratios.append(expected[:30] / np.arange(1.0, 31.0))
         assert 0.6 < np.median(ratios) < 1.5

@@ -47,10 +47,9 @@ def test_straight_tracks_of_several_objects() -> None:
     assert largest_error_deg(discovery, cameras()[:2]) < 3.0
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_straight_tracks_show_a_clock_where_they_fit_to_their_noise(seed: int) -> None:
+def test_straight_tracks_show_a_clock_where_they_fit_to_their_noise() -> None:
     # seconds later other straight tracks meet to a few pixels
-    true, rng = cameras((0.0, 2.7, 0.0))[:2], np.random.default_rng(seed)
+    true, rng = cameras((0.0, 2.7, 0.0))[:2], np.random.default_rng(0)
     discovery = found(true, [straight(rng) for _ in range(5)], clocks=True)
     assert not discovery.rig.doubts
     assert largest_error_deg(discovery, true) < 3.0

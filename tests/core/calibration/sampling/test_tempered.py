@@ -128,7 +128,7 @@ def test_a_camera_is_found_and_a_resumed_run_ends_the_same(kind: str) -> None:
     std = np.array([5.0, 1.0, 3.0, 0.004, 0.02, 0.006])
     truth = np.zeros(6)
     modes = Modes((truth + 0.5 * std)[None], np.diag(std**2)[None], np.ones(1))
-    sampler = sampler_of(parameters, evidence, modes, TemperedSettings(particles=32, moves=2))
+    sampler = sampler_of(parameters, evidence, modes, TemperedSettings(particles=16, moves=2))
     saved: list[bytes] = []
 
     def save(state: BridgeState, history: Sequence[BridgeInfo]) -> None:

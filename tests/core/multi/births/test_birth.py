@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import pytest
+from scipy.stats import norm, qmc
 
 from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.prior import DisparityPrior
@@ -15,14 +18,18 @@ from tests.core.disparity.cases import LENSES, birth_moments, make_camera, make_
 PIXELS = np.array([[10.0, 15.0], [400.0, 300.0], [790.0, 40.0]])
 
 
+@cache
+def drawn() -> tuple[np.ndarray, np.ndarray]:
+    """Standard normal depths and velocities: Sobol points, scrambled."""
+    normal = norm.ppf(qmc.Sobol(4, seed=1).random_base2(15))
+    return normal[:, 0], normal[:, 1:]
+
+
 def sampled(space: DisparitySpace, point: np.ndarray, prior: tuple[float, float], speed: float) -> np.ndarray:
     """States (n, 6): depth drawn from the prior on disparity, velocity from N(0, speed^2 I) in the world."""
-    rng = np.random.default_rng(1)
-    count = 300_000
-    disparity = prior[0] + prior[1] * rng.standard_normal(count)
-    states = np.column_stack([np.tile(point, (count, 1)), disparity])
-    world = space.to_world(states)
-    return space.from_world(np.column_stack([world, speed * rng.standard_normal((count, 3))]))
+    depths, velocities = drawn()
+    states = np.column_stack([np.tile(point, (len(depths), 1)), prior[0] + prior[1] * depths])
+    return space.from_world(np.column_stack([space.to_world(states), speed * velocities]))
 
 
 @pytest.mark.parametrize("rectification", ["horizontal", "vertical"])
@@ -40,10 +47,9 @@ def test_moments_are_those_of_depth_and_velocity(rectification: str, lens: str) 
         np.testing.assert_allclose(means[k, :3], [*event.points[k], 7.0], rtol=1e-12)
         assert not means[k, 3:].any()
         std = np.sqrt(np.diag(expected))
-        # standard errors of 300,000 samples are 0.18 % of a deviation; five of them
-        assert (np.abs(states.mean(axis=0) - means[k]) <= 0.0092 * std + 1e-9).all()
-        # squares of products of normals have heavy tails: three times the error of a normal's variance
-        assert (np.abs(covariances[k] - expected) <= 0.04 * np.outer(std, std) + 1e-12).all()
+        # 32,768 points of low discrepancy leave 0.00001 and 0.0004
+        assert (np.abs(states.mean(axis=0) - means[k]) <= 1e-4 * std + 1e-9).all()
+        assert (np.abs(covariances[k] - expected) <= 0.002 * np.outer(std, std) + 1e-12).all()
         np.linalg.cholesky(covariances[k])
 
 
