@@ -30,8 +30,8 @@ from stereophd.core.numerics.moments import weighted_moments
 
 # A point of the rule represents no share of the Gaussian, so none may be outside the region.
 NO_SLACK = 1.0
-# Of a linear move. The error of a difference is 2e-8 of the third derivative, and 1e-9 of itself by rounding.
-STEP = 1e-4
+# Of a linear move. The error of a difference is 8e-8 of the third derivative, and 3e-13 of the values by rounding.
+STEP = 2e-4
 
 
 @compiled

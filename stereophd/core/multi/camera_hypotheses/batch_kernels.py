@@ -11,12 +11,13 @@ from stereophd.core.disparity.moved import Moved, allocate_moved
 from stereophd.core.disparity.sample_move import Looks
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
-from stereophd.core.multi.pmb.hypotheses import PmbReduction, choose_hypotheses, make_hypotheses
+from stereophd.core.multi.pmb.hypotheses import PmbReduction, choose_hypotheses
 from stereophd.core.multi.pmb.reduction import reduce_tracks
 from stereophd.core.multi.pmb.update import associate_tracks
 from stereophd.core.multi.prediction import homes_of, predict_components
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, allocate_mixture, copy_components, slice_components
+from stereophd.core.multi.state.outcomes import make_components
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Components that a hypothesis gets room for at first.
@@ -91,7 +92,7 @@ def update_track_sets(
         before, seen = _predicted(components, travel, spaces[h], looks, region, numbers)
         outcomes, log_likelihoods[h] = associate_tracks(before, seen, event, numbers, reduction.prune_weight)
         choice, tracks = choose_hypotheses(outcomes, reduction)
-        after, _ = reduce_tracks(make_hypotheses(before, seen, event, numbers, outcomes, choice), tracks, reduction)
+        after, _ = reduce_tracks(make_components(before, seen, event, numbers, outcomes, choice), tracks, reduction)
         counts[h] = len(after.weights)
         out = _append(after, out, found)
         found += counts[h]
