@@ -35,7 +35,7 @@ def slice_motion(motion: MotionArrays, first: int, last: int) -> MotionArrays:
 
 
 @compiled
-def update_hypotheses(
+def update_batch(
     begins: Integers,
     ends: Integers,
     mixture: GaussianMixture,

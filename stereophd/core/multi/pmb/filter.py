@@ -29,7 +29,7 @@ from stereophd.core.multi.association.exact_association import association_margi
 from stereophd.core.multi.association.likelihoods import FEW_COMPONENTS
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births, prune_weight_in_crowd
-from stereophd.core.multi.camera_hypotheses.batch_kernels import update_hypotheses
+from stereophd.core.multi.camera_hypotheses.batch_kernels import update_batch
 from stereophd.core.multi.extract import Report, Selection, select_objects
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.pmb.hypotheses import BY_DETECTIONS, Existences, PmbReduction, choose_hypotheses
@@ -59,7 +59,7 @@ class PmbFilter(DisparityFilter):
     settings: PmbSettings
 
     labels_may_split: ClassVar[bool] = False
-    update_hypotheses = staticmethod(lambda *given: update_hypotheses(*given[:-1], None, given[-1]))
+    update_hypotheses = staticmethod(lambda *given: update_batch(*given[:-1], None, given[-1]))  # type: ignore[call-arg]
 
     @cached_property
     def reduction(self) -> PmbReduction:
