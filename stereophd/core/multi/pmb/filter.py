@@ -59,7 +59,7 @@ class PmbFilter(DisparityFilter):
     settings: PmbSettings
 
     labels_may_split: ClassVar[bool] = False
-    update_hypotheses = staticmethod(lambda *given: update_batch(*given[:-1], None, given[-1]))  # type: ignore[call-arg]
+    update_hypotheses = staticmethod(lambda *of: update_batch(*of[:-1], None, of[-1]))  # type: ignore[call-arg]
 
     @cached_property
     def reduction(self) -> PmbReduction:
