@@ -47,14 +47,8 @@ if TYPE_CHECKING:
 class Outputs:
     """What a command made: its report, and its files as tables that are read when they are asked for.
 
-    Attributes
-    ----------
-    folder : Path
-        Folder of the files. Without `out` it is temporary, and vanishes together with this object.
-    report : dict
-        The report, as in ``report.json``.
-    log : Path or None
-        Detection log that the command read.
+    `folder` holds the files: without `out` it is temporary, and vanishes together with this object. `report` is as in
+    ``report.json``, and `log` is the detection log that the command read.
     """
 
     folder: Path

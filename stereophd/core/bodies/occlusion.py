@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 from scipy.special import ndtr
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.bodies.boxes import WHOLE_SHARE, share_in_image
-from stereophd.core.bodies.outline import BOTTOM, POSITION, TOP, WIDTH, U
+from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, POSITION, TOP, WIDTH, U
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.numerics.compilation.compiled import compiled
 
 # Two bodies do not come closer, across the vertical, than this share of the sum of their half widths.
 CLOSEST = 0.5
@@ -78,31 +75,20 @@ def exclusive_existence(existence: Array, states: Array, covariances: Array, rep
     return out
 
 
-@compiled
 def _pairs_in_touch(
     states: Array, covariances: Array, reported: Booleans, up: Array
 ) -> tuple[Integers, Integers, Array]:
     """Pairs of bodies (k,) that may be in one place, and the probability (k,) that they are apart."""
-    first, second, probabilities = [0 for _ in range(0)], [0 for _ in range(0)], [0.0 for _ in range(0)]
-    for i in range(len(states)):
-        for j in range(i):
-            apart = states[i, :3] - states[j, :3]
-            height = (apart * up).sum()
-            # the vertical extents must meet too: bodies may pass above each other
-            if abs(height) >= math.exp(states[i, 6]) + math.exp(states[j, 6]):
-                continue
-            distance = math.sqrt(max((apart * apart).sum() - height**2, 0.0))
-            share = CLOSEST if reported[i] == reported[j] else CLOSEST_NEW
-            limit = share * (math.exp(states[i, 7]) + math.exp(states[j, 7]))
-            if distance >= 2.0 * limit:
-                continue
-            spread = 0.0
-            for a in range(3):
-                for b in range(3):
-                    level = (1.0 if a == b else 0.0) - up[a] * up[b]
-                    spread += level * (covariances[i, a, b] + covariances[j, a, b])
-            std = math.sqrt(max(spread / 2.0, 1e-18))
-            first.append(j)
-            second.append(i)
-            probabilities.append(0.5 * math.erfc((limit - distance) / (std * math.sqrt(2.0))))
-    return np.array(first), np.array(second), np.array(probabilities)
+    second, first = np.tril_indices(len(states), -1)
+    apart, axes = states[second, :3] - states[first, :3], np.exp(states[:, LOG_AXES])
+    along, across = (axes[first] + axes[second]).T
+    heights = apart @ up
+    distances = np.sqrt(np.maximum((apart**2).sum(axis=1) - heights**2, 0.0))
+    limits = np.where(reported[first] == reported[second], CLOSEST, CLOSEST_NEW) * across
+    # the vertical extents must meet too: bodies may pass above each other
+    near = np.flatnonzero((np.abs(heights) < along) & (distances < 2.0 * limits))
+    first, second = first[near], second[near]
+    spreads = (covariances[first] + covariances[second])[:, POSITION, POSITION]
+    level = np.einsum("nij,ij->n", spreads, np.eye(3) - np.outer(up, up))
+    stds = np.sqrt(np.maximum(level / 2.0, 1e-18))
+    return first, second, ndtr((distances[near] - limits[near]) / stds)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.disparity.moved import Moved, Sources, room_for_moved
-from stereophd.core.disparity.rule_move import linear_components, rule_components
+from stereophd.core.disparity.rule_move import STEP, rule_components
 from stereophd.core.disparity.sample_move import Look, Looks, carry_components, noise_axes
 from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.base import Motion
@@ -115,7 +115,9 @@ def _low_order(sources: Sources, destination: Array, sets: SampleSets, region: A
     limits = (WIDEST_RULE, sets.max_nonlinearity) if sets.method == "adaptive" else (np.inf, np.inf)
     todo = rule_components(sources, points, axes, destination, region, *limits, moved)
     if sets.method == "linear":
-        linear_components(sources, axes, destination, moved.means, moved.covariances)
+        near = room_for_moved(*sources.means.shape)
+        rule_components(sources, STEP * points, axes, destination, region, *limits, near)
+        moved.means[:], moved.covariances[:] = near.means, near.covariances / STEP**2
     return todo
 
 

@@ -42,19 +42,11 @@ class DisparitySpace:
         return self.camera.fx if self.rectification == "horizontal" else self.camera.fy
 
     @property
-    def companion_projection(self) -> Array:
-        """Projection matrix (3, 4) of the companion: ``K [I | t]`` with t = baseline along its axis."""
-        projection = self.camera.projection_matrix.copy()
-        row = 0 if self.rectification == "horizontal" else 1
-        projection[row, 3] += self.disparity_focal * self.baseline
-        return projection
-
-    @property
     def projective_matrix(self) -> Array:
         """``P_d`` (4, 4) of eq. (3): homogeneous world (x, y, z, 1) to homogeneous (u, v, d, 1)."""
-        left = self.camera.projection_matrix
-        row = 0 if self.rectification == "horizontal" else 1
-        return np.stack([left[0], left[1], self.companion_projection[row] - left[row], left[2]])
+        u, v, depth = self.camera.projection_matrix
+        # the companion, K [I | t] with t the baseline along its axis, sees a point d further along it
+        return np.stack([u, v, [0.0, 0.0, 0.0, self.disparity_focal * self.baseline], depth])
 
     @property
     def inverse_projective_matrix(self) -> Array:

@@ -161,3 +161,27 @@ def _fill_gaussian(value: float, means: Array, covariances: Array, k: int) -> No
         means[k, a] = value
         for b in range(means.shape[1]):
             covariances[k, a, b] = value
+
+
+@compiled
+def place_in_world(mean: Array, space: Array) -> tuple[float, float, float, float, float, float]:
+    """Position and velocity in the world of a state (3,) or (6,) of positive disparity in a packed space (30,).
+
+    The velocity of a state (3,) is 0.
+    """
+    z = disparity_scale(space) / mean[2]
+    x, y = (mean[0] - space[CX]) / space[FX] * z, (mean[1] - space[CY]) / space[FY] * z
+    vx, vy, vz = 0.0, 0.0, 0.0
+    if len(mean) == 6:
+        growth = mean[5] / mean[2]
+        vx, vy, vz = mean[3] / space[FX] * z - x * growth, mean[4] / space[FY] * z - y * growth, -z * growth
+    # column by column: from the camera's axes to the world's
+    r, c = space[ROTATION : ROTATION + 9], space[CENTER : CENTER + 3]
+    return (
+        c[0] + r[0] * x + r[3] * y + r[6] * z,
+        c[1] + r[1] * x + r[4] * y + r[7] * z,
+        c[2] + r[2] * x + r[5] * y + r[8] * z,
+        r[0] * vx + r[3] * vy + r[6] * vz,
+        r[1] * vx + r[4] * vy + r[7] * vz,
+        r[2] * vx + r[5] * vy + r[8] * vz,
+    )

@@ -12,7 +12,7 @@ from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry import layout
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.geometry.trajectory import EqualByValue
+from stereophd.core.geometry.trajectory import EqualByValue, frozen
 
 Time = TypeVar("Time", float, Array)
 
@@ -20,54 +20,28 @@ Time = TypeVar("Time", float, Array)
 BOX_NOISE = (0.06, 0.045, 0.05, 0.09)
 
 
-@dataclass(frozen=True, init=False, eq=False)
+@dataclass(frozen=True, eq=False)
 class Detector(EqualByValue):
-    """A camera's detector: noise, misses and false detections.
+    """A camera's detector: noise, misses and false detections; ValueError if a value is out of its range."""
 
-    Parameters
-    ----------
-    sigma : (2,) array_like
-        Standard deviation of a detection along u and v, px (kept as a read-only array).
-    p_detect : float
-        Probability that an object in view is detected.
-    clutter_per_frame : float
-        Mean number of false detections per frame, uniform over the image.
-    box_noise : (4,) array_like
-        Standard deviations of the middle u, the top, the bottom and the width of a box, as parts of its height.
+    sigma: Array  # (2,): Standard deviation of a detection along u and v, px; a read-only copy
+    p_detect: float  # Probability that an object in view is detected
+    clutter_per_frame: float  # Mean number of false detections per frame, uniform over the image
+    # Standard deviations of the middle u, the top, the bottom and the width of a box, as parts of its height
+    box_noise: tuple[float, float, float, float] = BOX_NOISE
 
-    Raises
-    ------
-    ValueError
-        If a value is out of its range.
-    """
-
-    sigma: Array
-    p_detect: float
-    clutter_per_frame: float
-    box_noise: tuple[float, float, float, float]
-
-    def __init__(
-        self,
-        sigma: ArrayLike,
-        p_detect: float,
-        clutter_per_frame: float,
-        box_noise: tuple[float, float, float, float] = BOX_NOISE,
-    ) -> None:
-        values = np.array(sigma, dtype=np.float64)
+    def __post_init__(self) -> None:
+        values = frozen(self.sigma)
         if values.shape != (2,) or not (values > 0.0).all() or not np.isfinite(values).all():
-            raise ValueError(f"detector: expected two positive standard deviations, found {sigma!r}")
-        if not 0.0 <= p_detect <= 1.0:
-            raise ValueError(f"detector: expected p_detect in [0, 1], found {p_detect}")
-        if not 0.0 <= clutter_per_frame < np.inf:
-            raise ValueError(f"detector: expected clutter_per_frame >= 0, found {clutter_per_frame}")
-        values.setflags(write=False)
+            raise ValueError(f"detector: expected two positive standard deviations, found {self.sigma!r}")
+        if not 0.0 <= self.p_detect <= 1.0:
+            raise ValueError(f"detector: expected p_detect in [0, 1], found {self.p_detect}")
+        if not 0.0 <= self.clutter_per_frame < np.inf:
+            raise ValueError(f"detector: expected clutter_per_frame >= 0, found {self.clutter_per_frame}")
         object.__setattr__(self, "sigma", values)
-        object.__setattr__(self, "p_detect", float(p_detect))
-        object.__setattr__(self, "clutter_per_frame", float(clutter_per_frame))
-        object.__setattr__(self, "box_noise", tuple(box_noise))
-
-    def _key(self) -> tuple[float, ...]:
-        return (float(self.sigma[0]), float(self.sigma[1]), self.p_detect, self.clutter_per_frame, *self.box_noise)
+        object.__setattr__(self, "p_detect", float(self.p_detect))
+        object.__setattr__(self, "clutter_per_frame", float(self.clutter_per_frame))
+        object.__setattr__(self, "box_noise", tuple(self.box_noise))
 
 
 @dataclass(frozen=True)
@@ -91,55 +65,26 @@ class Camera:
     """A camera of a name, with everything that a filter or a simulator needs to know about it.
 
     Camera axes: x right, y down, z forward. Pixel (0, 0) is the centre of the top-left pixel (OpenCV).
-    Undistorted pixels are those of the pinhole camera with the same intrinsics; detections are
-    distorted pixels.
-
-    Parameters
-    ----------
-    name : str
-        Name, as in logs and configurations.
-    width, height : int
-        Image size, px.
-    fx, fy : float
-        Focal lengths along u and v, px.
-    cx, cy : float
-        Principal point, px.
-    pose : Pose
-        Pose in the world; of a moving camera, at ``pose.time_s``.
-    lens : Lens
-        Lens distortion.
-    detector : Detector
-        Noise, misses and false detections.
-    frame_rate_hz : float or None
-        Frames per second, for simulation; None if it is not stated.
-    phase_s : float
-        Time of the first frame after the start, s, for simulation.
-    clock : Clock
-        The camera's own clock.
-    readout_s : float
-        Time from the first row of the image to the one after the last, s (rolling shutter; negative: read from the
-        bottom up). The time of a frame is that of row 0; row v of the distorted image is exposed ``readout_s * v /
-        height`` later. Zero: all rows at once.
-
-    Raises
-    ------
-    ValueError
-        If the image size or a focal length is not positive.
+    Undistorted pixels are those of the pinhole camera with the same intrinsics; detections are distorted pixels. Raises
+    ValueError if the image size or a focal length is not positive.
     """
 
-    name: str
-    width: int
+    name: str  # As in logs and configurations
+    width: int  # `width`, `height`: Image size, px
     height: int
-    fx: float
+    fx: float  # `fx`, `fy`: Focal lengths along u and v, px
     fy: float
-    cx: float
+    cx: float  # `cx`, `cy`: Principal point, px
     cy: float
-    pose: Pose
+    pose: Pose  # In the world; of a moving camera, at ``pose.time_s``
     lens: Lens
     detector: Detector
-    frame_rate_hz: float | None = None
-    phase_s: float = 0.0
-    clock: Clock = field(default_factory=Clock)
+    frame_rate_hz: float | None = None  # For simulation; None if it is not stated
+    phase_s: float = 0.0  # Time of the first frame after the start, s, for simulation
+    clock: Clock = field(default_factory=Clock)  # The camera's own clock
+    # Time from the first row of the image to the one after the last, s (rolling shutter; negative: read from the bottom
+    # up). The time of a frame is that of row 0; row v of the distorted image is exposed ``readout_s * v / height``
+    # later. Zero: all rows at once.
     readout_s: float = 0.0
 
     def __post_init__(self) -> None:

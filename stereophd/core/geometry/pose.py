@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.rotations import rotations
-from stereophd.core.geometry.trajectory import BodyTrajectory, EqualByValue, Motions, MountedPath
+from stereophd.core.geometry.trajectory import BodyTrajectory, EqualByValue, Motions, MountedPath, frozen
 
 # A matrix whose R R^T differs more than this from the identity is refused rather than repaired.
 LARGEST_ROTATION_DEFECT = 1e-4
@@ -66,15 +66,6 @@ def rotation_to_vector(rotation: ArrayLike) -> Array:
     return np.asarray(q[1:] * (2.0 * math.atan2(sine, float(q[0])) / sine), dtype=np.float64)
 
 
-def _frozen(values: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
-    """Return a read-only float64 copy of the given shape, all of it finite."""
-    array = np.array(values, dtype=np.float64)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise ValueError(f"{name}: expected finite numbers of shape {shape}, found {values!r}")
-    array.setflags(write=False)
-    return array
-
-
 def _nearest_rotation(rotation: Array) -> Array:
     """Return the matrix itself if it is a rotation to rounding, else the nearest rotation to it."""
     defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
@@ -91,62 +82,32 @@ def _nearest_rotation(rotation: Array) -> Array:
     return nearest
 
 
-@dataclass(frozen=True, init=False, eq=False)
+@dataclass(frozen=True, eq=False)
 class Pose(EqualByValue):
     """Pose of a camera: ``x_camera = rotation @ (x_world - center)``.
 
-    Camera axes: x right, y down, z forward. A moving camera has a constant velocity of its centre and a
-    constant angular velocity about its own axes, or it follows a known path; `rotation` and `center` hold at
-    `time_s`. Poses are equal when all their values are, and their arrays are read-only.
-
-    Parameters
-    ----------
-    rotation : (3, 3) array_like
-        Rotation from world to camera axes. A matrix given with few digits is replaced by the nearest
-        rotation, so that its transpose is its inverse.
-    center : (3,) array_like
-        Optical centre in the world, length.
-    velocity : (3,) array_like
-        Velocity of the centre in the world, length/s.
-    rotation_rate : (3,) array_like
-        Angular velocity of the camera about its own axes, rad/s, right-handed: (0, w, 0) turns it to
-        the right.
-    time_s : float
-        Time at which rotation and center hold, s.
-    path : MountedPath, optional
-        The camera follows it at all times; the other values are those at `time_s` (see `following`).
-
-    Raises
-    ------
-    ValueError
-        If a shape is wrong, a value is not finite, or the matrix is not a rotation.
+    Camera axes: x right, y down, z forward. A moving camera has a constant velocity of its centre and a constant
+    angular velocity about its own axes, or it follows a known path; `rotation` and `center` hold at `time_s`. Poses are
+    equal when all their values are, and their arrays are read-only copies. Raises ValueError if a shape is wrong, a
+    value is not finite, or the matrix is not a rotation.
     """
 
+    # (3, 3): From world to camera axes. A matrix given with few digits is replaced by the nearest rotation, so that its
+    # transpose is its inverse.
     rotation: Array
-    center: Array
-    velocity: Array
-    rotation_rate: Array
-    time_s: float
-    path: MountedPath | None
+    center: Array  # (3,): Optical centre in the world, length
+    velocity: Array = field(default_factory=lambda: np.zeros(3))  # (3,): Of the centre in the world, length/s
+    # (3,): Angular velocity about the camera's own axes, rad/s, right-handed: (0, w, 0) turns it to the right
+    rotation_rate: Array = field(default_factory=lambda: np.zeros(3))
+    time_s: float = 0.0  # Time at which rotation and center hold, s
+    # The camera follows it at all times; the other values are those at `time_s` (see `following`).
+    path: MountedPath | None = None
 
-    def __init__(
-        self,
-        rotation: ArrayLike,
-        center: ArrayLike,
-        velocity: ArrayLike = (0.0, 0.0, 0.0),
-        rotation_rate: ArrayLike = (0.0, 0.0, 0.0),
-        time_s: float = 0.0,
-        path: MountedPath | None = None,
-    ) -> None:
-        def assign(name: str, value: object) -> None:
-            object.__setattr__(self, name, value)
-
-        assign("rotation", _nearest_rotation(_frozen(rotation, (3, 3), "rotation")))
-        assign("center", _frozen(center, (3,), "center"))
-        assign("velocity", _frozen(velocity, (3,), "velocity"))
-        assign("rotation_rate", _frozen(rotation_rate, (3,), "rotation_rate"))
-        assign("time_s", float(time_s))
-        assign("path", path)
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rotation", _nearest_rotation(frozen(self.rotation, (3, 3), "rotation")))
+        for name in ("center", "velocity", "rotation_rate"):
+            object.__setattr__(self, name, frozen(getattr(self, name), (3,), name))
+        object.__setattr__(self, "time_s", float(self.time_s))
 
     @staticmethod
     def following(path: MountedPath, time_s: float | None = None) -> Pose:
@@ -171,12 +132,7 @@ class Pose(EqualByValue):
         for row, begin, end in zip(rows, times[:-1], times[1:], strict=True):
             before = end if end == STEPS_END_S else end - max(1e-9, 4.0 * float(np.spacing(abs(end))))
             table += [[begin, *row], [before, *row]]
-        return Pose.following(MountedPath(BodyTrajectory(table), np.eye(3), np.zeros(3)))
-
-    def _key(self) -> tuple[object, ...]:
-        arrays = (self.rotation, self.center, self.velocity, self.rotation_rate, np.float64(self.time_s))
-        # Adding zero makes -0.0 and 0.0 the same bytes, as they are the same number.
-        return (*((array + 0.0).tobytes() for array in arrays), self.path)
+        return Pose.following(MountedPath(BodyTrajectory(np.array(table)), np.eye(3), np.zeros(3)))
 
     @cached_property
     def is_static(self) -> bool:

@@ -4,9 +4,9 @@ Between two poses the body's origin moves straight and the body turns steadily a
 "Animating rotation with quaternion curves", SIGGRAPH 1985: slerp), so velocity and angular velocity are constant there.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,16 +21,27 @@ COLUMNS = ("time_s", "x", "y", "z", "qw", "qx", "qy", "qz")
 
 
 class EqualByValue:
-    """Objects are equal when their types and their keys are: arrays count by their numbers."""
+    """A frozen dataclass that is equal to others of its kind by its values, arrays included."""
 
-    def _key(self) -> object:
-        raise NotImplementedError
+    def _key(self) -> tuple[object, ...]:
+        values: list[Any] = [getattr(self, each.name) for each in fields(cast("Any", self))]
+        # Adding zero makes -0.0 and 0.0 the same bytes, as they are the same number.
+        return tuple((value + 0.0).tobytes() if isinstance(value, np.ndarray) else value for value in values)
 
     def __eq__(self, other: object) -> bool:
         return self._key() == other._key() if isinstance(other, type(self)) else NotImplemented
 
     def __hash__(self) -> int:
         return hash(self._key())
+
+
+def frozen(values: ArrayLike, shape: tuple[int, ...] | None = None, name: str = "") -> Array:
+    """Return a read-only copy of an array; ValueError unless it has the shape, if one is given, and is finite."""
+    array = np.array(values, dtype=np.float64)
+    if shape is not None and (array.shape != shape or not np.isfinite(array).all()):
+        raise ValueError(f"{name}: expected finite numbers of shape {shape}, found {values!r}")
+    array.setflags(write=False)
+    return array
 
 
 class Motions(NamedTuple):
@@ -47,7 +58,7 @@ class Motions(NamedTuple):
     rates: Array
 
 
-@dataclass(frozen=True, init=False, eq=False)
+@dataclass(frozen=True, eq=False)
 class BodyTrajectory(EqualByValue):
     """The poses of a body in the world, at least two rows of `COLUMNS` (n, 8).
 
@@ -58,8 +69,8 @@ class BodyTrajectory(EqualByValue):
 
     poses: Array
 
-    def __init__(self, poses: ArrayLike) -> None:
-        rows = np.array(poses, dtype=np.float64)
+    def __post_init__(self) -> None:
+        rows = frozen(self.poses)
         if rows.ndim != 2 or rows.shape[1] != len(COLUMNS) or len(rows) < 2:
             raise ValueError(f"expected two or more poses of {len(COLUMNS)} numbers, found shape {rows.shape}")
         bad = np.flatnonzero(~np.isfinite(rows).all(axis=1))
@@ -73,11 +84,7 @@ class BodyTrajectory(EqualByValue):
         off = np.flatnonzero(np.abs(norms - 1.0) > LARGEST_NORM_DEFECT)
         if len(off):
             raise ValueError(f"row {off[0]}: expected a quaternion of norm 1, found norm {norms[off[0]]:.6g}")
-        rows.setflags(write=False)
         object.__setattr__(self, "poses", rows)
-
-    def _key(self) -> bytes:
-        return (self.poses + 0.0).tobytes()
 
     @property
     def span(self) -> tuple[float, float]:
@@ -109,7 +116,7 @@ class BodyTrajectory(EqualByValue):
         )  # fmt: skip
 
 
-@dataclass(frozen=True, init=False, eq=False)
+@dataclass(frozen=True, eq=False)
 class MountedPath(EqualByValue):
     """A camera that a body with a known trajectory carries.
 
@@ -121,15 +128,9 @@ class MountedPath(EqualByValue):
     rotation: Array
     center: Array
 
-    def __init__(self, trajectory: BodyTrajectory, rotation: ArrayLike, center: ArrayLike) -> None:
-        object.__setattr__(self, "trajectory", trajectory)
-        for name, values in (("rotation", rotation), ("center", center)):
-            array = np.array(values, dtype=np.float64)
-            array.setflags(write=False)
-            object.__setattr__(self, name, array)
-
-    def _key(self) -> tuple[bytes, bytes, BodyTrajectory]:
-        return (self.rotation + 0.0).tobytes(), (self.center + 0.0).tobytes(), self.trajectory
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rotation", frozen(self.rotation))
+        object.__setattr__(self, "center", frozen(self.center))
 
     def at(self, times: Array) -> Motions:
         """Return the poses of the camera at times (n,), s."""

@@ -49,7 +49,7 @@ _SAMPLES = 64
 
 def small_filter(kind: str) -> DisparityFilter:
     """Return a filter of a kind, with one camera: its kernels are those of any filter of this kind."""
-    detector = Detector((1.0, 1.0), 0.9, 1.0)
+    detector = Detector(np.ones(2), 0.9, 1.0)
     camera = Camera("camera", 640, 480, 500.0, 500.0, 320.0, 240.0, Pose(np.eye(3), np.zeros(3)), Lens(), detector)
     motion = ConstantVelocity(1.0)
     sets = draw_sample_sets("qmc", _SAMPLES, motion.sample_rows, np.random.SeedSequence(COMPILED_SAMPLES_SEED))

@@ -14,9 +14,9 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, order_by_label
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
+from stereophd.core.numerics.sorting import copy_gaussian, picked, stable_order
 
 
 class Report(NamedTuple):
@@ -122,7 +122,7 @@ def _select(
     """
     confirm, release, tentative, split, next_label, next_track = report
     labels, tracks, reported = changed
-    order = _by_label(weights, known)
+    order = order_by_label(weights, known)
     for k in range(len(labels)):
         if labels[k] == UNLABELLED:
             tracks[k], reported[k] = UNLABELLED, False
@@ -160,15 +160,3 @@ def _select(
         place = shown_order[i]
         index[i], existence[i], unsure[i] = by_label[place], totals[place], doubts[place]
     return chosen, next_label, next_track
-
-
-@compiled
-def _by_label(weights: Array, labels: Integers) -> Integers:
-    """Components with a label, by label and then by falling weight; most often they are in this order."""
-    order = places(labels != UNLABELLED)
-    for i in range(1, len(order)):
-        before, k = order[i - 1], order[i]
-        if labels[k] < labels[before] or (labels[k] == labels[before] and weights[k] > weights[before]):
-            order = picked(order, stable_order(-picked(weights, order)))
-            return picked(order, stable_order(picked(labels, order)))
-    return order

@@ -12,28 +12,28 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
 
-# Shorter runs that are in order are extended to this length by insertion.
+# Keys that are sorted by insertion, before sorted parts are merged.
 RUN = 16
 
 
 @compiled
 def stable_order(keys: NDArray[Any]) -> Integers:
-    """Return the indices that sort keys (n,), equal ones in their order, NaN last: `np.argsort` by merging.
-
-    Runs of keys that are in order already are merged as they are: what was sorted, or joined from a few sorted parts,
-    takes little time.
-    """
-    count = len(keys)
-    order = np.arange(count)
-    starts = np.empty(count // RUN + 2, dtype=np.int64)
-    runs = _find_runs(keys, order, starts)
-    if runs <= 1:
-        return order
-    other = np.empty(count, dtype=np.int64)
-    while runs > 1:
-        merged = 0
-        for run in range(0, runs, 2):
-            start, middle, end = starts[run], starts[min(run + 1, runs)], starts[min(run + 2, runs)]
+    """Return the indices that sort keys (n,), equal ones in their order, NaN last: `np.argsort` by merging."""
+    count, place = len(keys), 1
+    order, other = np.arange(count), np.empty(count, dtype=np.int64)
+    while place < count and not _precedes(keys[place], keys[place - 1]):
+        place += 1
+    # most often the keys are in order
+    width = RUN if place < count else count
+    for end in range(place, count):
+        place = end
+        while place % RUN > 0 and _precedes(keys[end], keys[order[place - 1]]):
+            order[place] = order[place - 1]
+            place -= 1
+        order[place] = end
+    while width < count:
+        for start in range(0, count, 2 * width):
+            middle, end = min(start + width, count), min(start + 2 * width, count)
             left, right = start, middle
             for place in range(start, end):
                 if left < middle and (right >= end or not _precedes(keys[order[right]], keys[order[left]])):
@@ -42,34 +42,9 @@ def stable_order(keys: NDArray[Any]) -> Integers:
                 else:
                     other[place] = order[right]
                     right += 1
-            starts[merged] = start
-            merged += 1
-        starts[merged] = count
-        runs = merged
         order, other = other, order
+        width *= 2
     return order
-
-
-@compiled
-def _find_runs(keys: NDArray[Any], order: Integers, starts: Integers) -> int:
-    """Sort runs of at least `RUN` keys, but for the last one; return how many, and fill in starts and the end."""
-    count, runs, start = len(keys), 0, 0
-    while start < count:
-        end = start + 1
-        while end < count and not _precedes(keys[end], keys[end - 1]):
-            end += 1
-        while end < count and end < start + RUN:
-            key, place = keys[end], end
-            while place > start and _precedes(key, keys[order[place - 1]]):
-                order[place] = order[place - 1]
-                place -= 1
-            order[place] = end
-            end += 1
-        starts[runs] = start
-        runs += 1
-        start = end
-    starts[runs] = count
-    return runs
 
 
 @compiled

@@ -13,6 +13,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.trips import disparity_scale
+from stereophd.core.disparity.world_moments import place_in_world
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.geometry.projection import pinhole
 from stereophd.core.motion.arrays import MotionArrays
@@ -195,23 +196,13 @@ def state_in_world(state: Array, space: Array, motion: MotionArrays) -> Array:
     out = np.zeros(6)
     if not state[2] > 0.0:
         return out * np.nan
-    z = disparity_scale(space) / state[2]
-    x, y = (state[0] - space[CX]) / space[FX] * z, (state[1] - space[CY]) / space[FY] * z
-    velocity = np.zeros(3)
-    if state.shape[0] == 6:
-        growth = state[5] / state[2]
-        velocity[0] = state[3] / space[FX] * z - x * growth
-        velocity[1] = state[4] / space[FY] * z - y * growth
-        velocity[2] = -z * growth
-        speed = math.sqrt(velocity[0] ** 2 + velocity[1] ** 2 + velocity[2] ** 2)
-        if speed > motion.max_speed:
-            velocity *= motion.max_speed / speed
+    x, y, z, vx, vy, vz = place_in_world(state, space)
+    speed = math.sqrt(vx**2 + vy**2 + vz**2)
+    slow = motion.max_speed / speed if speed > motion.max_speed else 1.0
+    out[0], out[1], out[2], out[3], out[4], out[5] = x, y, z, slow * vx, slow * vy, slow * vz
     for a in range(3):
-        # column a of the rotation: from the camera's axes to the world's
-        r0, r1, r2 = space[ROTATION + a], space[ROTATION + 3 + a], space[ROTATION + 6 + a]
-        before = r0 * velocity[0] + r1 * velocity[1] + r2 * velocity[2]
-        out[3 + a] = motion.keep[0] * before + motion.drift[0, 3 + a]
-        out[a] = space[CENTER + a] + r0 * x + r1 * y + r2 * z + motion.reach[0] * before + motion.drift[0, a]
+        out[a] = out[a] + motion.reach[0] * out[3 + a] + motion.drift[0, a]
+        out[3 + a] = motion.keep[0] * out[3 + a] + motion.drift[0, 3 + a]
     return out
 
 

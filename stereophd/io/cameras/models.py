@@ -215,7 +215,7 @@ class CameraConfig(Model):
             pose=Pose.in_steps(pose, [(each.from_s, each.build()) for each in self.poses]) if self.poses else pose,
             lens=Lens(model, **values),
             detector=Detector(
-                sigma=self.detector.sigma_px,
+                sigma=np.array(self.detector.sigma_px),
                 p_detect=self.detector.p_detect,
                 clutter_per_frame=self.detector.clutter_per_frame,
                 box_noise=self.detector.box_noise or BOX_NOISE,

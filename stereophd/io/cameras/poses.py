@@ -132,7 +132,7 @@ class PoseConfig(PlaceConfig):
             mount = self.mount or MountConfig()
             file = self.trajectory
             trajectory = read_trajectory(file) if isinstance(file, str) else file.build()
-            return Pose.following(MountedPath(trajectory, mount.rotation, mount.center))
+            return Pose.following(MountedPath(trajectory, mount.rotation, np.array(mount.center)))
         assert self.center is not None
         return Pose(
             rotation=self.rotation,
@@ -157,7 +157,7 @@ class LaterPoseConfig(PlaceConfig):
 
     def build(self) -> Pose:
         """Return the `Pose`."""
-        return Pose(self.rotation, self.center)
+        return Pose(self.rotation, np.array(self.center))
 
 
 def parse_pose(value: Any) -> Any:

@@ -148,7 +148,7 @@ def with_found_cameras(
     section = refuse_search(loaded)
     # apart from one another, so that the filter can be built; each camera is tracked alone
     cameras = tuple(
-        replace(config.build(name), pose=Pose(np.eye(3), [float(number), 0.0, 0.0]))
+        replace(config.build(name), pose=Pose(np.eye(3), np.array([number, 0.0, 0.0])))
         for number, (name, config) in enumerate(loaded.cameras.items())
     )
     limit.begin("one-camera tracks are made")

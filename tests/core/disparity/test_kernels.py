@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stereophd.core.disparity import rule_move, sample_move, trips
-from stereophd.core.disparity.moved import Sources
+from stereophd.core.disparity import sample_move, trips
+from stereophd.core.disparity.moments import move
+from stereophd.core.disparity.moved import IN_VIEW, Sources
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.numerics.linear_algebra import cholesky, condition
 from stereophd.core.numerics.moments import weighted_moments
+from stereophd.core.numerics.samples import draw_sample_sets
 from tests.core.disparity.cases import (
     LENSES,
     limit_speed,
@@ -306,13 +308,14 @@ def test_linear_move_is_the_jacobian_of_the_trip(kind: str, dt: float, max_speed
     landing = (destination.from_world(moved + h) - destination.from_world(moved - h)).T / 2e-4
     expected = jacobian @ covariance @ jacobian.T + landing @ motion.transition(dt)[1] @ landing.T
 
-    found_means, found = np.empty((1, 6)), np.empty((1, 6, 6))
-    axes = destination.camera.pose.rotation * ACCELERATION
     sources = Sources(mean[None], covariance[None], source.packed()[None], motion.arrays(np.array([dt])))
-    rule_move.linear_components(sources, axes, destination.packed(), found_means, found)
-    np.testing.assert_allclose(found_means, destination.from_world(moved), rtol=1e-10)
+    sets = draw_sample_sets("linear", 64, motion.sample_rows, np.random.SeedSequence(0))
+    found = move(sources, destination.packed(), sets, 0)
+    assert found.status[0] == IN_VIEW
+    off = found.means - destination.from_world(moved)
+    np.testing.assert_allclose(off / np.sqrt(np.diag(expected)), np.zeros((1, 6)), rtol=0, atol=1e-7)
     scale = np.sqrt(np.outer(np.diag(expected), np.diag(expected)))
-    np.testing.assert_allclose(found[0] / scale, expected / scale, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found.covariances[0] / scale, expected / scale, rtol=0, atol=1e-6)
 
 
 def test_limit_speed_oracle() -> None:

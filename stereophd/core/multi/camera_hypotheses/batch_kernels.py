@@ -11,12 +11,13 @@ from stereophd.core.disparity.moved import Moved, allocate_moved
 from stereophd.core.disparity.sample_move import Looks
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
-from stereophd.core.multi.pmb.hypotheses import PmbReduction, choose_hypotheses, make_hypotheses
+from stereophd.core.multi.pmb.hypotheses import PmbReduction, choose_hypotheses
 from stereophd.core.multi.pmb.reduction import reduce_tracks
 from stereophd.core.multi.pmb.update import associate_tracks
 from stereophd.core.multi.prediction import homes_of, predict_components
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, allocate_mixture, copy_components, slice_components
+from stereophd.core.multi.state.outcomes import make_components
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Components that a hypothesis gets room for at first.
@@ -34,7 +35,7 @@ def slice_motion(motion: MotionArrays, first: int, last: int) -> MotionArrays:
 
 
 @compiled
-def update_intensities(
+def update_batch(
     begins: Integers,
     ends: Integers,
     mixture: GaussianMixture,
@@ -44,9 +45,10 @@ def update_intensities(
     region: Array,
     event: EventArrays,
     numbers: EventNumbers,
-    reduction: PhdReduction,
+    intensity: PhdReduction | None,
+    tracks: PmbReduction | None,
 ) -> tuple[Integers, GaussianMixture, Array]:
-    """Predict, update and reduce the intensities of some hypotheses, as the filter itself does.
+    """Predict, update and reduce some hypotheses as their filter does, the one whose settings are given.
 
     The components of hypothesis h are those from ``begins[h]`` to ``ends[h]`` of the mixture, and `spaces` (k, c, 30)
     has the packed disparity spaces of its cameras; the motion has an interval for each component of the mixture, and
@@ -61,37 +63,14 @@ def update_intensities(
     for h in range(len(begins)):
         components, travel = slice_components(mixture, begins[h], ends[h]), slice_motion(motion, begins[h], ends[h])
         before, seen = _predicted(components, travel, spaces[h], looks, region, numbers)
-        updated, log_likelihoods[h], _, shares = update_intensity(before, seen, event, numbers, reduction)
-        after, _ = reduce_intensity(updated, shares, reduction)
-        counts[h] = len(after.weights)
-        out = _append(after, out, found)
-        found += counts[h]
-    return counts, slice_components(out, 0, found), log_likelihoods
-
-
-@compiled
-def update_track_sets(
-    begins: Integers,
-    ends: Integers,
-    mixture: GaussianMixture,
-    spaces: Array,
-    motion: MotionArrays,
-    looks: Looks,
-    region: Array,
-    event: EventArrays,
-    numbers: EventNumbers,
-    reduction: PmbReduction,
-) -> tuple[Integers, GaussianMixture, Array]:
-    """Predict, update and reduce the tracks of some hypotheses; as `update_intensities`."""
-    counts, log_likelihoods = np.empty(len(begins), dtype=np.int64), np.empty(len(begins))
-    out = allocate_mixture(len(begins) * ROOM, mixture.means.shape[1])
-    found = 0
-    for h in range(len(begins)):
-        components, travel = slice_components(mixture, begins[h], ends[h]), slice_motion(motion, begins[h], ends[h])
-        before, seen = _predicted(components, travel, spaces[h], looks, region, numbers)
-        outcomes, log_likelihoods[h] = associate_tracks(before, seen, event, numbers, reduction.prune_weight)
-        choice, tracks = choose_hypotheses(outcomes, reduction)
-        after, _ = reduce_tracks(make_hypotheses(before, seen, event, numbers, outcomes, choice), tracks, reduction)
+        # the compiler keeps the branch of the settings that are not None
+        if intensity is not None:
+            updated, log_likelihoods[h], _, shares = update_intensity(before, seen, event, numbers, intensity)
+            after, _ = reduce_intensity(updated, shares, intensity)
+        elif tracks is not None:
+            outcomes, log_likelihoods[h] = associate_tracks(before, seen, event, numbers, tracks.prune_weight)
+            choice, known = choose_hypotheses(outcomes, tracks)
+            after, _ = reduce_tracks(make_components(before, seen, event, numbers, outcomes, choice), known, tracks)
         counts[h] = len(after.weights)
         out = _append(after, out, found)
         found += counts[h]

@@ -18,7 +18,7 @@ from stereophd.core.disparity.moved import Moved
 from stereophd.core.multi.association.attribution import Claims, claims_of, detected_labels
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.births.undetected import prune_weight_for_births
-from stereophd.core.multi.camera_hypotheses.batch_kernels import update_intensities
+from stereophd.core.multi.camera_hypotheses.batch_kernels import update_batch
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.state.estimates import Info
@@ -33,7 +33,7 @@ class PhdFilter(DisparityFilter):
 
     settings: PhdSettings
 
-    update_hypotheses = staticmethod(update_intensities)
+    update_hypotheses = staticmethod(lambda *given: update_batch(*given, None))  # type: ignore[call-arg]
 
     @cached_property
     def reduction(self) -> PhdReduction:

@@ -6,15 +6,10 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
-from stereophd.core.multi.association.likelihoods import kalman_updates, pair_likelihoods
+from stereophd.core.multi.association.likelihoods import pair_likelihoods
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.state.mixture import (
-    UNLABELLED,
-    GaussianMixture,
-    allocate_outcomes,
-    fill_missed,
-    take_components,
-)
+from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, take_components
+from stereophd.core.multi.state.outcomes import ChosenOutcomes, Outcomes, label_outcomes, make_components
 from stereophd.core.multi.state.reduction import merge_sorted
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import group, picked, places, stable_order
@@ -61,21 +56,14 @@ def update_intensity(
     weights = joint / totals[detections]
     kept = places(weights >= reduction.prune_weight)
     components, detections = components[kept], detections[kept]
-    out = allocate_outcomes(mixture, components, numbers, len(points))
-    fill_missed(mixture, moved, np.arange(len(detected)), numbers, out)
-    out.weights[: len(detected)] = mixture.weights - detected
-    means, covariances, rows = kalman_updates(
-        moved.means, moved.covariances, components, detections, points, noises, readings
-    )
-    begin, end = len(detected), len(detected) + len(kept)
-    out.weights[begin:end], out.means[begin:end] = weights[kept], means
-    for i in range(len(rows)):
-        # an array of the rows would be made and copied
-        for a in range(means.shape[1]):
-            for b in range(means.shape[1]):
-                out.covariances[begin + i, a, b] = covariances[rows[i], a, b]
-    out.weights[end:] = born * per_area / totals
-    out.means[end:], out.covariances[end:] = birth_means, birth_covariances
+    labels = label_outcomes(mixture.labels, components, numbers.next_label, len(points))
+    begin, end, every = len(detected), len(detected) + len(kept), np.empty(len(labels))
+    every[:begin], every[begin:end] = mixture.weights - detected, weights[kept]
+    every[end:] = born * per_area / totals
+    outcomes = Outcomes(labels, every, components, detections, birth_means, birth_covariances)
+    out = make_components(
+        mixture, moved, event, numbers, outcomes, ChosenOutcomes(np.arange(len(labels)), every, 0)
+    )  # fmt: skip
     shares = out.weights
     if reduction.by_label:
         shares = label_shares(

@@ -29,22 +29,17 @@ from stereophd.core.multi.association.exact_association import association_margi
 from stereophd.core.multi.association.likelihoods import FEW_COMPONENTS
 from stereophd.core.multi.base import DisparityFilter, FilterState, Prediction, most_components
 from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births, prune_weight_in_crowd
-from stereophd.core.multi.camera_hypotheses.batch_kernels import update_track_sets
+from stereophd.core.multi.camera_hypotheses.batch_kernels import update_batch
 from stereophd.core.multi.extract import Report, Selection, select_objects
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
-from stereophd.core.multi.pmb.hypotheses import (
-    BY_DETECTIONS,
-    Existences,
-    PmbReduction,
-    choose_hypotheses,
-    make_hypotheses,
-)
+from stereophd.core.multi.pmb.hypotheses import BY_DETECTIONS, Existences, PmbReduction, choose_hypotheses
 from stereophd.core.multi.pmb.reduction import reduce_tracks
 from stereophd.core.multi.pmb.update import associate_tracks
 from stereophd.core.multi.prediction import Bare, predict_event
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.inputs import Detections, EventNumbers, with_births, with_newborns
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, empty_mixture
+from stereophd.core.multi.state.outcomes import make_components
 from stereophd.core.multi.swaps.epipolar_pairs import NewObjects, Past, swap_candidates
 from stereophd.core.multi.swaps.history import ClaimedDetections, DeferredPairs, History
 from stereophd.core.multi.swaps.swap_test import SwapTest
@@ -64,7 +59,7 @@ class PmbFilter(DisparityFilter):
     settings: PmbSettings
 
     labels_may_split: ClassVar[bool] = False
-    update_hypotheses = staticmethod(update_track_sets)
+    update_hypotheses = staticmethod(lambda *of: update_batch(*of[:-1], None, of[-1]))  # type: ignore[call-arg]
 
     @cached_property
     def reduction(self) -> PmbReduction:
@@ -243,7 +238,7 @@ def _update(
     claims = claims_of(known, weights, len(mixture.weights), made) if with_claims else None
     choice, tracks = choose_hypotheses(outcomes, reduction)
     reduced, expected = reduce_tracks(
-        make_hypotheses(mixture, moved, event, numbers, outcomes, choice), tracks, reduction
+        make_components(mixture, moved, event, numbers, outcomes, choice), tracks, reduction
     )  # fmt: skip
     return reduced, log_likelihood, expected, labels, detections, claims, choice.left_out
 

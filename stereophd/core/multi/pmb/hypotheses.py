@@ -1,4 +1,4 @@
-"""Hypotheses that an event leaves of labelled tracks: which of them are worth making, and their Gaussians (compiled).
+"""Hypotheses that an event leaves of labelled tracks: which of them are worth making (compiled).
 
 An event gives each hypothesis of a track one that it missed, one for each detection that it may have made, and one new
 track a detection. With many objects most of them are negligible. Their weights are known before their Gaussians are
@@ -11,12 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.disparity.moved import Moved
-from stereophd.core.multi.association.likelihoods import kalman_updates
-from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
-from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, allocate_mixture, fill_missed
+from stereophd.core.multi.state.mixture import UNLABELLED
+from stereophd.core.multi.state.outcomes import ChosenOutcomes, Outcomes
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import copy_gaussian, group, largest, picked, places, stable_order
+from stereophd.core.numerics.sorting import group, largest, picked, places, stable_order
 
 # `max_hypotheses` that stands for a bound by the number of detections: so many a detection, and at least `LEAST_BOUND`.
 BY_DETECTIONS = 0
@@ -38,35 +36,12 @@ class PmbReduction(NamedTuple):
     max_hypotheses: int
 
 
-class Outcomes(NamedTuple):
-    """What an event may make of n components, by c pairs of a component and a detection, and of its m detections."""
-
-    # `labels`, `weights`: Labels and weights of the components that the event missed, of those that it detected, and
-    # of one new track for each detection.
-    labels: Integers
-    weights: Array
-    # `owned`, `made`: arrays (c,) of int: Component and detection of each pair.
-    owned: Integers
-    made: Integers
-    # `new_means`, `new_covariances`: arrays (m, d), (m, d, d): Gaussians of the new tracks.
-    new_means: Array
-    new_covariances: Array
-
-
 class Existences(NamedTuple):
     """Tracks after an event."""
 
     names: Integers  # (t,) of int: Labels in rising order, -1 among them
     existence: Array  # (t,): Sum of the weights of the outcomes of each
     recycle_below: float  # Tracks of a smaller existence join the intensity of undetected objects
-
-
-class ChosenOutcomes(NamedTuple):
-    """Outcomes worth making."""
-
-    chosen: Integers  # (k,) of int: Their places among all outcomes, in rising order
-    weights: Array  # (k,): Of each
-    left_out: int  # Number of others that were worth making but for the bound on hypotheses
 
 
 @compiled
@@ -153,44 +128,3 @@ def _keep_most_probable(existence: Array, names: Integers, max_tracks: int) -> N
             found += 1
             if found > max_tracks:
                 existence[g] = 0.0
-
-
-@compiled
-def make_hypotheses(
-    mixture: GaussianMixture,
-    moved: Moved,
-    event: EventArrays,
-    numbers: EventNumbers,
-    outcomes: Outcomes,
-    choice: ChosenOutcomes,
-) -> GaussianMixture:
-    """Return the chosen outcomes as components; the other parameters are those of `associate_tracks`."""
-    chosen = choice.chosen
-    out = allocate_mixture(len(chosen), mixture.means.shape[1])
-    to_weights, to_means, to_covariances, cameras, times, labels, tracks, reported = out
-    count, n_pairs = len(mixture.weights), len(outcomes.made)
-    missed = int(np.searchsorted(chosen, count))
-    detected = int(np.searchsorted(chosen, count + n_pairs))
-    pairs = chosen[missed:detected] - count
-    owned = picked(outcomes.owned, pairs)
-    known_tracks, known_reported = mixture.tracks, mixture.reported
-    for i in range(len(chosen)):
-        to_weights[i], labels[i] = choice.weights[i], outcomes.labels[chosen[i]]
-        if i < detected:
-            origin = chosen[i] if i < missed else owned[i - missed]
-            tracks[i], reported[i] = known_tracks[origin], known_reported[origin]
-    for i in range(missed, len(chosen)):
-        cameras[i], times[i] = numbers.camera, numbers.time_s
-    fill_missed(mixture, moved, chosen[:missed], numbers, out)
-    means, covariances, rows = kalman_updates(
-        moved.means, moved.covariances, owned, picked(outcomes.made, pairs), event.points, event.noises, event.readings
-    )
-    for i in range(len(owned)):
-        for a in range(means.shape[1]):
-            to_means[missed + i, a] = means[i, a]
-            for b in range(means.shape[1]):
-                to_covariances[missed + i, a, b] = covariances[rows[i], a, b]
-    for i in range(detected, len(chosen)):
-        j = chosen[i] - count - n_pairs
-        copy_gaussian(outcomes.new_means, outcomes.new_covariances, j, to_means, to_covariances, i)
-    return out

@@ -15,6 +15,7 @@ from stereophd.core.multi.state.mixture import (
     GaussianMixture,
     allocate_mixture,
     copy_components,
+    order_by_label,
     slice_components,
     take_components,
 )
@@ -91,7 +92,7 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
 
     The hypotheses are those components of a mixture that have these indices, with the weights given.
     """
-    order = _by_label_and_weight(picked(mixture.labels, index), given)
+    order = order_by_label(given, picked(mixture.labels, index))
     found = take_components(mixture, picked(index, order))
     _, means, covariances, cameras, times, labels, tracks, reported = found
     weights = picked(given, order)
@@ -122,22 +123,6 @@ def _merge_hypotheses(mixture: GaussianMixture, index: Integers, given: Array, d
         weights[:merged], means[:merged], covariances[:merged], picked(cameras, chosen), picked(times, chosen),
         picked(labels, chosen), picked(tracks, chosen), picked(reported, chosen)
     )  # fmt: skip
-
-
-@compiled
-def _by_label_and_weight(labels: Integers, weights: Array) -> Integers:
-    """Return the indices that sort by label, and then by falling weight."""
-    order = stable_order(labels)
-    start = 0
-    for end in range(1, len(order) + 1):
-        if end == len(order) or labels[order[end]] != labels[order[start]]:
-            if end > start + 1:
-                part = order[start:end].copy()
-                within = stable_order(-picked(weights, part))
-                for i in range(len(part)):
-                    order[start + i] = part[within[i]]
-            start = end
-    return order
 
 
 @compiled

@@ -20,9 +20,9 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
 from stereophd.core.multi.association.exact_association import association_marginals
 from stereophd.core.multi.association.likelihoods import kalman_updates, pair_likelihoods
-from stereophd.core.multi.pmb.hypotheses import Outcomes
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.multi.state.outcomes import Outcomes, label_outcomes
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import group, picked, places, stable_order
 
@@ -97,18 +97,13 @@ def associate_tracks(
     new_means, new_covariances = _first_detections(
         moved, event, existence, birth / first, components, detections, joint, claims, first, prune_weight
     )
-    out_labels = np.empty(count + len(chosen) + n_detections, dtype=np.int64)
     out_weights = weights - detected
     still = untouched / missed
     for k in range(count):
-        out_labels[k] = labels[k]
         if labels[k] != UNLABELLED:
             out_weights[k] *= still[member[k]]
     out_weights = np.concatenate((out_weights, picked(taken, kept), existence))
-    for i in range(len(chosen)):
-        out_labels[count + i] = labels[owned[i]]
-    for j in range(n_detections):
-        out_labels[count + len(chosen) + j] = numbers.next_label + j
+    out_labels = label_outcomes(labels, owned, numbers.next_label, n_detections)
     return Outcomes(out_labels, out_weights, owned, made, new_means, new_covariances), log_likelihood + log_bethe
 
 
@@ -205,33 +200,25 @@ def mix_gaussians(
     Gaussian p has the covariance of row ``rows[p]``. Returns means (g, d) and covariances (g, d, d); a group without
     members keeps its base.
     """
-    out_means = base_means.copy()
-    out_covariances = base_covariances.copy()
     size = base_means.shape[1]
-    totals = base_weights.copy()
-    members = np.zeros(len(base_weights), dtype=np.int64)
+    totals, base_shares = base_weights.copy(), np.ones(len(base_weights))
+    out_means, out_covariances = np.empty_like(base_means), np.empty_like(base_covariances)
     for p in range(len(groups)):
         totals[groups[p]] += weights[p]
-        members[groups[p]] += 1
+    for p in range(len(groups)):
+        base_shares[groups[p]] = base_weights[groups[p]] / totals[groups[p]]
     for g in range(len(base_weights)):
-        if members[g] > 0:
-            part = base_weights[g] / totals[g]
-            for a in range(size):
-                out_means[g, a] *= part
-                for b in range(size):
-                    out_covariances[g, a, b] *= part
+        for a in range(size):
+            out_means[g, a] = base_shares[g] * base_means[g, a]
     for p in range(len(groups)):
         g = groups[p]
         for a in range(size):
             out_means[g, a] += weights[p] / totals[g] * means[p, a]
     for g in range(len(base_weights)):
-        if members[g] > 0 and base_weights[g] > 0.0:
-            part = base_weights[g] / totals[g]
-            for a in range(size):
-                for b in range(size):
-                    out_covariances[g, a, b] += (
-                        part * (base_means[g, a] - out_means[g, a]) * (base_means[g, b] - out_means[g, b])
-                    )
+        for a in range(size):
+            for b in range(a + 1):
+                spread = base_shares[g] * (base_means[g, a] - out_means[g, a]) * (base_means[g, b] - out_means[g, b])
+                out_covariances[g, a, b] = base_shares[g] * base_covariances[g, a, b] + spread
     for p in range(len(groups)):
         g = groups[p]
         part = weights[p] / totals[g]

@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.disparity.moved import IN_VIEW, PARTLY_IN_VIEW, Moved
-from stereophd.core.multi.state.inputs import EventNumbers
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import copy_gaussian
+from stereophd.core.numerics.sorting import picked, places, stable_order
 
 # Label of components that represent undetected objects; identity of labels that were never reported.
 UNLABELLED = -1
@@ -113,49 +111,12 @@ def slice_components(mixture: GaussianMixture, first: int, last: int) -> Gaussia
 
 
 @compiled
-def allocate_outcomes(
-    mixture: GaussianMixture, updated: Integers, numbers: EventNumbers, n_new: int
-) -> GaussianMixture:
-    """Room for all components missed, those `updated` by a detection each, and one new label a detection.
-
-    Labels and identities are filled in, and the home of all that were detected: the event's camera at its time.
-    """
-    known_labels, known_tracks, known_reported = mixture.labels, mixture.tracks, mixture.reported
-    count, size = mixture.means.shape
-    end = count + len(updated)
-    out = allocate_mixture(end + n_new, size)
-    labels, tracks, reported = out.labels, out.tracks, out.reported
-    for k in range(end):
-        origin = k if k < count else updated[k - count]
-        labels[k], tracks[k], reported[k] = known_labels[origin], known_tracks[origin], known_reported[origin]
-    for j in range(n_new):
-        labels[end + j] = numbers.next_label + j
-    cameras, times = out.cameras, out.times
-    for k in range(count, end + n_new):
-        cameras[k], times[k] = numbers.camera, numbers.time_s
-    return out
-
-
-@compiled
-def fill_missed(
-    mixture: GaussianMixture, moved: Moved, index: Integers, numbers: EventNumbers, out: GaussianMixture
-) -> None:
-    """Place the components with these indices (m,) at the beginning of `out`, as they are if the event missed them.
-
-    Components wholly in view move to the event's space; others stay at home, where they are Gaussian. Weights, labels
-    and identities are not filled in.
-    """
-    _, means, covariances, cameras, times, _, _, _ = mixture
-    moved_means, moved_covariances, _, status, missed_means, missed_covariances, inside = moved
-    _, to_means, to_covariances, to_cameras, to_times, _, _, _ = out
-    camera, time_s = numbers.camera, numbers.time_s
-    for i in range(len(index)):
-        k = index[i]
-        to_cameras[i] = camera if status[k] == IN_VIEW else cameras[k]
-        to_times[i] = time_s if status[k] == IN_VIEW else times[k]
-        if status[k] == IN_VIEW:
-            copy_gaussian(moved_means, moved_covariances, k, to_means, to_covariances, i)
-        elif status[k] == PARTLY_IN_VIEW or inside[k] < 1.0:
-            copy_gaussian(missed_means, missed_covariances, k, to_means, to_covariances, i)
-        else:
-            copy_gaussian(means, covariances, k, to_means, to_covariances, i)
+def order_by_label(weights: Array, labels: Integers) -> Integers:
+    """Components with a label, by label and then by falling weight; most often they are in this order."""
+    order = places(labels != UNLABELLED)
+    for i in range(1, len(order)):
+        before, k = order[i - 1], order[i]
+        if labels[k] < labels[before] or (labels[k] == labels[before] and weights[k] > weights[before]):
+            order = picked(order, stable_order(-picked(weights, order)))
+            return picked(order, stable_order(picked(labels, order)))
+    return order

@@ -11,6 +11,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.trips import disparity_scale
+from stereophd.core.disparity.world_moments import place_in_world
 from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
@@ -191,20 +192,14 @@ def _reported_places(mixture: GaussianMixture, rows: Integers, homes: Array, pas
     places, before, errors = np.empty((count, 3)), np.empty((count, 3)), np.zeros(count)
     for i in range(count):
         mean, covariance, home = mixture.means[heads[i]], mixture.covariances[heads[i]], homes[rows[heads[i]]]
-        depth = disparity_scale(home) / mean[2]
-        x, y = (mean[0] - home[CX]) / home[FX] * depth, (mean[1] - home[CY]) / home[FY] * depth
-        vx, vy, vz = 0.0, 0.0, 0.0
+        x, y, z, vx, vy, vz = place_in_world(mean, home)
+        places[i, 0], places[i, 1], places[i, 2] = x, y, z
+        span = past.span_s
+        before[i, 0], before[i, 1], before[i, 2] = x - span * vx, y - span * vy, z - span * vz
         if moving:
-            growth = mean[5] / mean[2]
-            vx, vy = mean[3] / home[FX] * depth - x * growth, mean[4] / home[FY] * depth - y * growth
-            vz = -depth * growth
+            depth = disparity_scale(home) / mean[2]
             rate = max(covariance[3, 3] / home[FX] ** 2, covariance[4, 4] / home[FY] ** 2) * depth**2
-            noise = past.acceleration_std**2 * past.span_s / 3.0
-            errors[i] = PAST_SIGMAS * past.span_s * math.sqrt(rate + noise)
-        for a in range(3):
-            r0, r1, r2 = home[ROTATION + a], home[ROTATION + 3 + a], home[ROTATION + 6 + a]
-            places[i, a] = home[CENTER + a] + r0 * x + r1 * y + r2 * depth
-            before[i, a] = places[i, a] - past.span_s * (r0 * vx + r1 * vy + r2 * vz)
+            errors[i] = PAST_SIGMAS * span * math.sqrt(rate + past.acceleration_std**2 * span / 3.0)
     return TrackPlaces(heads[:count], places, before, errors)
 
 

@@ -31,8 +31,7 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Rig
 from stereophd.core.disparity.sample_move import Look
-from stereophd.core.disparity.trips import disparity_scale
-from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
+from stereophd.core.disparity.world_moments import place_in_world
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from stereophd.core.multi.state.mixture import GaussianMixture
@@ -206,12 +205,8 @@ class Track(NamedTuple):
 
 def _place(mean: Array, space: Array, elapsed_s: float) -> Array:
     """Place (3,) in the world of a mean in a packed disparity space, a while later; NaN at no positive disparity."""
-    u, v, disparity = mean[:3] + elapsed_s * mean[3:6] if len(mean) == 6 else mean
-    if not disparity > 0.0:
-        return np.full(3, np.nan)
-    ray = np.array([(u - space[CX]) / space[FX], (v - space[CY]) / space[FY], 1.0])
-    rotation = space[ROTATION : ROTATION + 9].reshape(3, 3)
-    return np.asarray(space[CENTER : CENTER + 3] + disparity_scale(space) / disparity * (ray @ rotation))
+    moved = mean[:3] + elapsed_s * mean[3:6] if len(mean) == 6 else mean
+    return np.array(place_in_world(moved, space)[:3] if moved[2] > 0.0 else [np.nan] * 3)
 
 
 def _replaced(mixture: GaussianMixture, first: int, second: int, tracks: tuple[Track, Track]) -> GaussianMixture:

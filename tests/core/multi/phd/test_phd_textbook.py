@@ -30,7 +30,7 @@ FRAMES = 25
 CAP = 25
 TOLERANCE = 1e-10
 # Differences over parts of standard deviations of 3e-6 of the disparity leave rounding.
-LINEAR_TOLERANCE = 1e-8
+LINEAR_TOLERANCE = 1e-7
 
 
 @dataclass(frozen=True)
