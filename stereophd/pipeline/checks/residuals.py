@@ -156,8 +156,8 @@ def check_residuals(geometry: Geometry) -> Iterator[Finding]:
             apart = variance > 1.0
             yield Finding(
                 "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
-                "alone explains it, or the errors of detections last, as those of smoothed labels do; tracks are less "
-                "certain than they state", round(spread, 3), 1.0, None,
+                "alone explains it, or the errors of detections last, as those of smoothed labels do, or of objects at "
+                "rest in whole pixels; tracks are less certain than they state", round(spread, 3), 1.0, None,
                 CHECK_CAMERAS if apart else LASTING_REMEDY, DO_NOT_MEET if apart else ERRORS_LAST,
             )  # fmt: skip
         elif lasts is None:
