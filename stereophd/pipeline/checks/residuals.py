@@ -23,7 +23,7 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.alternatives import posed
-from stereophd.pipeline.checks.geometry.causes import shift_remedy, shifted
+from stereophd.pipeline.checks.geometry.causes import clock_change, shift_remedy
 from stereophd.pipeline.checks.geometry.findings import CHANCE_SCORE
 from stereophd.pipeline.checks.geometry.partners import FARTHEST, Partners, partners, track_motion
 from stereophd.pipeline.checks.geometry.rays import TOLERANCES, Geometry, signed_distances
@@ -142,7 +142,7 @@ def check_residuals(geometry: Geometry) -> Iterator[Finding]:
         best = explained[0]
         concerned = (pair for pair in pairs if best.camera in (None, pair.a, pair.b))
         if not (best.leaves_what_lasts and any(_lasts(pair) for pair in concerned)):
-            yield _named(samples, len(pairs), *explained)
+            yield _named(samples, pairs, *explained)
             return
     for pair in pairs:
         names = f"{samples[pair.a].camera.name} and {samples[pair.b].camera.name}"
@@ -193,19 +193,22 @@ def _certain(
 
 
 def _named(
-    samples: list[CameraSample], pairs: int, best: CauseFit, alike: list[CauseFit], fits: list[CauseFit]
+    samples: list[CameraSample], pairs: list[Partners], best: CauseFit, alike: list[CauseFit], fits: list[CauseFit]
 ) -> Finding:
     """Return the finding that names the best of the causes and those that explain as much (see `_certain`)."""
     # of two cameras the log does not show which one
-    cause, same = best.cause, [fit for fit in (fits if pairs == 1 else alike) if fit.cause is best.cause]
+    cause, same = best.cause, [fit for fit in (fits if len(pairs) == 1 else alike) if fit.cause is best.cause]
     if CLOCK in cause.numbers:
         best = max(same, key=lambda fit: fit.value)
     factor, name = 1.0 + best.value, samples[best.camera or 0].camera.name
     remedy, change = cause.remedy, None
     if cause.name == "clock_rate":
         remedy += f" {1.0 / factor:.5g} (clock.rate) and check its offset again"
+        if len(pairs) > 1:  # what the numbers take away from its times
+            fast, late = best.numbers.tolist()
+            change = clock_change(samples[best.camera or 0], fast * _middle(pairs) - late, 1.0 - fast)
     if cause.name == "clock_offset":
-        remedy, change = shift_remedy(-best.value), shifted(samples[best.camera or 0], -best.value)
+        remedy, change = shift_remedy(-best.value), clock_change(samples[best.camera or 0], -best.value)
 
     def names(of: list[CauseFit]) -> str:
         cameras = sorted({fit.camera for fit in of if fit.camera is not None})
@@ -240,8 +243,13 @@ class CauseFit:
     explained: float  # Of the squared distances, predicted from other tracks
     share: float  # The same over all of them
     left: float  # Mean square of what is left
-    value: float  # The number of a cause that has one
+    numbers: Array  # Of the cause, in its order
     lasting: tuple[float, float]  # What lasts of the distances that it leaves: its share, and in errors of white noise
+
+    @property
+    def value(self) -> float:
+        """The number of a cause that has one, or the first."""
+        return float(self.numbers[0])
 
     @property
     def shift(self) -> Array:
@@ -271,9 +279,7 @@ class CauseFit:
 def explanations(samples: list[CameraSample], pairs: list[Partners]) -> Iterator[CauseFit]:
     """Yield how each cause explains the distances: of each camera, and of all that state nothing."""
     cameras = [sample.camera for sample in samples]
-    # a camera has one clock in all of its pairs
-    middle = float(pairs[0].times.mean()) if pairs else 0.0
-    rows = [(pair, Shifts.of(pair, (cameras[pair.a], cameras[pair.b]), middle)) for pair in pairs]
+    rows = [(pair, Shifts.of(pair, (cameras[pair.a], cameras[pair.b]), _middle(pairs))) for pair in pairs]
     rows = [row for row in rows if len(row[1][0].tracks)]
     for camera in range(len(samples)):
         if own := [each[pair.b == camera] for pair, each in rows if camera in (pair.a, pair.b)]:
@@ -282,6 +288,11 @@ def explanations(samples: list[CameraSample], pairs: list[Partners]) -> Iterator
     if rows:
         together = Regression.of([both for _, (*_, both) in rows])
         yield from (together.fit(cause, None) for cause in EVERYWHERE if _can_be(cause, cameras))
+
+
+def _middle(pairs: list[Partners]) -> float:
+    """Return the time, s, since which rates of clocks count, the same in all pairs of a camera."""
+    return float(pairs[0].times.mean())
 
 
 def _can_be(cause: Cause, cameras: list[Camera]) -> bool:
@@ -421,6 +432,6 @@ class Regression:
         lasting = float(whole @ self.lasting[np.ix_([*chosen, -1], [*chosen, -1])] @ whole)
         in_errors = lasting / max(left * self.successive**0.5, 1e-12)
         return CauseFit(
-            cause, camera, size * numbers, size**2 * variances, freedom, explained, share, left, float(whole[0]),
+            cause, camera, size * numbers, size**2 * variances, freedom, explained, share, left, whole[:-1],
             (lasting / max(float(self.lasting[-1, -1]), 1e-12), in_errors),
         )  # fmt: skip

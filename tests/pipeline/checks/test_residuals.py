@@ -115,6 +115,10 @@ def test_a_clock_of_another_rate_is_not_called_late(rate: float) -> None:
     assert inverse is not None
     assert float(factor[1]) == pytest.approx(rate, abs=0.004)
     assert float(factor[1]) * float(inverse[1]) == pytest.approx(1.0, abs=1e-3)
+    # times from 0.021 s on, of which the change makes the true ones
+    change = re.fullmatch(r"cameras.right.clock=\{offset_s: ([-\d.e]+), rate: ([\d.]+)\}", str(found.change))
+    assert change is not None
+    assert float(change[1]) + float(change[2]) * rate * 4.0 == pytest.approx(4.0, abs=0.01)
 
 
 @pytest.mark.parametrize(("rate", "fast"), [(1.02, "right"), (0.98, "left")])

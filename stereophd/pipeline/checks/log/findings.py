@@ -56,7 +56,7 @@ def check_files(
                 0, None, sample.camera.name, "check the name of the camera in the log", "camera_without_frames",
             )  # fmt: skip
             continue
-        frames = list(_frames(sample))
+        frames = list(check_times(sample))
         untimed |= {found.camera for found in frames if found.camera is not None and is_mistake(found)}
         yield from frames
         yield from _pixels(sample)
@@ -65,7 +65,8 @@ def check_files(
     yield from _periods([sample for sample in samples if len(sample.times) > 1 and sample.camera.name not in untimed])
 
 
-def _frames(sample: CameraSample) -> Iterator[Finding]:
+def check_times(sample: CameraSample) -> Iterator[Finding]:
+    """Yield whether the frames come at the stated rate, in seconds; nothing of fewer than three."""
     name, rate = sample.camera.name, sample.camera.frame_rate_hz
     if len(sample.times) < 3:
         return

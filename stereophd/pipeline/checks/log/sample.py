@@ -84,10 +84,11 @@ class CameraSample:
         residuals holds what poses, clocks and lenses add to them, and would hide it. The ratio of the axes stays.
         """
         sigma, measured = self.camera.detector.sigma, self.measured_noise_px
-        noise = float(sigma.mean())
+        stated = noise = float(sigma.mean())
         if self.noise_px is not None and measured is not None:
             noise = min(noise, max(self.noise_px[2], LEAST_MEASURED_PX)) if only_less else measured
-        return self.with_camera(self.camera.with_noise(sigma * (max(noise, self.rounding_px) / sigma.mean())))
+        noise = max(noise, self.rounding_px)
+        return self if noise == stated else self.with_camera(self.camera.with_noise(sigma * (noise / stated)))
 
     @cached_property
     def rounding_px(self) -> float:
