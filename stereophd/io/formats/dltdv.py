@@ -179,8 +179,8 @@ def _add_cameras(
         cameras = [decompose(p, f"{where}: {view.name}") for p, view in zip(projections, views, strict=True)]
         other = "top" if views[0].from_bottom else "bottom"
         recording.assumed.append(
-            f"the world is left-handed, and its z axis is reversed; or rows count from the {other} (`rows_from` {other}),"
-            " and all tracks would be mirror images, in which rays meet as well"
+            "the world is left-handed, and its z axis is reversed; or rows count from the other side (`rows_from` "
+            f"{other}), and all tracks would be mirror images, in which rays meet as well"
         )
     recording.length_unit = unit(options, recording, where)
     result = []

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from statistics import NormalDist
 
 import numpy as np
@@ -242,7 +243,7 @@ def _clock(geometry: Geometry, concerned: list[int], camera: int, steps: int) ->
         samples = _with_times(geometry, camera, offset + rate * sample.times)
         ends = samples[camera].times[[0, min(frames, count) // 2, min(frames, count) - 1]]
         found = []
-        for start, end in zip(ends, ends[1:], strict=False):
+        for start, end in pairwise(ends):
             pairs = [_within(samples, geometry.pairs[k], start, end) for k in concerned]
             used = tuple(pair for pair in pairs if pair is not None)
             if used:
