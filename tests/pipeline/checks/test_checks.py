@@ -423,19 +423,22 @@ def test_estimated_detectors_that_need_care_are_warnings() -> None:
     }  # fmt: skip
     report = {"passes": 3, "converged": True, "noise_in_log": False, "cameras": {"left": good}}
     assert list(check_estimated_detectors(None)) == list(check_estimated_detectors(report)) == []
-    few = {**good, "residual_correlation": [0.1, 0.6], "sigma_px_standard_error": [0.5, 0.5]}
+    few = {**good, "sigma_px_standard_error": [0.5, 0.5]}
     few["clutter_per_frame_standard_error"] = 3.0
     report |= {"converged": False, "cameras": {"left": good, "right": few}}
     causes = [(one.camera, one.cause) for one in check_estimated_detectors(report)]
     assert causes == [
         (None, "not_converged"),
-        ("right", "errors_last"),
         ("right", "too_few_detections"),
         ("right", "clutter_unsure"),
     ]
     # noise that the log states is not estimated
     report |= {"noise_in_log": True}
-    assert [one.cause for one in check_estimated_detectors(report)] == ["not_converged", "errors_last"]
+    assert [one.cause for one in check_estimated_detectors(report)] == ["not_converged"]
+    lasting = good | {"confirmed": False, "residual_correlation": [0.1, -0.6]}
+    (found,) = check_estimated_detectors(report | {"converged": True, "noise_in_log": False, "cameras": {"a": lasting}})
+    assert found.cause == "noise_not_confirmed"
+    assert "a correlation from frame to frame of 0.10, -0.60" in found.message
 
 
 def test_a_frame_of_very_many_detections_is_left_out_of_the_sample() -> None:
