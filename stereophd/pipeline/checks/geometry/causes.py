@@ -258,7 +258,7 @@ def _clock(geometry: Geometry, concerned: list[int], camera: int, steps: int) ->
             rate, offset = rate * faster, offset * faster + before - (faster - 1.0) * early
         if frames >= count:
             return None if abs(rate - 1.0) * float(np.ptp(sample.times)) <= 2.0 * sample.interval_s else (rate, offset)
-        frames *= 2
+        frames *= 4
 
 
 def _within(samples: list[CameraSample], pair: Candidates, start: float, end: float) -> Candidates | None:
