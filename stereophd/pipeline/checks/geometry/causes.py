@@ -36,8 +36,9 @@ LEAST_GAIN, LEAST_RATIO = 0.08, 1.4
 FALSE_ALARMS = 0.005
 # Clock offsets that are tried: up to this many seconds, in this many steps.
 LARGEST_SHIFT_S, SHIFT_STEPS = 6.0, 160
-# Rates of clocks, and frames of the first stretch from which one is told: they drift little in it.
-RATES, FIRST_FRAMES = (0.2, 5.0), 30
+# Rates of clocks, frames of the first stretch from which one is told, in which they drift little, and how many times
+# longer each other one is.
+RATES, FIRST_FRAMES, LONGER = (0.2, 5.0), 30, 4
 SHIFT_DETECTIONS = 120
 # Offsets that are computed together: more would take much memory where frames have many detections.
 SHIFTS_AT_ONCE = 40
@@ -238,15 +239,14 @@ def _clock(geometry: Geometry, concerned: list[int], camera: int, steps: int) ->
     another rate drift little, then of longer ones with the times that follow from it, up to the whole log.
     """
     sample, rate, offset = geometry.samples[camera], 1.0, 0.0
-    frames, count = FIRST_FRAMES, len(sample.times)
-    while True:
+    count, lasts_s = len(sample.times), float(np.ptp(sample.times))
+    shorter = [frames for k in range(count.bit_length()) if (frames := FIRST_FRAMES * LONGER**k) < count]
+    for frames in (*shorter, count, count):  # a half has no one offset either: at the end once more
         samples = _with_times(geometry, camera, offset + rate * sample.times)
-        ends = samples[camera].times[[0, min(frames, count) // 2, min(frames, count) - 1]]
         found = []
-        for start, end in pairwise(ends):
-            pairs = [_within(samples, geometry.pairs[k], start, end) for k in concerned]
-            used = tuple(pair for pair in pairs if pair is not None)
-            if used:
+        for start, end in pairwise(samples[camera].times[[0, frames // 2, frames - 1]]):
+            pairs = (_within(samples, geometry.pairs[k], start, end) for k in concerned)
+            if used := tuple(pair for pair in pairs if pair is not None):
                 moved = replace(geometry, samples=samples, pairs=used)
                 shift = _best_shift(moved, list(range(len(used))), camera, steps) or 0.0
                 found.append((float(np.mean([pair.times.mean() for pair in used])), shift))
@@ -256,16 +256,14 @@ def _clock(geometry: Geometry, concerned: list[int], camera: int, steps: int) ->
             if not RATES[0] < rate * faster < RATES[1]:  # offsets are those of chance, and times might run backwards
                 return None
             rate, offset = rate * faster, offset * faster + before - (faster - 1.0) * early
-        if frames >= count:
-            return None if abs(rate - 1.0) * float(np.ptp(sample.times)) <= 2.0 * sample.interval_s else (rate, offset)
-        frames *= 4
+    return (rate, offset) if abs(rate - 1.0) * lasts_s > 2.0 * sample.interval_s else None
 
 
 def _within(samples: list[CameraSample], pair: Candidates, start: float, end: float) -> Candidates | None:
     """Return detections of A of a pair between two times, s, with those of B; None for none."""
-    first = samples[pair.a]
-    times = first.times[first.frame_of]
-    return candidates(samples, pair.a, pair.b, shifts=0, among=np.flatnonzero((times >= start) & (times <= end)))
+    times = samples[pair.a].times[samples[pair.a].frame_of]
+    among = np.flatnonzero((times >= start) & (times <= end))
+    return candidates(samples, pair.a, pair.b, shifts=0, among=among)
 
 
 def _of_rate(geometry: Geometry, camera: int, rate: float, offset: float) -> Trial:
