@@ -211,7 +211,21 @@ def test_errors_that_last_are_not_taken_for_noise(
     rotation = "cameras.right.pose.rotation_vector_deg=[0.3, 10.0, 0.0]"
     found = estimated(short, tmp_path / "out", 0, "detector=estimate", rotation, *given(TRUE))["detectors"]["cameras"]
     assert max(found[name]["residual_correlation"][1] for name in TRUE) > 0.5
-    assert "errors last from frame to frame" in caplog.text
+    assert "with a correlation from frame to frame of" in caplog.text
+    for name in TRUE:
+        assert not found[name]["confirmed"]
+        assert found[name]["sigma_px"] == found[name]["noise_of_rays_px"]
+
+
+@pytest.mark.parametrize(("correlation", "confirmed"), [(0.0, True), (0.5, False), (-0.5, False)])
+def test_residuals_that_are_no_white_noise_confirm_none(correlation: float, confirmed: bool) -> None:
+    """Objects that sway between frames: 0.36 px along v was found for 1 px, and 1.34 px of the other camera."""
+    sums = DetectorSums(pairs=900.0, residuals=np.full(2, 900.0), weights=np.full(2, 900.0), shares=np.full(2, 800.0))
+    sums.products, sums.norms, sums.successions = np.array([0.0, 800.0 * correlation]), np.full(2, 800.0), 800
+    found = estimate_detector(sums, Detector((1.1, 1.1), 0.9, 1.0), NoisePrior(np.full(2, 1.0), 0.3))
+    assert found.confirmed == confirmed
+    if not confirmed:
+        assert found.noise.tolist() == [1.0, 1.0]
 
 
 def test_values_from_sums() -> None:

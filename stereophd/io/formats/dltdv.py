@@ -177,8 +177,10 @@ def _add_cameras(
     if flips_z:
         projections = [p @ MIRROR for p in projections]
         cameras = [decompose(p, f"{where}: {view.name}") for p, view in zip(projections, views, strict=True)]
+        other = "top" if views[0].from_bottom else "bottom"
         recording.assumed.append(
-            "the world is left-handed (or the rows count from the other side): its z axis is reversed"
+            "the world is left-handed, and its z axis is reversed; or rows count from the other side (`rows_from` "
+            f"{other}), and all tracks would be mirror images, in which rays meet as well"
         )
     recording.length_unit = unit(options, recording, where)
     result = []

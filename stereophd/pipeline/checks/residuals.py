@@ -23,7 +23,7 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
 from stereophd.pipeline.checks.geometry.alternatives import posed
-from stereophd.pipeline.checks.geometry.causes import shift_remedy, shifted
+from stereophd.pipeline.checks.geometry.causes import clock_change, shift_remedy
 from stereophd.pipeline.checks.geometry.findings import CHANCE_SCORE
 from stereophd.pipeline.checks.geometry.partners import FARTHEST, Partners, partners, track_motion
 from stereophd.pipeline.checks.geometry.rays import TOLERANCES, Geometry, signed_distances
@@ -42,8 +42,8 @@ ALIKE = 2.0
 # this share of what lasts. Beyond the whole variance of a detection cameras do not agree.
 LASTING, LASTING_ERRORS, LEAST_TRACKS, MOST_LEFT = 0.1, 4.0, 8, 0.25
 ERRORS_LAST = "errors_last"
-# Steps of numerical derivatives: px, and of the numbers that change a camera.
-STEP_PX, STEP = 0.01, 1e-5
+# Steps of numerical derivatives: s, and of the numbers that change a camera, those of lenses as large as of wide ones.
+STEP_S, STEPS = 1e-5, (1e-5, 1e-5, 1e-5, 1e-5, -0.2, -1.0)
 PRIORS = "let calibrate estimate it (calibration.priors.NAME"
 ESTIMATE_LENS, ESTIMATE_READOUT = f"{PRIORS}.distortion_std: {{k1: 0.1}})", f"{PRIORS}.readout_std_s)"
 LASTING_REMEDY = "look for what smooths the detections, state more noise (sigma_px), or refine the cameras (calibrate)"
@@ -62,7 +62,19 @@ class Cause(NamedTuple):
 
 
 # Places among the numbers of `shifts_of`.
-TURNS, FOCAL, LENS, CLOCK, SHUTTER, RATE = (0, 1, 2), 3, 4, 5, 6, 7
+TURNS, FOCAL, LENS, STATED, CLOCK, SHUTTER, RATE = (0, 1, 2), 3, 4, 5, 6, 7, 8
+LENS_MISSING = Cause(
+    "lens_missing", "lens", (LENS,),
+    "grow from the centre of the image outwards: a lens seems to be missing, near k1 = {value:.2g}",
+    f"state the lens distortion (import without `pixels_undistorted`), or {ESTIMATE_LENS}",
+)  # fmt: skip
+LENS_INACCURATE = Cause(
+    "lens_inaccurate", "lens", (STATED,),
+    "grow from the centre of the image outwards: the lens seems to be {factor:.2f} times as strong as stated (at 0 the "
+    "pixels are undistorted already)",
+    "leave the distortion out if the pixels are undistorted already (import with `pixels_undistorted`), else calibrate "
+    f"the lens again, or {ESTIMATE_LENS}",
+)  # fmt: skip
 CAUSES = (
     Cause(
         "clock_offset", "clock", (CLOCK,),
@@ -80,11 +92,8 @@ CAUSES = (
         "follow the speed of the objects times the row: its shutter seems to take {value:+.2g} s more than stated",
         f"state readout_s, or {ESTIMATE_READOUT}",
     ),
-    Cause(
-        "lens_inaccurate", "lens", (LENS,),
-        "grow from the centre of the image outwards: its lens coefficients seem to be off",
-        f"calibrate the lens again, or {ESTIMATE_LENS}",
-    ),
+    LENS_MISSING,
+    LENS_INACCURATE,
     Cause(
         "focal_inaccurate", "focal length", (FOCAL,),
         "grow from the centre of the image outwards: its focal length seems to be {factor:.4g} times the stated one",
@@ -101,13 +110,10 @@ CAUSES = (
         "depend on the place in the image: its pose seems to be slightly off", REFINE, of_boxes=False,
     ),
 )  # fmt: skip
-# What all cameras may have alike where none states it.
+# What all cameras may have alike.
 EVERYWHERE = (
-    Cause(
-        "lens_missing", "lens", (LENS,),
-        "grow from the centre of the image outwards: the lens seems to be missing, near k1 = {value:.2g}",
-        f"state the lens distortion, or {ESTIMATE_LENS}",
-    ),
+    LENS_MISSING,
+    LENS_INACCURATE,
     Cause(
         "readout_missing", "shutter", (SHUTTER,),
         "follow the speed of the objects times the row: a rolling shutter seems to be missing, near readout_s = "
@@ -136,7 +142,7 @@ def check_residuals(geometry: Geometry) -> Iterator[Finding]:
         best = explained[0]
         concerned = (pair for pair in pairs if best.camera in (None, pair.a, pair.b))
         if not (best.leaves_what_lasts and any(_lasts(pair) for pair in concerned)):
-            yield _named(samples, len(pairs), *explained)
+            yield _named(samples, pairs, *explained)
             return
     for pair in pairs:
         names = f"{samples[pair.a].camera.name} and {samples[pair.b].camera.name}"
@@ -150,8 +156,8 @@ def check_residuals(geometry: Geometry) -> Iterator[Finding]:
             apart = variance > 1.0
             yield Finding(
                 "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
-                "alone explains it, or the errors of detections last, as those of smoothed labels do; tracks are less "
-                "certain than they state", round(spread, 3), 1.0, None,
+                "alone explains it, or the errors of detections last, as those of smoothed labels do, or of objects at "
+                "rest in whole pixels; tracks are less certain than they state", round(spread, 3), 1.0, None,
                 CHECK_CAMERAS if apart else LASTING_REMEDY, DO_NOT_MEET if apart else ERRORS_LAST,
             )  # fmt: skip
         elif lasts is None:
@@ -187,19 +193,22 @@ def _certain(
 
 
 def _named(
-    samples: list[CameraSample], pairs: int, best: CauseFit, alike: list[CauseFit], fits: list[CauseFit]
+    samples: list[CameraSample], pairs: list[Partners], best: CauseFit, alike: list[CauseFit], fits: list[CauseFit]
 ) -> Finding:
     """Return the finding that names the best of the causes and those that explain as much (see `_certain`)."""
     # of two cameras the log does not show which one
-    cause, same = best.cause, [fit for fit in (fits if pairs == 1 else alike) if fit.cause is best.cause]
+    cause, same = best.cause, [fit for fit in (fits if len(pairs) == 1 else alike) if fit.cause is best.cause]
     if CLOCK in cause.numbers:
         best = max(same, key=lambda fit: fit.value)
     factor, name = 1.0 + best.value, samples[best.camera or 0].camera.name
     remedy, change = cause.remedy, None
     if cause.name == "clock_rate":
         remedy += f" {1.0 / factor:.5g} (clock.rate) and check its offset again"
+        if len(pairs) > 1:  # what the numbers take away from its times
+            fast, late = best.numbers.tolist()
+            change = clock_change(samples[best.camera or 0], fast * _middle(pairs) - late, 1.0 - fast)
     if cause.name == "clock_offset":
-        remedy, change = shift_remedy(-best.value), shifted(samples[best.camera or 0], -best.value)
+        remedy, change = shift_remedy(-best.value), clock_change(samples[best.camera or 0], -best.value)
 
     def names(of: list[CauseFit]) -> str:
         cameras = sorted({fit.camera for fit in of if fit.camera is not None})
@@ -234,8 +243,13 @@ class CauseFit:
     explained: float  # Of the squared distances, predicted from other tracks
     share: float  # The same over all of them
     left: float  # Mean square of what is left
-    value: float  # The number of a cause that has one
+    numbers: Array  # Of the cause, in its order
     lasting: tuple[float, float]  # What lasts of the distances that it leaves: its share, and in errors of white noise
+
+    @property
+    def value(self) -> float:
+        """The number of a cause that has one, or the first."""
+        return float(self.numbers[0])
 
     @property
     def shift(self) -> Array:
@@ -265,28 +279,36 @@ class CauseFit:
 def explanations(samples: list[CameraSample], pairs: list[Partners]) -> Iterator[CauseFit]:
     """Yield how each cause explains the distances: of each camera, and of all that state nothing."""
     cameras = [sample.camera for sample in samples]
-    # a camera has one clock in all of its pairs
-    middle = float(pairs[0].times.mean()) if pairs else 0.0
-    rows = [(pair.a, pair.b, *Shifts.of(pair, cameras[pair.a], cameras[pair.b], middle)) for pair in pairs]
-    rows = [row for row in rows if len(row[2].tracks)]
+    rows = [(pair, Shifts.of(pair, (cameras[pair.a], cameras[pair.b]), _middle(pairs))) for pair in pairs]
+    rows = [row for row in rows if len(row[1][0].tracks)]
     for camera in range(len(samples)):
-        own = [first if a == camera else second for a, b, first, second in rows if camera in (a, b)]
-        if own:
+        if own := [each[pair.b == camera] for pair, each in rows if camera in (pair.a, pair.b)]:
             together = Regression.of(own)
-            yield from (together.fit(cause, camera) for cause in CAUSES)
-    alike = [first.with_other(second) for _, _, first, second in rows]
-    states = (any(c.lens.model != "none" for c in cameras), any(c.readout_s != 0.0 for c in cameras))
-    if alike and not all(states):
-        together = Regression.of(alike)
-        yield from (together.fit(cause, None) for cause, stated in zip(EVERYWHERE, states, strict=True) if not stated)
+            yield from (together.fit(cause, camera) for cause in CAUSES if _can_be(cause, cameras[camera : camera + 1]))
+    if rows:
+        together = Regression.of([both for _, (*_, both) in rows])
+        yield from (together.fit(cause, None) for cause in EVERYWHERE if _can_be(cause, cameras))
+
+
+def _middle(pairs: list[Partners]) -> float:
+    """Return the time, s, since which rates of clocks count, the same in all pairs of a camera."""
+    return float(pairs[0].times.mean())
+
+
+def _can_be(cause: Cause, cameras: list[Camera]) -> bool:
+    """Whether what these cameras state lets them have a cause, alike if they are several."""
+    lenses, several = sum(camera.lens.model != "none" for camera in cameras), len(cameras) > 1
+    if cause.numbers == (SHUTTER,):
+        return not several or not any(camera.readout_s for camera in cameras)
+    return {LENS: lenses == 0, STATED: lenses > several}.get(cause.numbers[0], True)
 
 
 @dataclass(frozen=True)
 class Shifts:
     """What each number of a camera changes, detection by detection of a pair of cameras."""
 
-    slopes: Array  # (n, 9): Derivatives of the distance with respect to the numbers, and the distance
-    squares: Array  # (8, 8): Products of the shifts, summed, variances of a detection
+    slopes: Array  # (n, 10): Derivatives of the distance with respect to the numbers, and the distance
+    squares: Array  # (9, 9): Products of the shifts, summed, variances of a detection
     tracks: Integers  # (n,): One-camera tracks
     following: Integers  # (n,): See `Partners`
 
@@ -296,65 +318,65 @@ class Shifts:
         return np.flatnonzero(self.following >= 0)
 
     @staticmethod
-    def of(pair: Partners, first: Camera, second: Camera, middle: float) -> tuple[Shifts, Shifts]:
-        """Return the rows of both cameras of a pair, whose clocks are off by their offsets at the time `middle`, s."""
-        a, b = (motion.places for motion in pair.sides)
-        slopes = [
-            (signed_distances(first, second, a + da, b + db) - signed_distances(first, second, a - da, b - db))
-            / (2.0 * STEP_PX) for da, db in STEP_PX * np.eye(4).reshape(4, 2, 2)
-        ]  # fmt: skip
-        cameras, tables, squares, since = (first, second), [], [], pair.times - middle
-        for camera, motion, slope in zip(cameras, pair.sides, (slopes[:2], slopes[2:]), strict=True):
-            shifts = shifts_of(camera, motion.places, motion.velocity, since)
-            tables.append(np.column_stack([np.einsum("an,nak->nk", slope, shifts), pair.distance]))
-            relative = shifts / camera.detector.sigma[:, None]
-            squares.append(np.einsum("nai,naj->nij", relative, relative))
-        # what moves while both look is where their rays meet: the mean of what both see of it knows its speed better
-        moved = 0.5 * (tables[0][:, CLOCK] - tables[1][:, CLOCK])
-        for table, slope, camera, motion in zip(tables, (moved, -moved), cameras, pair.sides, strict=True):
-            table[:, CLOCK], table[:, SHUTTER] = slope, -slope * motion.places[:, 1] / camera.height
-            table[:, RATE] = slope * since
-        usable = np.isfinite(np.hstack(tables)).all(axis=1)
-        places = np.where(usable, np.cumsum(usable) - 1, -1)
-        following = np.where(pair.following >= 0, places[pair.following], -1)[usable]
-        first_rows, second_rows = (
-            Shifts(table[usable], square[usable].sum(axis=0), motion.tracks[usable], following)
-            for table, square, motion in zip(tables, squares, pair.sides, strict=True)
-        )
-        return first_rows, second_rows
+    def of(pair: Partners, cameras: tuple[Camera, Camera], middle: float) -> list[Shifts]:
+        """Return the rows of both cameras of a pair, and of both alike; clocks are off by their offsets at `middle`, s.
 
-    def with_other(self, other: Shifts) -> Shifts:
-        """Return the rows of the same detections with the same change of both cameras."""
-        slopes = self.slopes + other.slopes
-        slopes[:, -1] = self.slopes[:, -1]
-        return replace(self, slopes=slopes, squares=0.5 * (self.squares + other.squares))
+        Of a camera it is what the distance becomes with another camera, since lenses bend too much for a slope.
+        """
+        (a, b), since = pair.sides, pair.times - middle
+        stated = signed_distances(*cameras, a.places, b.places)
+        # what moves while both look is where their rays meet: the mean of what both see of it knows its speed better
+        ahead, behind = (
+            signed_distances(*cameras, a.places + s * a.velocity, b.places - s * b.velocity) for s in (STEP_S, -STEP_S)
+        )
+        moved, tables, squares = (ahead - behind) / (4.0 * STEP_S), [], []
+        for camera, motion, slope in zip(cameras, pair.sides, (moved, -moved), strict=True):
+            tables.append(np.column_stack([slope, -slope * motion.places[:, 1] / camera.height, slope * since]))
+            relative = shifts_of(camera, motion.places, motion.velocity, since) / camera.detector.sigma[:, None]
+            squares.append(np.einsum("nai,naj->nij", relative, relative))
+        usable = np.isfinite(np.column_stack([stated, *tables, *(one.sum(axis=2) for one in squares)])).all(axis=1)
+        rows = np.where(usable, np.cumsum(usable) - 1, -1)
+        following = np.where(pair.following >= 0, rows[pair.following], -1)[usable]
+        found = []
+        for chosen, table, square, side in (
+            ((0,), tables[0], squares[0], a), ((1,), tables[1], squares[1], b),
+            ((0, 1), tables[0] + tables[1], 0.5 * (squares[0] + squares[1]), a),
+        ):  # fmt: skip
+            others = (
+                [_changed(camera, k, step) if c in chosen else camera for c, camera in enumerate(cameras)]
+                for k, step in enumerate(STEPS)
+            )
+            changed = np.stack([signed_distances(one, two, a.places, b.places) for one, two in others], axis=1)
+            slopes = np.nan_to_num((changed - stated[:, None]) / STEPS)  # beyond where a lens folds back
+            rows_of = np.column_stack([slopes, table, pair.distance])[usable]
+            found.append(Shifts(rows_of, square[usable].sum(axis=0), side.tracks[usable], following))
+        return found
 
 
 def shifts_of(camera: Camera, pixels: Array, velocity: Array, since: Array) -> Array:
-    """Return how far pixels (n, 2) would have to be moved for each number of a camera, (n, 2, 8), px.
+    """Return how far pixels (n, 2) would have to be moved for each number of a camera, (n, 2, 9), px.
 
-    These are turns about its axes, rad, the logarithm of the focal length, the first radial coefficient, the lateness
-    of its clock and the time that its shutter takes, s, and the rate of its clock, by which it is late in the times
-    `since` (n,) some moment, s. Velocities (n, 2) are px/s. A move of a camera looks much like a turn; what it differs
-    by depends on the depth, and that on the noise whose distances are to be explained.
+    These are turns about its axes, rad, the logarithm of the focal length, the first radial coefficient, by how much
+    stronger the whole lens is than stated, the lateness of its clock and the time that its shutter takes, s, and the
+    rate of its clock, by which it is late in the times `since` (n,) some moment, s. Velocities (n, 2) are px/s. A move
+    of a camera looks much like a turn; what it differs by depends on the depth, and that on the noise whose distances
+    are to be explained.
     """
-    points = camera.unproject(pixels, np.ones(len(pixels)))
-    columns = [
-        (_changed(camera, k, -STEP).project(points) - _changed(camera, k, STEP).project(points)) / (2.0 * STEP)
-        for k in range(CLOCK)
+    seen = [
+        (camera.project(_changed(camera, k, step).unproject(pixels, np.ones(len(pixels)))) - pixels) / step
+        for k, step in enumerate(STEPS)
     ]
     shutter = -velocity * pixels[:, 1:] / camera.height
-    return np.stack([*columns, velocity, shutter, velocity * since[:, None]], axis=2)
+    return np.stack([*np.nan_to_num(seen), velocity, shutter, velocity * since[:, None]], axis=2)
 
 
 def _changed(camera: Camera, number: int, step: float) -> Camera:
-    """Return a camera with another of the numbers of `shifts_of`."""
+    """Return a camera with another of the numbers of `shifts_of`; of its lens without it, or with one it has not."""
+    pose = camera.pose
     if number == FOCAL:
         return replace(camera, fx=camera.fx * (1.0 + step), fy=camera.fy * (1.0 + step))
-    lens, pose = camera.lens, camera.pose
-    if number == LENS:
-        bent = Lens("radial", k1=step) if lens.model == "none" else replace(lens, k1=lens.k1 + step)
-        return replace(camera, lens=bent)
+    if number in (LENS, STATED):
+        return replace(camera, lens=Lens("radial", k1=step) if number == LENS else Lens())
     return posed(camera, rotation_from_vector(step * np.eye(3)[number]) @ pose.rotation, pose.center)
 
 
@@ -362,10 +384,10 @@ def _changed(camera: Camera, number: int, step: float) -> Camera:
 class Regression:
     """Distances and their derivatives, as sums of products over one-camera tracks."""
 
-    sums: Array  # (g, 9, 9)
-    squares: Array  # (8, 8): Mean products of shifts
+    sums: Array  # (g, 10, 10)
+    squares: Array  # (9, 9): Mean products of shifts
     noise: float  # Mean square of the distances
-    lasting: Array  # (9, 9): Sums of products of successive rows of pairs of tracks: 0 of white noise
+    lasting: Array  # (10, 10): Sums of products of successive rows of pairs of tracks: 0 of white noise
     successive: int  # Number of these
 
     @staticmethod
@@ -389,7 +411,7 @@ class Regression:
         whole = np.linalg.inv(np.linalg.cholesky(squares + 1e-9 * np.diag(squares.diagonal() + 1e-9)))
         values, vectors = np.linalg.eigh(whole @ total[np.ix_(chosen, chosen)] @ whole.T)
         # determined is what is known better than the place of one detection
-        kept = values > self.noise
+        kept = values > (self.noise if len(chosen) > 1 else 0.0)
         # of these combinations the sum of all products is one
         size = 1.0 / np.sqrt(values[kept])
         basis = whole.T @ vectors[:, kept] * size
@@ -410,6 +432,6 @@ class Regression:
         lasting = float(whole @ self.lasting[np.ix_([*chosen, -1], [*chosen, -1])] @ whole)
         in_errors = lasting / max(left * self.successive**0.5, 1e-12)
         return CauseFit(
-            cause, camera, size * numbers, size**2 * variances, freedom, explained, share, left, float(whole[0]),
+            cause, camera, size * numbers, size**2 * variances, freedom, explained, share, left, whole[:-1],
             (lasting / max(float(self.lasting[-1, -1]), 1e-12), in_errors),
         )  # fmt: skip

@@ -245,8 +245,6 @@ def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Itera
             yield Finding(name, "warning", text.format(count), count, 0, None, remedy, cause)
 
 
-# Correlation of successive residuals from which errors cannot pass for white noise.
-LASTING = 0.3
 # Relative standard error from which an estimated noise is unsure: two of them are a factor of 1.5.
 UNSURE = 0.2
 # Standard error of the clutter, over it and in detections of a frame, from which it is unsure.
@@ -264,28 +262,19 @@ def check_estimated_detectors(report: Mapping[str, Any] | None) -> Iterator[Find
         text = f"the estimated detectors still change after {report['passes']} runs of the filter"
         yield Finding("detector.estimate", "warning", text, cause="not_converged")
     for name, estimate in report["cameras"].items():
-        correlation, points = estimate["residual_correlation"], "sigma_px" in estimate
-        # beyond two standard errors; the errors of boxes last as poses of bodies do: their filter allows for that
-        lasts = correlation is not None and max(correlation) - 2.0 / np.sqrt(estimate["residuals"]) > LASTING
-        if points and lasts:
-            text = (
-                f"{name}: errors last from frame to frame (correlation {correlation[0]:.2f}, {correlation[1]:.2f} "
-                "along u, v): of pose, clock or lens, or of smoothed labels; with noise estimated from them tracks "
-                "will be overconfident"
-            )
-            yield Finding(
-                "detector.estimate", "warning", text, round(max(correlation), 2), LASTING, name, cause="errors_last"
-            )
         if report["noise_in_log"]:
             continue
-        key, unit = ("sigma_px", " px") if points else ("box_noise", "")
+        key, unit = ("sigma_px", " px") if "sigma_px" in estimate else ("box_noise", "")
         noise = " x ".join(f"{value:.3g}" for value in estimate[key]) + unit
         error = float(max(np.divide(estimate[f"{key}_standard_error"], estimate[key])))
         factor = f"known to a factor of {np.exp(2.0 * error):.1f} only"
         seen = f"{estimate['residuals']:.0f} detections of tracks that two cameras saw"
         if not estimate["confirmed"]:
-            ratio = estimate["residual_ratio"]
+            ratio, correlation = estimate["residual_ratio"], estimate["residual_correlation"]
             seen += "" if ratio is None else f", whose residuals are {ratio:.2g} times it"
+            # no white noise: of pose, clock, lens or smoothed labels, or of a motion that the model does not follow
+            lasting = "" if correlation is None else ", ".join(f"{value:.2f}" for value in correlation)
+            seen += f", with a correlation from frame to frame of {lasting}" if lasting else ""
             text = f"{name}: tracks do not confirm the estimated noise ({seen}): it is {noise}, {factor}"
             remedy = f"state cameras.{name}.detector, or look at the other settings with `check`"
             yield Finding("detector.estimate", "warning", text, ratio, 1.0, name, remedy, cause="noise_not_confirmed")

@@ -129,21 +129,22 @@ def _track_motion(samples: list[CameraSample], depth: float) -> tuple[Array, Arr
             squares.append(scale**2 * (speed**2 - 2.0 * error**2))
             least.append(scale * max(speed - 3.0 * error, 0.0))
             if len(track) >= ACCELERATION_LENGTH:
-                accelerations.append(scale**2 * _squared_acceleration(times, pixels, noise))
+                accelerations.append(scale**2 * _squared_acceleration(times, pixels, noise, sample.rounding_px))
     return np.array(squares), np.array(least), np.array(accelerations)
 
 
-def _squared_acceleration(times: Array, pixels: Array, noise: float) -> float:
+def _squared_acceleration(times: Array, pixels: Array, noise: float, rounding: float) -> float:
     """Return the spectral density of the acceleration, px^2/s^3, from the velocities of the two halves of a track.
 
-    The mean velocities over two successive intervals of length h differ by a variance of 2/3 q h, plus noise.
+    The mean velocities over two successive intervals of length h differ by a variance of 2/3 q h, plus noise. Errors by
+    rounding stay for as long as an object hardly moves, so that each end of an interval has its own.
     """
     half = len(times) // 2
     h = 0.5 * float(times[-1] - times[0])
     first = _slope(times[:half], pixels[:half])
     second = _slope(times[half:], pixels[half:])
     spread = float(((times[:half] - times[:half].mean()) ** 2).sum())
-    by_noise = 2.0 * noise**2 / max(spread, 1e-12)
+    by_noise = 2.0 * noise**2 / max(spread, 1e-12) + 4.0 * (rounding / max(h, 1e-12)) ** 2
     return (float(((second - first) ** 2).mean()) - by_noise) / (2.0 / 3.0 * h)
 
 

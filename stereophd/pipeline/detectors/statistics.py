@@ -55,6 +55,8 @@ LEAST_VIEW = 1e-3
 LIKELY = 0.5
 # Correlations from fewer residuals are not trusted.
 FEWEST_RESIDUALS = 50.0
+# Correlation of successive residuals from which they cannot pass for white noise.
+LASTING = 0.3
 # The prior of a probability of detection: its mean, and the frames that it counts for.
 USUAL_P_DETECT, PRIOR_FRAMES = 0.9, 5.0
 # Smallest noise of a box, as a part of its height, and the largest correlation of its errors.
@@ -116,6 +118,17 @@ class DetectorSums:
                 self.products = self.products + residual * before
                 self.norms = self.norms + (residual**2 + before**2) / 2.0
                 self.successions += 1
+
+    @property
+    def correlation(self) -> Array | None:
+        """Correlation (k,) of the residuals of successive frames; None for few."""
+        return self.products / self.norms if self.successions >= FEWEST_RESIDUALS else None
+
+    @property
+    def lasts(self) -> bool:
+        """Whether residuals are no white noise, beyond two standard errors: they say little of it then."""
+        correlation = self.correlation
+        return correlation is not None and bool(np.abs(correlation).max() - 2.0 / self.successions**0.5 > LASTING)
 
     def with_noise_of(self, others: Sequence[DetectorSums]) -> DetectorSums:
         """Return the sums with those of all the others in place of what tells the noise."""
@@ -292,7 +305,7 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
         errors = CONTRADICTED_ERRORS * np.hypot(1.0 / np.sqrt(told.max()), prior.spread)
         # tracks follow errors that last, which rays show; what is only usual stands against larger noise alone
         apart = abs(measured.mean()) if prior.spread < KNOWN_SPREAD else measured.mean()
-        if apart < max(np.log(CONTRADICTED), errors):
+        if apart < max(np.log(CONTRADICTED), errors) and (prior.boxes or not sums.lasts):
             known = np.linalg.inv(prior.spread**2 + BETWEEN_AXES**2 * np.eye(len(noise)))
             noise = noise * np.exp(np.linalg.solve(known + np.diag(pull), pull * measured))
             error = noise * np.sqrt(np.diag(np.linalg.inv(known + np.diag(told))))
@@ -306,9 +319,8 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
         frames = sums.frames * max(sums.view, LEAST_VIEW)
         clutter = (max(sums.detections - sums.outside - sums.attributed, 0) + 0.5) / frames
         clutter_error = float(np.hypot(np.sqrt(clutter / frames), sums.undecided / frames))
-    correlation = sums.products / sums.norms if sums.successions >= FEWEST_RESIDUALS else None
     return DetectorEstimate(
         prior.put(Detector(present.sigma, p_detect, clutter, present.box_noise), noise), noise, error, p_error,
-        clutter_error, correlation, sums.pairs, in_view, sums.frames, sums.outside / max(sums.frames, 1), ratio,
+        clutter_error, sums.correlation, sums.pairs, in_view, sums.frames, sums.outside / max(sums.frames, 1), ratio,
         confirmed,
     )  # fmt: skip

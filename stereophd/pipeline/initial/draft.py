@@ -22,7 +22,7 @@ from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
-from stereophd.pipeline.checks.run_figures import LASTING, check_estimated_detectors
+from stereophd.pipeline.checks.run_figures import check_estimated_detectors
 from stereophd.pipeline.checks.settings import expected_depths, measure_scene
 from stereophd.pipeline.detectors.displacements import usual_turn
 from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
@@ -343,8 +343,6 @@ def _source_of_detector(entry: Mapping[str, Any]) -> str:
     if "box_noise" in entry:
         return f"detector: from {tracks}; the noise is that of all cameras, sigma_px that of the middles of boxes"
     text = f"detector: from the rays and {tracks}"
-    if entry["residual_correlation"] is not None and max(entry["residual_correlation"]) > LASTING:
-        text += "; their errors last from frame to frame, as those of pose, clock or lens do"
     if (error := entry["clutter_per_frame_standard_error"]) is not None:
         share = float(np.divide(entry["sigma_px_standard_error"], entry["sigma_px"]).max())
         errors = 100.0 * share, entry["p_detect_standard_error"], error

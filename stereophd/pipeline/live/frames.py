@@ -16,11 +16,15 @@ from stereophd.io.logs.checks import KINDS, duplicate_fault, point_faults, raise
 from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import Decoded, Rows
 from stereophd.io.streams.messages import Message
+from stereophd.pipeline.checks.finding import is_mistake
+from stereophd.pipeline.checks.log.findings import check_times
+from stereophd.pipeline.checks.log.sample import sample_log
+from stereophd.pipeline.checks.run import report_findings
 
 # Kinds of frames that a running recording cannot use, beside the kinds of bad rows.
 FRAME_KINDS = ("too_late", "repeated_frame")
-# Last frames of a camera among which one may come again.
-MOST_RECENT = 1000
+# Last frames of a camera among which one may come again, and its first ones, which show the unit of the times.
+MOST_RECENT, FIRST_FRAMES = 1000, 10
 
 
 class FrameChecks:
@@ -36,6 +40,7 @@ class FrameChecks:
         self._sizes = np.array([(c.width, c.height) for c in cameras], dtype=float)
         self._limits = (self._sizes - 0.5 + image_margin_px).tolist()
         self._drop, self._margin = on_bad_row == "drop", image_margin_px
+        self._first: list[Frame] = []
         self._recent: list[dict[int, None]] = [{} for _ in cameras]
         self.counts = dict.fromkeys(("frames", "empty_frames", "detections", *KINDS, *FRAME_KINDS), 0)
 
@@ -68,7 +73,17 @@ class FrameChecks:
         self.counts["empty_frames"] += not len(pixels)
         self.counts["detections"] += len(pixels)
         time_s = self._cameras[camera].clock.to_true(message.time_s)
-        return Frame(time_s, camera, message.frame, pixels, sigma, sizes=sizes)
+        frame = Frame(time_s, camera, message.frame, pixels, sigma, sizes=sizes)
+        if len(self._first) < FIRST_FRAMES * len(self._cameras):
+            self._look_at_times(frame)
+        return frame
+
+    def _look_at_times(self, frame: Frame) -> None:
+        """Keep one of the first frames; warn once they are all there, if their times are not in seconds."""
+        self._first.append(frame)
+        if len(self._first) == FIRST_FRAMES * len(self._cameras):
+            samples = sample_log(sorted(self._first, key=lambda one: one.time_s), self._cameras)
+            report_findings(tuple(found for one in samples for found in check_times(one) if is_mistake(found)))
 
     def _good(self, message: Message, camera: int, sigma: Array | None, sizes: Array | None, where: str) -> Booleans:
         """Return which detections of a frame, or whether one without any, can be used; count the others, or raise."""

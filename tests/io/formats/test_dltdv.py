@@ -101,6 +101,15 @@ def test_points_and_coefficients(tmp_path: Path, imported: Import, mirror: bool,
     assert report["labels"]["0"] == ("Track 1" if argus else "pt1")
 
 
+def test_rows_that_count_from_the_other_side_mirror_the_world(tmp_path: Path, imported: Import) -> None:
+    """No ray shows it: the sentence says that it may be so, and which option would be right."""
+    points, projections, pixels = scene()
+    files = write_points(tmp_path / "xypts.csv", pixels), write_coefficients(tmp_path / "dlt.csv", projections)
+    report, out = imported("dltdv", *files, **(STATED | {"rows_from": "top"}))
+    assert_cameras_see_the_points(out, points @ MIRROR)
+    assert any("(`rows_from` bottom)" in sentence for sentence in report["assumed"])
+
+
 def test_sparse_points(tmp_path: Path, imported: Import) -> None:
     points, projections, pixels = scene()
     flat = pixels.reshape(6, -1)

@@ -18,7 +18,6 @@ from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL, alternatives
 from stereophd.pipeline.checks.geometry.causes import (
     LEAST_CLOCK_FRAMES,
-    RATES,
     Trial,
     _best_shift,
     _clock_trials,
@@ -228,14 +227,14 @@ def test_a_clock_by_which_slow_objects_still_meet_roughly(shift: float, causes: 
     assert [one.cause for one in found if one.status == "warning"] == causes
 
 
-@pytest.mark.parametrize("pace", [0.9, 1.1])
+@pytest.mark.parametrize("pace", [0.45, 0.9, 1.1, 1.9])
 def test_any_rate_is_found_and_two_cameras_do_not_show_whose_it_is(pace: float) -> None:
     """No list has it. A clock offset was named, which explained a part; the other camera for rates of the list."""
     samples = sample_log(_frames(CAMERAS, count=100, pace=0.3), CAMERAS)
     quick = [samples[0], replace(samples[1], times=pace * samples[1].times)]
     (named,) = [found for found in _geometry(quick, thorough=True) if found.status == "warning"]
     assert (named.cause, named.remedy and named.remedy.startswith("check both frame rates")) == ("frame_rate", True)
-    found = re.search(r"(left|right): its times seem to run at about ([\d.]+) times the rate of", named.message)
+    found = re.search(r"(left|right): its times seem to run at ([\d.]+) times the rate of", named.message)
     assert found is not None
     assert float(found[2]) == pytest.approx(pace if found[1] == "right" else 1.0 / pace, abs=0.02)
 
@@ -256,9 +255,9 @@ def test_a_change_is_asked_of_the_detections_that_were_asked_before_it() -> None
 @pytest.mark.parametrize(("late_s", "certain"), [(0.0, False), (0.3, True)])
 def test_a_change_is_certain_where_more_meet_than_are_lost(late_s: float, certain: bool) -> None:
     geometry = measure(sample_log(_frames(CAMERAS, late_s), CAMERAS), DEPTHS)
-    trials = list(_clock_trials(geometry, RATES, 40))
+    trials = list(_clock_trials(geometry, 40))
     changes = [change.certainty for trial in trials if (change := trial.explain(geometry)) is not None]
-    assert (max(changes) > 5.0) == certain
+    assert (max(changes, default=0.0) > 5.0) == certain
 
 
 def test_a_clock_that_is_off_names_the_change_that_mends_it() -> None:
@@ -424,19 +423,22 @@ def test_estimated_detectors_that_need_care_are_warnings() -> None:
     }  # fmt: skip
     report = {"passes": 3, "converged": True, "noise_in_log": False, "cameras": {"left": good}}
     assert list(check_estimated_detectors(None)) == list(check_estimated_detectors(report)) == []
-    few = {**good, "residual_correlation": [0.1, 0.6], "sigma_px_standard_error": [0.5, 0.5]}
+    few = {**good, "sigma_px_standard_error": [0.5, 0.5]}
     few["clutter_per_frame_standard_error"] = 3.0
     report |= {"converged": False, "cameras": {"left": good, "right": few}}
     causes = [(one.camera, one.cause) for one in check_estimated_detectors(report)]
     assert causes == [
         (None, "not_converged"),
-        ("right", "errors_last"),
         ("right", "too_few_detections"),
         ("right", "clutter_unsure"),
     ]
     # noise that the log states is not estimated
     report |= {"noise_in_log": True}
-    assert [one.cause for one in check_estimated_detectors(report)] == ["not_converged", "errors_last"]
+    assert [one.cause for one in check_estimated_detectors(report)] == ["not_converged"]
+    lasting = good | {"confirmed": False, "residual_correlation": [0.1, -0.6]}
+    (found,) = check_estimated_detectors(report | {"converged": True, "noise_in_log": False, "cameras": {"a": lasting}})
+    assert found.cause == "noise_not_confirmed"
+    assert "a correlation from frame to frame of 0.10, -0.60" in found.message
 
 
 def test_a_frame_of_very_many_detections_is_left_out_of_the_sample() -> None:

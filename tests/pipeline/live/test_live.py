@@ -30,6 +30,7 @@ from stereophd.io.logs.reading import LogReader
 from stereophd.io.streams.messages import Message
 from stereophd.io.streams.rows import ROWS, ArrowRows, JsonLines, Publisher
 from stereophd.io.streams.sources import from_stream
+from stereophd.pipeline.live.frames import FrameChecks
 from stereophd.pipeline.tracking import loop
 from stereophd.pipeline.tracking.knocked import Knock, KnockTest
 from stereophd.pipeline.workers.aside import Aside
@@ -105,7 +106,22 @@ def test_a_stream_without_a_frame_is_refused(loaded: LoadedConfig, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
+<<<<<<< HEAD
 def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Message], plain: Plain) -> None:
+=======
+@pytest.mark.parametrize(("unit", "warned"), [(1.0, False), (1000.0, True)])
+def test_times_in_milliseconds_are_told_at_once(
+    loaded: LoadedConfig, frames: list[Message], unit: float, warned: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    checks = FrameChecks(loaded.build_cameras(), "error", 0.0)
+    with caplog.at_level("WARNING", "stereophd"):
+        for k, message in enumerate(frames[:40]):
+            checks.frame(replace(message, time_s=unit * message.time_s), f"frame {k}")
+    assert ("they seem to be in milliseconds" in caplog.text) == warned
+
+
+def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Message]) -> None:
+>>>>>>> doubt
     waiting = load_config(
         loaded.path, ["report.times=events", "live.wait_s=0.6"], cameras_path=HALL / "hall" / "cameras.yaml"
     )

@@ -124,8 +124,8 @@ def alternatives() -> Iterator[Alternative]:
         _radians,
     )  # fmt: skip
     yield Alternative(
-        "v_from_below", "v seems to be counted from the bottom of the image",
-        "import again (`rows_from` bottom), or write v_px = height - 1 - v",
+        "v_from_below", "v seems to be counted from the other side of the image",
+        "import again (with the other `rows_from`, top or bottom), or write v_px = height - 1 - v",
         lambda camera: camera, lambda camera, pixels: pixels * [1.0, -1.0] + [0.0, camera.height - 1.0],
     )  # fmt: skip
     yield Alternative(

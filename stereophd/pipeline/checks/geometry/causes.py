@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from statistics import NormalDist
 
 import numpy as np
@@ -33,9 +34,11 @@ from stereophd.pipeline.checks.log.sample import CameraSample
 LEAST_GAIN, LEAST_RATIO = 0.08, 1.4
 # Share of the logs of right set-ups in which chance may let any of the alternatives pass.
 FALSE_ALARMS = 0.005
-# Clock offsets that are tried: up to this many seconds, in this many steps; ratios of usual frame rates.
+# Clock offsets that are tried: up to this many seconds, in this many steps.
 LARGEST_SHIFT_S, SHIFT_STEPS = 6.0, 160
-RATES = (24 / 25, 25 / 24, 0.8, 1.25, 25 / 30, 1.2, 0.6, 5 / 3, 0.5, 2.0, 1.001, 1 / 1.001)
+# Rates of clocks, frames of the first stretch from which one is told, in which they drift little, and how many times
+# longer each other one is.
+RATES, FIRST_FRAMES, LONGER = (0.2, 5.0), 30, 4
 SHIFT_DETECTIONS = 120
 # Offsets that are computed together: more would take much memory where frames have many detections.
 SHIFTS_AT_ONCE = 40
@@ -58,7 +61,7 @@ def best_explanation(
 ) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
-    Every alternative (with `clocks_only` only clock offsets) is tried on a few detections, and the best of them on all.
+    Every alternative (with `clocks_only` only clocks) is tried on a few detections, and the best of them on all.
     If `thorough`, the first look takes more detections, and finer steps of the clock. Tolerances are those of a
     meeting, in standard deviations.
     """
@@ -70,7 +73,7 @@ def best_explanation(
     steps = SHIFT_STEPS if thorough else QUICK_STEPS
     trials = [
         *([] if clocks_only else _camera_trials(geometry)),
-        *_clock_trials(geometry, () if clocks_only else RATES, steps),
+        *_clock_trials(geometry, steps),
     ]
     looks = [(trial, trial.explain(quick, tolerances)) for trial in trials]
     promising = [
@@ -215,67 +218,69 @@ def _pairs_with(geometry: Geometry, camera: int) -> list[int]:
     return [k for k, pair in enumerate(geometry.pairs) if camera in (pair.a, pair.b)]
 
 
-def _clock_trials(geometry: Geometry, rates: tuple[float, ...], steps: int) -> Iterator[Trial]:
-    """Yield clock offsets and rates of single cameras; of many, those whose rays meet least.
-
-    Rates are usual ones, and that by which offsets of the two halves of the log differ.
-    """
+def _clock_trials(geometry: Geometry, steps: int) -> Iterator[Trial]:
+    """Yield clock offsets and rates of single cameras; of many, those whose rays meet least."""
     for c in sorted(usable_clocks(geometry)[:MOST_CLOCKS]):
         sample, concerned = geometry.samples[c], _pairs_with(geometry, c)[:MOST_CLOCK_PAIRS]
         shift = _best_shift(geometry, concerned, c, steps)
         if shift is not None:
             yield Trial(
                 (c,), "clock_offset", f"its clock seems to be off by {-shift:+.3g} s", shift_remedy(shift),
-                geometry.views, _with_times(geometry, c, sample.times + shift), shifted(sample, shift),
+                geometry.views, _with_times(geometry, c, sample.times + shift), clock_change(sample, shift),
             )  # fmt: skip
-        since = sample.times - sample.times[0]
-        for rate in rates:
-            yield _of_rate(geometry, c, (f"{rate:.4g}", f"{1.0 / rate:.4g}"), sample.times[0] + rate * since)
-        if (times := _drifting(geometry, concerned, c, steps)) is not None:
-            rate = float(np.ptp(times)) / float(since[-1])
-            yield _of_rate(geometry, c, (f"about {rate:.3g}", f"about {1.0 / rate:.3g}"), times)
+        if (found := _clock(geometry, concerned, c, steps)) is not None:
+            yield _of_rate(geometry, c, *found)
 
 
-def _drifting(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> Array | None:
-    """Return times (f,) of a camera, s, by another rate and offset: those of the halves of the log. None: alike.
+def _clock(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> tuple[float, float] | None:
+    """Return the rate and the offset, s, that the times of a camera lack; None if their rate is right.
 
-    A half has no one offset either: those of the corrected times are looked for once more.
+    They are those by which offsets of the two halves of a stretch differ: of a short one at first, in which times of
+    another rate drift little, then of longer ones with the times that follow from it, up to the whole log.
     """
-    times, interval = geometry.samples[camera].times, geometry.samples[camera].interval_s
-    for is_first in (True, False):
-        samples = _with_times(geometry, camera, times)
-        every = (geometry.pairs[k] for k in concerned)
-        pairs = [
-            candidates(samples, p.a, p.b, len(p.detections), len(p.pixels_b) - 1, among=p.detections) for p in every
-        ]
-        offsets = []
-        for half in zip(*(pair.halves() for pair in pairs if pair is not None), strict=True):
-            moved = replace(geometry, samples=samples, pairs=half)
-            shift = _best_shift(moved, list(range(len(half))), camera, steps)
-            offsets.append((float(np.mean([pair.times.mean() for pair in half])), shift or 0.0))
-        if len(offsets) < 2 or (is_first and abs(offsets[1][1] - offsets[0][1]) <= interval):
-            return None
-        (early, before), (late, after) = offsets
-        # beyond the usual rates offsets are those of chance, and times might run backwards
-        if not min(RATES) * (late - early) <= late - early + after - before <= max(RATES) * (late - early):
-            return None
-        times = times + before + (after - before) / (late - early) * (times - early)
-    return times
+    sample, rate, offset = geometry.samples[camera], 1.0, 0.0
+    count, lasts_s = len(sample.times), float(np.ptp(sample.times))
+    shorter = [frames for k in range(count.bit_length()) if (frames := FIRST_FRAMES * LONGER**k) < count]
+    for frames in (*shorter, count, count):  # a half has no one offset either: at the end once more
+        samples = _with_times(geometry, camera, offset + rate * sample.times)
+        found = []
+        for start, end in pairwise(samples[camera].times[[0, frames // 2, frames - 1]]):
+            pairs = (_within(samples, geometry.pairs[k], start, end) for k in concerned)
+            if used := tuple(pair for pair in pairs if pair is not None):
+                moved = replace(geometry, samples=samples, pairs=used)
+                shift = _best_shift(moved, list(range(len(used))), camera, steps) or 0.0
+                found.append((float(np.mean([pair.times.mean() for pair in used])), shift))
+        if len(found) == 2 and found[1][0] > found[0][0]:
+            (early, before), (late, after) = found
+            faster = 1.0 + (after - before) / (late - early)
+            if not RATES[0] < rate * faster < RATES[1]:  # offsets are those of chance, and times might run backwards
+                return None
+            rate, offset = rate * faster, offset * faster + before - (faster - 1.0) * early
+    return (rate, offset) if abs(rate - 1.0) * lasts_s > 2.0 * sample.interval_s else None
 
 
-def _of_rate(geometry: Geometry, camera: int, factors: tuple[str, str], times: Array) -> Trial:
-    """Return the trial of other times of a camera, which run by a factor: it and its inverse are printed.
+def _within(samples: list[CameraSample], pair: Candidates, start: float, end: float) -> Candidates | None:
+    """Return detections of A of a pair between two times, s, with those of B; None for none."""
+    times = samples[pair.a].times[samples[pair.a].frame_of]
+    among = np.flatnonzero((times >= start) & (times <= end))
+    return candidates(samples, pair.a, pair.b, shifts=0, among=among)
+
+
+def _of_rate(geometry: Geometry, camera: int, rate: float, offset: float) -> Trial:
+    """Return the trial of times of a camera that run at this rate, beside this offset, s.
 
     Two cameras do not show which of them is wrong.
     """
-    factor, inverse = factors
-    text, remedy, by = f"its times seem to run at {inverse} times the true rate", "check its frame rate", factor
+    sample, inverse = geometry.samples[camera], f"{1.0 / rate:.4g}"
+    text, remedy, by = f"its times seem to run at {inverse} times the true rate", "check its frame rate", f"{rate:.4g}"
+    change: str | None = clock_change(sample, offset, rate)
     if len(geometry.samples) == 2:
         other = geometry.samples[1 - camera].camera.name
         text, remedy = f"its times seem to run at {inverse} times the rate of {other}", "check both frame rates"
-        by += f", or those of {other} by {inverse}"
+        by, change = f"{by}, or those of {other} by {inverse}", None
     remedy += f"; import again with the true one (`rates`), or multiply its times by {by} (clock.rate)"
-    return Trial((camera,), "frame_rate", text, remedy, geometry.views, _with_times(geometry, camera, times))
+    samples = _with_times(geometry, camera, offset + rate * sample.times)
+    return Trial((camera,), "frame_rate", text, remedy, geometry.views, samples, change)
 
 
 def shift_remedy(shift_s: float) -> str:
@@ -283,9 +288,11 @@ def shift_remedy(shift_s: float) -> str:
     return f"add {shift_s:.4g} s to its clock (clock.offset_s), then run `init` again if it chose the settings"
 
 
-def shifted(sample: CameraSample, shift_s: float) -> str:
-    """Return the change of the configuration that shifts a clock."""
-    return f"cameras.{sample.camera.name}.clock.offset_s={sample.camera.clock.offset_s + shift_s:.6g}"
+def clock_change(sample: CameraSample, shift_s: float, rate: float = 1.0) -> str:
+    """Return the change of the configuration by which true times become ``shift_s + rate * time``."""
+    clock, key = sample.camera.clock, f"cameras.{sample.camera.name}.clock"
+    offset = f"{rate * clock.offset_s + shift_s:.6g}"
+    return f"{key}.offset_s={offset}" if rate == 1.0 else f"{key}={{offset_s: {offset}, rate: {rate * clock.rate:.7g}}}"
 
 
 def _with_times(geometry: Geometry, camera: int, times: Array) -> list[CameraSample]:

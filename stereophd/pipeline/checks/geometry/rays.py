@@ -75,17 +75,6 @@ class Candidates:
             np.ascontiguousarray(self.pixels_b[: 1 + shifts, kept]),
         )  # fmt: skip
 
-    def halves(self) -> tuple[Candidates, Candidates]:
-        """Return the earlier and the later half of the detections."""
-        early, late = (
-            replace(
-                self, detections=self.detections[part], times=self.times[part], pixels_a=self.pixels_a[part],
-                pixels_b=self.pixels_b[:, part],
-            )
-            for part in np.array_split(np.argsort(self.times, kind="stable"), 2)
-        )  # fmt: skip
-        return early, late
-
     def elsewhere(self, camera: Camera) -> Candidates:
         """Return the detections of A, the given camera, at other places of the image, each in its own direction."""
         angle = GOLDEN_ANGLE * np.arange(len(self.pixels_a))

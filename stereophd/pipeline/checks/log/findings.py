@@ -56,7 +56,7 @@ def check_files(
                 0, None, sample.camera.name, "check the name of the camera in the log", "camera_without_frames",
             )  # fmt: skip
             continue
-        frames = list(_frames(sample))
+        frames = list(check_times(sample))
         untimed |= {found.camera for found in frames if found.camera is not None and is_mistake(found)}
         yield from frames
         yield from _pixels(sample)
@@ -65,7 +65,8 @@ def check_files(
     yield from _periods([sample for sample in samples if len(sample.times) > 1 and sample.camera.name not in untimed])
 
 
-def _frames(sample: CameraSample) -> Iterator[Finding]:
+def check_times(sample: CameraSample) -> Iterator[Finding]:
+    """Yield whether the frames come at the stated rate, in seconds; nothing of fewer than three."""
     name, rate = sample.camera.name, sample.camera.frame_rate_hz
     if len(sample.times) < 3:
         return
@@ -218,11 +219,14 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
 def _noise(sample: CameraSample, is_linked: bool) -> Finding:
     """Return whether the stated noise is that of the detections of chains, which must not be those of chance."""
     name, stated = sample.camera.name, float(sample.camera.detector.sigma.mean())
-    if sample.noise_px is None or not is_linked:
+    known = sample.noise_px if is_linked else None
+    if known is None and sample.rounding_px <= NOISE_FACTOR * stated:
         why = "chance links them" if sample.noise_px else "too few lie on one-camera tracks"
+        why += " that move, in whole pixels" if sample.rounding_px and not sample.noise_px else ""
         return Finding("detector.sigma", "not checked", f"{name}: the noise of detections: {why}", stated, camera=name)
-    noise, least, most = sample.noise_px
-    text = f"{name}: detections scatter by about {noise:.2g} px about one-camera tracks, sigma_px is {stated:g}"
+    noise, least, most = known or (sample.rounding_px, sample.rounding_px, np.inf)
+    what = "about one-camera tracks" if known else "because pixels are whole numbers"
+    text = f"{name}: detections scatter by about {noise:.2g} px {what}, sigma_px is {stated:g}"
     too_large, better = most * NOISE_FACTOR < stated, f"{max(noise, LEAST_SIGMA_PX):.2g}"
     if least <= NOISE_FACTOR * stated and not too_large:
         return Finding("detector.sigma", "ok", text, stated, round(noise, 4), name)

@@ -83,11 +83,18 @@ class CameraSample:
         noise that is no larger than what their third differences leave room for stays: one that was estimated from
         residuals holds what poses, clocks and lenses add to them, and would hide it. The ratio of the axes stays.
         """
-        if self.noise_px is None or (measured := self.measured_noise_px) is None:
-            return self
-        sigma = self.camera.detector.sigma
-        noise = min(sigma.mean(), max(self.noise_px[2], LEAST_MEASURED_PX)) if only_less else measured
-        return self.with_camera(self.camera.with_noise(sigma * (noise / sigma.mean())))
+        sigma, measured = self.camera.detector.sigma, self.measured_noise_px
+        stated = noise = float(sigma.mean())
+        if self.noise_px is not None and measured is not None:
+            noise = min(noise, max(self.noise_px[2], LEAST_MEASURED_PX)) if only_less else measured
+        noise = max(noise, self.rounding_px)
+        return self if noise == stated else self.with_camera(self.camera.with_noise(sigma * (noise / stated)))
+
+    @cached_property
+    def rounding_px(self) -> float:
+        """The least noise of a detection, px: that of whole pixels, 0 where pixels have fractions."""
+        is_whole = len(self.pixels) and not ((self.pixels - self.pixels[0]) % 1.0).any()
+        return 12.0**-0.5 if is_whole else 0.0
 
     @property
     def measured_noise_px(self) -> float | None:
