@@ -106,9 +106,6 @@ def test_a_stream_without_a_frame_is_refused(loaded: LoadedConfig, tmp_path: Pat
     assert list(tmp_path.iterdir()) == []
 
 
-<<<<<<< HEAD
-def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Message], plain: Plain) -> None:
-=======
 @pytest.mark.parametrize(("unit", "warned"), [(1.0, False), (1000.0, True)])
 def test_times_in_milliseconds_are_told_at_once(
     loaded: LoadedConfig, frames: list[Message], unit: float, warned: bool, caplog: pytest.LogCaptureFixture
@@ -120,8 +117,7 @@ def test_times_in_milliseconds_are_told_at_once(
     assert ("they seem to be in milliseconds" in caplog.text) == warned
 
 
-def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Message]) -> None:
->>>>>>> doubt
+def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Message], plain: Plain) -> None:
     waiting = load_config(
         loaded.path, ["report.times=events", "live.wait_s=0.6"], cameras_path=HALL / "hall" / "cameras.yaml"
     )
