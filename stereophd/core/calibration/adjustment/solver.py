@@ -43,6 +43,8 @@ LEAST_SHARE, LONGER = 1.0 / 64.0, 2.0
 # Marquardt's damping of the first steps, and of equations that are singular: where it starts, its factor, and where it
 # gives up.
 FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10
+# Part of a diagonal of 1 that rounding makes.
+ROUNDED = 1e-12
 # Most steps that do not lower the cost: damping can grow from the first to the most, and a step be halved.
 STALLED_STEPS = 20
 
@@ -227,10 +229,15 @@ def posterior_covariance(equations: NormalEquations, prior_std: Array) -> Array:
 def within_prior(precision: Array, prior_std: Array) -> Array:
     """Invert a precision (m, m); the covariance is never wider than the prior.
 
-    In units of `prior_std` (m,) the eigenvalues of the precision are at least 1. Where rounding makes one smaller
-    (objects far away), it is set to 1.
+    A clock may be known to 1e-17 of its prior, so that rounding in units of `prior_std` (m,) would hide all else. Where
+    the information beside the prior, scaled to a diagonal of 1, is not negative, that is the scale. Elsewhere, in units
+    of the prior, the eigenvalues of the precision are at least 1 (second derivatives, objects far away).
     """
-    whitened = precision * np.outer(prior_std, prior_std)
-    eigenvalues, vectors = np.linalg.eigh((whitened + whitened.T) / 2.0)
-    covariance = (vectors / np.maximum(eigenvalues, 1.0)) @ vectors.T * np.outer(prior_std, prior_std)
+    for scale in (1.0 / np.sqrt(np.maximum(np.diag(precision), prior_std**-2)), prior_std):
+        scaled = precision * np.outer(scale, scale)
+        scaled, of_prior = (scaled + scaled.T) / 2.0, (scale / prior_std) ** 2
+        if np.linalg.eigvalsh(scaled - np.diag(of_prior))[0] >= -ROUNDED:
+            break
+    eigenvalues, vectors = np.linalg.eigh(scaled)
+    covariance = (vectors / np.maximum(eigenvalues, of_prior @ vectors**2)) @ vectors.T * np.outer(scale, scale)
     return np.asarray((covariance + covariance.T) / 2.0)

@@ -297,3 +297,10 @@ def test_a_matrix_that_is_not_positive_definite_is_not_factored_whatever_the_uni
         with pytest.raises(LinAlgError):
             factor_knots(unit * bands)
     assert factor_knots(np.abs(bands))[0, -1] == 1.0
+
+
+def test_a_value_known_to_nothing_of_its_prior_leaves_the_others_their_covariance() -> None:
+    precision = np.array([[1e8, 3e3], [3e3, 1.5]])
+    determinant = 1e8 * 1.5 - 3e3**2
+    expected = np.array([[1.5, -3e3], [-3e3, 1e8]]) / determinant
+    np.testing.assert_allclose(within_prior(precision, np.array([1e13, 1.0])), expected, rtol=1e-9)
