@@ -26,10 +26,10 @@ nothing, so that the data stay flat along the scale, and a scene that is stretch
 volume. In units of the scene each trajectory would stretch it; in units of its noise each would pull the noise of the
 motion, where that hardly shows, to nothing.
 
-**Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it at
-the joint optimum, in the cost and in the volume. With the loss itself, a step that leaves detections out makes the
-volume smaller, which is no evidence, and the objective is not smooth. The weights at the optimum found replace them,
-and the optimum is looked for again from there, until they are the same.
+**Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it
+where the search begins, in the cost and in the volume. With the loss itself, a step that leaves detections out makes
+the volume smaller, which is no evidence, and the objective is not smooth. The weights at the optimum found replace
+them, and the optimum is looked for again from there, until they are the same.
 
 **Derivatives.** The residuals of the motion are proportional to e^-u / s, so that the logarithm of s enters the normal
 equations as u does (`Linearisation.at`). At knots that minimise the cost the gradient of J / 2 is minus the vector of
@@ -120,26 +120,22 @@ class MarginalOptimum:
 def marginal_optimum(
     problem: Problem, found: Adjustment, noise: Array = STATED, settled: float = SETTLED
 ) -> MarginalOptimum:
-    """Move an adjustment, the solution of the problem, to the maximum of the marginal posterior of the values.
+    """Move an adjustment of the problem to the maximum of the marginal posterior of the values.
 
     The search begins at a noise of the motion (6,), and ends at a step of at most `settled` posterior standard
-    deviations. Returns the adjustment given, not converged, at the noise stated, where the normal equations are
-    singular.
+    deviations. Raises LinAlgError where the normal equations are singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
     unknowns = np.append(found.values, noise[: len(noise) if len(problem.knots.links()) else 0])
-    try:
-        for _ in range(MOST_WEIGHTINGS):
-            posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
-            at, left = _minimised(posterior, posterior.at(unknowns, states), settled)
-            unknowns, states, before = at.unknowns, at.states, weights
-            weights = problem.weights(at.equations.distances)
-            if np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
-                break
-        covariance = posterior.covariance(at)[:size, :size]
-    except LinAlgError:
-        return MarginalOptimum(replace(found, converged=False), STATED)
+    for _ in range(MOST_WEIGHTINGS):
+        posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
+        at, left = _minimised(posterior, posterior.at(unknowns, states), settled)
+        unknowns, states, before = at.unknowns, at.states, weights
+        weights = problem.weights(at.equations.distances)
+        if np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
+            break
+    covariance = posterior.covariance(at)[:size, :size]
     moved = replace(
         found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
         distances=at.equations.distances, converged=left <= LONGEST_LEFT,
@@ -241,6 +237,8 @@ class MarginalPosterior:
         assert found.by_noise is not None
         coupling, matrix, vector = found.by_noise
         with_scale = np.outer(log_scale(problem.parameters, problem.reference, values)[1], matrix[0])
+        if problem.held is not None:
+            with_scale[problem.held] = 0.0
         return replace(
             found,
             cost=found.cost + float(((noise / std) ** 2).sum()),

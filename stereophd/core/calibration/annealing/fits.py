@@ -9,7 +9,7 @@ from scipy.linalg import LinAlgError
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import SETTLED, MarginalPosterior, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -223,19 +223,23 @@ def adjusted_to(
 
     To the optimum of the marginal posterior, or, with at most so many steps (`most`) and where all values are held, to
     the joint one, which puts what one camera alone sees for long into that camera, where it need not accelerate. What
-    the fit held is held again, and the noise of the motion is that of the fit.
+    the fit held is held again. The search begins at the noise of the motion of the fit, which stays in joint ones.
     """
+    is_joint = most is not None or (fit.held is not None and bool(fit.held.all()))
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
-    knots = replace(_knots(task, observations, points, fit.adjustment.values), noise_std=fit.knots.noise_std)
+    knots = _knots(task, observations, points, fit.adjustment.values)
+    if is_joint:
+        knots = replace(knots, noise_std=fit.knots.noise_std)
     interpolated = interpolation(knots, observations.trajectories, observations.times)
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
     values = fit.adjustment.values
-    states = _settled(problem, values, states)
-    if most is None and (fit.held is None or not fit.held.all()):
-        marginal = marginal_optimum(problem, _at(problem, values, states), fit.motion_noise, SETTLED_IN_PASSES)
-        return _fit(task, problem, marginal.adjustment, detections, marginal.motion_noise)
+    states = _settled(problem, values, states, STATED if is_joint else fit.motion_noise)
+    if not is_joint:
+        with suppress(LinAlgError):  # the joint optimum is found with damping
+            begun = _at(problem, values, states)
+            return _searched(task, problem, begun, detections, fit.motion_noise, SETTLED_IN_PASSES)
     joint = adjust(problem, values, states, most or MOST_ITERATIONS)
     return _fit(task, problem, joint, detections, fit.motion_noise)
 
@@ -256,13 +260,24 @@ def at_values(task: Task, fit: Fit, values: Array, states: Array, covariance: Ar
 def marginal_fit(task: Task, fit: Fit) -> Fit:
     """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion along each axis.
 
-    Nothing is held. The noise of the motion beside that of the knots is looked for from that of the fit.
+    Nothing is held. The noise of the motion beside what is stated is looked for from that of the fit. Where the normal
+    equations are singular, the fit is returned, not converged, at the noise stated.
     """
-    found = marginal_optimum(problem_of(task, fit), fit.adjustment, fit.motion_noise)
-    cameras = task.parameters.build(found.adjustment.values)
-    observations = replace(fit.observations, times=true_times(cameras, fit.observations))
-    knots = replace(fit.knots, noise_std=MotionNoise.of(found.motion_noise, fit.knots.noise_std).std)
-    return Fit(found.adjustment, knots, observations, fit.detections, motion_noise=found.motion_noise)
+    stated = with_stated_motion(task, fit)
+    try:
+        return _searched(task, problem_of(task, stated), fit.adjustment, fit.detections, fit.motion_noise)
+    except LinAlgError:
+        failed = replace(fit.adjustment, converged=False)
+        return replace(stated, adjustment=failed, held=None, motion_noise=STATED)
+
+
+def _searched(
+    task: Task, problem: Problem, begun: Adjustment, detections: Integers, noise: Array, settled: float = SETTLED
+) -> Fit:
+    """Return the fit at the marginal optimum of a problem with the noise stated; LinAlgError if there is none."""
+    found = marginal_optimum(problem, begun, noise, settled)
+    knots = replace(problem.knots, noise_std=MotionNoise.of(found.motion_noise, problem.knots.noise_std).std)
+    return _fit(task, replace(problem, knots=knots), found.adjustment, detections, found.motion_noise)
 
 
 def restated_fit(task: Task, chosen: Fit, noise: Array) -> Fit:
@@ -271,8 +286,7 @@ def restated_fit(task: Task, chosen: Fit, noise: Array) -> Fit:
     The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
     residuals look like shared errors. The search goes on from the marginal optimum, with the noise of the task.
     """
-    again = with_stated_motion(task, readjusted(task, chosen, still=True))
-    return marginal_fit(task, replace(again, motion_noise=noise))
+    return marginal_fit(task, replace(readjusted(task, chosen, still=True), motion_noise=noise))
 
 
 def readjusted(task: Task, fit: Fit, still: bool = False) -> Fit:
@@ -284,7 +298,7 @@ def readjusted(task: Task, fit: Fit, still: bool = False) -> Fit:
 
 
 def with_stated_motion(task: Task, fit: Fit) -> Fit:
-    """Return a fit that others follow: the noise of its motion is what is stated, whatever was found."""
+    """Return a fit whose knots have the noise of the motion that is stated, whatever was found."""
     return replace(fit, knots=replace(fit.knots, noise_std=least_noise(task.filter.motion)))
 
 
@@ -303,26 +317,30 @@ def confirmed_fit(
     weights = np.maximum(problem.weights(begun.distances), problem.weights(joint.distances))
     still = replace(problem.weighted(weights), held=np.ones(len(values), dtype=np.bool_))
     posterior = MarginalPosterior(Linearisation.of(still))
-    with suppress(LinAlgError):
+    with suppress(LinAlgError):  # where nothing can be compared, or found, the joint optimum stays
         first = posterior.with_shown_motion(values, states, noise)
         noise = posterior.parted(first.unknowns)[1]
-        last = posterior.with_shown_motion(joint.values, joint.states, noise, first.objective)
-        noise = posterior.parted(last.unknowns)[1]
-        if last.objective > first.objective:
-            begun = replace(begun, states=first.states)
-            found = marginal_optimum(problem, begun, posterior.parted(first.unknowns)[1], SETTLED_IN_PASSES)
-            return _fit(task, problem, found.adjustment, detections, found.motion_noise)
+        if not _is_as_probable(posterior, joint, noise, first.objective):
+            return _searched(task, problem, replace(begun, states=first.states), detections, noise, SETTLED_IN_PASSES)
     return _fit(task, problem, joint, detections, noise)
 
 
-def _settled(problem: Problem, values: Array, states: Array) -> Array:
-    """Return knots (k, 2, 3) that reach out for their detections, whatever the loss says.
+def _is_as_probable(posterior: MarginalPosterior, joint: Adjustment, noise: Array, objective: float) -> bool:
+    """Whether the objective is as low at a joint optimum, at the noise of the motion that shows there, from one on."""
+    with suppress(LinAlgError):
+        last = posterior.with_shown_motion(joint.values, joint.states, noise, objective)
+        return last.objective <= objective
+    return False
+
+
+def _settled(problem: Problem, values: Array, states: Array, noise: Array = STATED) -> Array:
+    """Return knots (k, 2, 3) that reach out for their detections, whatever the loss says, at a noise of the motion.
 
     It would leave out at once what lies beyond the last detection so far, or nearly all where the knots begin at points
     whose depths rays hardly show. Knots that cannot settle stay as they are.
     """
     with suppress(LinAlgError):
-        return settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=SETTLING_STEPS)
+        return settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, noise, SETTLING_STEPS)
     return states
 
 

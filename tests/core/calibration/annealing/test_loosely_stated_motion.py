@@ -5,12 +5,22 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import LinAlgError
 
-from stereophd.core.calibration.adjustment.marginal import marginal_optimum
+from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import adjust
-from stereophd.core.calibration.adjustment.trajectories import fit_states, interpolation, knot_spacing, place_knots
-from stereophd.core.calibration.annealing.fits import FITTED_LOSS, adjusted_to, confirmed_fit
+from stereophd.core.calibration.adjustment.trajectories import (
+    STATED,
+    fit_states,
+    interpolation,
+    knot_spacing,
+    place_knots,
+)
+from stereophd.core.calibration.annealing import fits
+from stereophd.core.calibration.annealing.fits import FITTED_LOSS, adjusted_to, confirmed_fit, marginal_fit, problem_of
+from stereophd.core.calibration.annealing.membership import GATE, Predictions
 from stereophd.core.calibration.annealing.task import Fit
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 
@@ -50,3 +60,46 @@ def test_fits_end_near_the_marginal_optimum_where_the_joint_one_runs_away(seed: 
     right = marginal_optimum(problem, replace(joint, values=true, states=states, distances=np.zeros(len(detections))))
     error = given.adjustment.values - right.adjustment.values
     assert error @ np.linalg.solve(right.adjustment.covariance, error) < len(true)
+    # judged at the noise of the motion that they have, trajectories keep their detections
+    predictions = Predictions.of(problem_of(task, given), given.adjustment)  # type: ignore[arg-type]
+    distances, _ = predictions.judged(given.observations, np.ones(len(detections)))
+    assert np.mean(distances > GATE) < 0.02
+
+
+def test_the_noise_of_the_motion_that_shows_is_where_the_marginal_posterior_is_greatest() -> None:
+    _, problem, true, states = stated_loosely(0)
+    posterior = MarginalPosterior(Linearisation.of(replace(problem.weighted(np.ones(len(problem.observations))))))
+    shown = posterior.with_shown_motion(true, states, STATED)
+    assert np.exp(shown.unknowns[len(true)]) == pytest.approx(1.0 / TIMES_STATED, rel=0.2)
+    for step in (-0.1, 0.1):
+        unknowns = shown.unknowns + step * np.eye(len(shown.unknowns))[len(true)]
+        assert posterior.at(unknowns, shown.states).objective > shown.objective
+    # an objective that is low enough ends the search at once
+    assert posterior.with_shown_motion(true, states, STATED, np.inf).unknowns[len(true)] == 0.0
+
+
+@pytest.mark.parametrize("quantity", ["center", "rotation"])
+def test_held_values_stay(quantity: str) -> None:
+    task, problem, true, states = stated_loosely(0)
+    held = np.array([parameter.name.startswith(quantity) for parameter in task.parameters.parameters])
+    begun = replace(adjust(problem, true, states, 1), values=true, states=states)
+    found = marginal_optimum(replace(problem, held=held), begun).adjustment
+    np.testing.assert_array_equal(found.values[held], true[held])
+    assert (found.values[~held] != true[~held]).all()
+
+
+def test_the_joint_optimum_stays_where_no_marginal_one_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fails(*_: object) -> None:
+        raise LinAlgError
+
+    task, problem, true, states = stated_loosely(0)
+    monkeypatch.setattr(fits, "marginal_optimum", fails)
+    detections = np.arange(len(problem.observations))
+    joint = adjust(problem, true, states)
+    begun = Fit(joint, problem.knots, problem.observations, detections)
+    given = adjusted_to(task, begun, problem.observations, problem.observations.trajectories, detections)  # type: ignore[arg-type]
+    passed = confirmed_fit(task, problem, true, states, detections)  # type: ignore[arg-type]
+    for fit in (given, passed):
+        assert fit.adjustment.covariance[0, 0] < 0.5 * task.parameters.prior_std[0] ** 2
+    answer = marginal_fit(task, begun)  # type: ignore[arg-type]
+    assert not answer.adjustment.converged
