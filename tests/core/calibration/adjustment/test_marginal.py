@@ -228,7 +228,10 @@ def test_a_search_that_ends_too_early_has_not_converged(monkeypatch: pytest.Monk
 def test_trajectories_are_integrated_out_for_poses_alone_too() -> None:
     problem, states, drawn = some_problem(("center", "rotation"))
     joint = adjust(problem, drawn, states)
-    task: Any = SimpleNamespace(parameters=problem.parameters, reference=problem.reference, scale=problem.scale)
+    task: Any = SimpleNamespace(
+        parameters=problem.parameters, reference=problem.reference, scale=problem.scale,
+        filter=SimpleNamespace(motion=problem.knots.motion),
+    )  # fmt: skip
     fit = Fit(joint, problem.knots, problem.observations, np.arange(len(problem.observations)))
     found = marginal_fit(task, fit)
     posterior = MarginalPosterior(Linearisation.of(problem))
@@ -261,7 +264,10 @@ def stated_of(problem: Problem, states: np.ndarray, drawn: np.ndarray, wrong: fl
     """The marginal fit where the noise of the motion is stated as this many times what it is."""
     stated = replace(problem, knots=replace(problem.knots, noise_std=wrong * problem.knots.noise_std))
     fit = Fit(adjust(stated, drawn, states), stated.knots, stated.observations, np.arange(len(stated.observations)))
-    task: Any = SimpleNamespace(parameters=stated.parameters, reference=stated.reference, scale=stated.scale)
+    task: Any = SimpleNamespace(
+        parameters=stated.parameters, reference=stated.reference, scale=stated.scale,
+        filter=SimpleNamespace(motion=ConstantVelocity(wrong * problem.knots.noise_std)),
+    )  # fmt: skip
     return marginal_fit(task, fit)
 
 
