@@ -166,7 +166,7 @@ def adjust(
     current = linearisation.at(values, states)
     damping, longest, converged, iteration = FIRST_DAMPING, np.inf, False, 0
     lowest, lowered = current.cost, 0
-    while iteration < max_iterations and damping < MOST_DAMPING and iteration - lowered <= STALLED_STEPS:
+    while iteration < max_iterations and damping < MOST_DAMPING and iteration - lowered < STALLED_STEPS:
         within(f"cameras and trajectories are adjusted, step {iteration + 1}")
         try:
             value_step, state_step = solve(current, damping)
