@@ -125,7 +125,7 @@ def test_version_is_one() -> None:
 
 
 DOCUMENTS = [
-    *(ROOT / name for name in ("README.md", "CONTRIBUTING.md", "benchmarks/README.md")),
+    *(ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md", "benchmarks/README.md")),
     *sorted(ROOT.glob("docs/**/*.md")),
 ]
 # Records of decisions and measurements tell of the code of their day.

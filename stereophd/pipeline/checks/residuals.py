@@ -210,8 +210,12 @@ def _named(
     if cause.name == "clock_offset":
         remedy, change = shift_remedy(-best.value), clock_change(samples[best.camera or 0], -best.value)
 
+    stating = [one.camera.name for one in samples if one.camera.lens.model != "none"]
+
     def names(of: list[CauseFit]) -> str:
         cameras = sorted({fit.camera for fit in of if fit.camera is not None})
+        if not cameras and {fit.cause.name for fit in of} == {LENS_INACCURATE.name} and len(stating) < len(samples):
+            return " and ".join(stating)
         return " or ".join(samples[camera].camera.name for camera in cameras) or "all cameras"
 
     others = [fit for fit in alike if not set(cause.numbers) <= set(fit.cause.numbers)]

@@ -40,7 +40,7 @@ class FrameChecks:
         self._sizes = np.array([(c.width, c.height) for c in cameras], dtype=float)
         self._limits = (self._sizes - 0.5 + image_margin_px).tolist()
         self._drop, self._margin = on_bad_row == "drop", image_margin_px
-        self._first: list[Frame] = []
+        self._first: list[list[Frame]] = [[] for _ in cameras]
         self._recent: list[dict[int, None]] = [{} for _ in cameras]
         self.counts = dict.fromkeys(("frames", "empty_frames", "detections", *KINDS, *FRAME_KINDS), 0)
 
@@ -74,16 +74,17 @@ class FrameChecks:
         self.counts["detections"] += len(pixels)
         time_s = self._cameras[camera].clock.to_true(message.time_s)
         frame = Frame(time_s, camera, message.frame, pixels, sigma, sizes=sizes)
-        if len(self._first) < FIRST_FRAMES * len(self._cameras):
+        if len(self._first[camera]) < FIRST_FRAMES:
             self._look_at_times(frame)
         return frame
 
     def _look_at_times(self, frame: Frame) -> None:
-        """Keep one of the first frames; warn once they are all there, if their times are not in seconds."""
-        self._first.append(frame)
-        if len(self._first) == FIRST_FRAMES * len(self._cameras):
-            samples = sample_log(sorted(self._first, key=lambda one: one.time_s), self._cameras)
-            report_findings(tuple(found for one in samples for found in check_times(one) if is_mistake(found)))
+        """Keep one of the first frames of a camera; warn once they are all there, if their times are not in seconds."""
+        first = self._first[frame.camera]
+        first.append(frame)
+        if len(first) == FIRST_FRAMES:
+            sample = sample_log(sorted(first, key=lambda one: one.time_s), self._cameras)[frame.camera]
+            report_findings(tuple(found for found in check_times(sample) if is_mistake(found)))
 
     def _good(self, message: Message, camera: int, sigma: Array | None, sizes: Array | None, where: str) -> Booleans:
         """Return which detections of a frame, or whether one without any, can be used; count the others, or raise."""

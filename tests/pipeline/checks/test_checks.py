@@ -20,7 +20,6 @@ from stereophd.pipeline.checks.geometry.causes import (
     LEAST_CLOCK_FRAMES,
     Trial,
     _best_shift,
-    _clock_trials,
     _trial,
 )
 from stereophd.pipeline.checks.geometry.findings import check_geometry, left_out
@@ -123,6 +122,14 @@ def test_noise_is_told_from_acceleration() -> None:
     assert sample.noise_px is not None
     assert sample.noise_px[0] == pytest.approx(noise, rel=0.3)
     assert sample.noise_px[1] < noise < sample.noise_px[2]
+
+
+@pytest.mark.parametrize(("count", "step", "rounding"), [(19, 1.0, 0.0), (20, 1.0, 12.0**-0.5), (20, 0.25, 0.0)])
+def test_whole_pixels_are_those_of_many_detections(count: int, step: float, rounding: float) -> None:
+    """A single detection was in whole pixels wherever it lay."""
+    pixels = 100.5 + step * np.arange(2.0 * count).reshape(count, 2)
+    (sample,) = sample_log([Frame(k / RATE, 0, k, pixels[k : k + 1]) for k in range(count)], CAMERAS[:1])
+    assert sample.rounding_px == rounding
 
 
 @pytest.mark.parametrize(
@@ -254,10 +261,12 @@ def test_a_change_is_asked_of_the_detections_that_were_asked_before_it() -> None
 
 @pytest.mark.parametrize(("late_s", "certain"), [(0.0, False), (0.3, True)])
 def test_a_change_is_certain_where_more_meet_than_are_lost(late_s: float, certain: bool) -> None:
-    geometry = measure(sample_log(_frames(CAMERAS, late_s), CAMERAS), DEPTHS)
-    trials = list(_clock_trials(geometry, 40))
-    changes = [change.certainty for trial in trials if (change := trial.explain(geometry)) is not None]
-    assert (max(changes, default=0.0) > 5.0) == certain
+    """A clock that is 0.3 s earlier mends a late log, and parts the rays of a right one."""
+    samples = sample_log(_frames(CAMERAS, late_s), CAMERAS)
+    geometry, earlier = measure(samples, DEPTHS), [samples[0], replace(samples[1], times=samples[1].times - 0.3)]
+    change = Trial((1,), "clock_offset", "", "", geometry.views, earlier).explain(geometry)
+    assert change is not None
+    assert (change.certainty > 5.0) == certain
 
 
 def test_a_clock_that_is_off_names_the_change_that_mends_it() -> None:

@@ -154,6 +154,14 @@ def test_pixels_that_are_undistorted_already_are_named(cameras: int) -> None:
     assert "`pixels_undistorted`" in str(found.remedy)
 
 
+def test_of_undistorted_pixels_only_cameras_that_state_a_lens_are_named() -> None:
+    """All three were named, one of which states no lens."""
+    bent = tuple(replace(camera, lens=Lens("radial", k1=-0.15)) for camera in CAMERAS[:2])
+    (found,) = _findings((*bent, CAMERAS[2]), frames=300)
+    assert (found.cause, found.camera) == ("lens_inaccurate", None)
+    assert found.message.startswith("left and right: ")
+
+
 def _turned(camera: Camera, turn: list[float], move: list[float]) -> Camera:
     pose = camera.pose
     return replace(camera, pose=Pose(rotation_from_vector(turn) @ pose.rotation, pose.center + move))

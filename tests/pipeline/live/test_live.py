@@ -34,6 +34,7 @@ from stereophd.pipeline.live.frames import FrameChecks
 from stereophd.pipeline.tracking import loop
 from stereophd.pipeline.tracking.knocked import Knock, KnockTest
 from stereophd.pipeline.workers.aside import Aside
+from tests.scenes import build_camera
 
 pytestmark = pytest.mark.usefixtures("without_checks")
 
@@ -115,6 +116,22 @@ def test_times_in_milliseconds_are_told_at_once(
         for k, message in enumerate(frames[:40]):
             checks.frame(replace(message, time_s=unit * message.time_s), f"frame {k}")
     assert ("they seem to be in milliseconds" in caplog.text) == warned
+
+
+@pytest.mark.parametrize("seconds", [5, 2])
+def test_milliseconds_of_a_slow_camera_are_told_after_ten_frames_of_it(
+    seconds: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Among twenty frames of two cameras with 60 and 4 Hz were too few of the slow one, and its times never judged."""
+    fast, slow = (build_camera(name, [0, 0, 0], frame_rate_hz=rate) for name, rate in (("fast", 60.0), ("slow", 4.0)))
+    messages = [Message("fast", k, k / 60.0, np.empty((0, 2))) for k in range(60 * seconds)]
+    messages += [Message("slow", k, 250.0 * k, np.empty((0, 2))) for k in range(4 * seconds)]
+    checks = FrameChecks((fast, slow), "error", 0.0)
+    with caplog.at_level("WARNING", "stereophd"):
+        for message in sorted(messages, key=lambda one: one.frame / (60.0 if one.camera == "fast" else 4.0)):
+            checks.frame(message, "frame")
+    told = [record.getMessage() for record in caplog.records]
+    assert ["slow: " in one and "divide time_s by 1000" in one for one in told] == [True] * (seconds == 5)
 
 
 def test_frames_that_wait_are_not_revised(loaded: LoadedConfig, frames: list[Message], plain: Plain) -> None:

@@ -88,7 +88,7 @@ def check_times(sample: CameraSample) -> Iterator[Finding]:
         remedy = f"divide time_s by the frame rate, {rate:g} Hz"
     elif unit is not None:
         text, cause = f"{text}, and times reach {sample.times[-1]:.6g} s: they seem to be in {unit}", unit
-        remedy = f"import again with their unit (`time_unit`), or divide time_s by {UNITS[unit]:.0f}"
+        remedy = f"divide time_s by {UNITS[unit]:.0f}, or import a log again with their unit (`time_unit`)"
         remedy += "; or state frame_rate_hz if the interval is right" if rate is None else ""
     elif is_off:
         text, cause = f"{text}, frame_rate_hz is {rate:g}: the times do not fit the stated frame rate", "frame_rate"
@@ -222,7 +222,7 @@ def _noise(sample: CameraSample, is_linked: bool) -> Finding:
     known = sample.noise_px if is_linked else None
     if known is None and sample.rounding_px <= NOISE_FACTOR * stated:
         why = "chance links them" if sample.noise_px else "too few lie on one-camera tracks"
-        why += " that move, in whole pixels" if sample.rounding_px and not sample.noise_px else ""
+        why += " of objects that move (pixels are whole numbers)" if sample.rounding_px and not sample.noise_px else ""
         return Finding("detector.sigma", "not checked", f"{name}: the noise of detections: {why}", stated, camera=name)
     noise, least, most = known or (sample.rounding_px, sample.rounding_px, np.inf)
     what = "about one-camera tracks" if known else "because pixels are whole numbers"

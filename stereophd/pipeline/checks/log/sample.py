@@ -92,8 +92,8 @@ class CameraSample:
 
     @cached_property
     def rounding_px(self) -> float:
-        """The least noise of a detection, px: that of whole pixels, 0 where pixels have fractions."""
-        is_whole = len(self.pixels) and not ((self.pixels - self.pixels[0]) % 1.0).any()
+        """The least noise of a detection, px: that of whole pixels, 0 where pixels have fractions, or are few."""
+        is_whole = len(self.pixels) >= 20 and not ((self.pixels - self.pixels[0]) % 1.0).any()
         return 12.0**-0.5 if is_whole else 0.0
 
     @property
