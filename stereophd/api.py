@@ -47,8 +47,11 @@ if TYPE_CHECKING:
 class Outputs:
     """What a command made: its report, and its files as tables that are read when they are asked for.
 
-    `folder` holds the files: without `out` it is temporary, and vanishes together with this object. `report` is as in
-    ``report.json``, and `log` is the detection log that the command read.
+    Attributes
+    ----------
+    folder : folder of the files; without `out` it is temporary, and vanishes together with this object
+    report : as in ``report.json``
+    log : detection log that the command read, or None
     """
 
     folder: Path

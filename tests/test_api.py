@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import json
 import os
 import platform
@@ -11,16 +12,20 @@ import shutil
 import subprocess
 import sys
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from pathlib import Path
+from typing import get_type_hints
 
 import numpy as np
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 import pytest
+from numpy.typing import ArrayLike
 
 import stereophd
 from stereophd import Camera, Clock, Detector, InputError, Lens, Pose
 from stereophd.commands.demo import config_text
+from stereophd.core.arrays import Array
 
 ROOT = Path(__file__).resolve().parent.parent
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
@@ -35,6 +40,23 @@ def test_every_public_name_is_there_and_documented(name: str) -> None:
     if name != "__version__":
         assert value.__doc__
         assert re.search(rf"\b{name}\b", PAGE), f"docs/reference/api.md does not name {name}"
+
+
+@pytest.mark.parametrize("name", [name for name in stereophd.__all__ if is_dataclass(getattr(stereophd, name))])
+def test_help_names_every_field(name: str) -> None:
+    value = getattr(stereophd, name)
+    missing = [f.name for f in fields(value) if f.name[0] != "_" and not re.search(rf"\b{f.name}\b", value.__doc__)]
+    assert not missing
+
+
+def test_cameras_are_made_of_lists() -> None:
+    """Type checkers of users read these signatures; the arrays are kept as arrays."""
+    made: list[tuple[type, tuple[str, ...]]] = [
+        (Pose, ("rotation", "center", "velocity", "rotation_rate")), (Detector, ("sigma",))
+    ]  # fmt: skip
+    for kind, names in made:
+        taken, kept = inspect.get_annotations(kind.__init__, eval_str=True), get_type_hints(kind)  # type: ignore[misc]
+        assert {name: (taken[name], kept[name]) for name in names} == dict.fromkeys(names, (ArrayLike, Array))
 
 
 def test_star_imports_the_public_names() -> None:

@@ -32,12 +32,19 @@ AnyModel = TypeVar("AnyModel", bound=BaseModel)
 
 @dataclass(frozen=True)
 class LoadedConfig:
-    """A configuration that is complete and valid."""
+    """A configuration that is complete and valid.
 
-    config: Config  # The models; ``config.cameras`` is inline (or None where the configuration names none)
-    path: Path  # The configuration file
-    inputs: dict[str, str]  # Role (``config``, ``cameras``) -> SHA-256 of the files that were read
-    # The values of the file and the overrides with their places, without defaults: what `variant` changes.
+    Attributes
+    ----------
+    config : the models; ``config.cameras`` is inline (or None where the configuration names none)
+    path : the configuration file
+    inputs : role (``config``, ``cameras``) -> SHA-256 of the files that were read
+    tree : the values of the file and the overrides with their places, without defaults: what `variant` changes
+    """
+
+    config: Config
+    path: Path
+    inputs: dict[str, str]
     tree: Tree = field(default_factory=lambda: Tree({}), repr=False, compare=False)
 
     @property

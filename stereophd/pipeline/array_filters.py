@@ -19,7 +19,7 @@ class ArrayFilter:
     """A filter for many objects that takes frames (`Frame`); `make_filter` makes one.
 
     Frames are those of all cameras in order of time, `Frame.camera` is the index among the filter's cameras. A frame
-    without detections is information: pass every frame.
+    without detections is information: pass every frame. The `estimator` is what runs, over events.
     """
 
     estimator: DisparityFilter

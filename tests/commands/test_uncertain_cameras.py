@@ -93,6 +93,17 @@ def test_moves_and_their_sums_do_not_depend_on_how_estimates_are_handed_over(unc
     assert parts.stds() == sums.stds()
 
 
+def test_estimates_that_are_exact_in_a_direction_move_too(uncertainty: CameraUncertainty) -> None:
+    """Moves depend on the shape of a covariance, not on its size, down to zero."""
+    states, flat = np.tile([0.4, -0.6, 7.0, 0.8, 0.1, -0.3], (4, 1)), np.diag([1e-4, 0.0, 1e-4, 1.0, 1.0, 1.0])
+    covariances = np.stack([flat, np.zeros((6, 6)), 1e-6 * np.eye(6), np.eye(6)])
+    with np.errstate(divide="raise", invalid="raise", over="raise"):
+        moves = uncertainty.moves(np.zeros(4), states, covariances)
+    assert np.isfinite(moves).all()
+    assert (np.abs(moves[0, 1]) < 1e-6 * np.abs(moves[0, [0, 2]])).all()
+    np.testing.assert_allclose(moves[1:3], moves[[3, 3]], rtol=1e-9)
+
+
 def test_common_moves_are_those_of_a_similarity(uncertainty: CameraUncertainty) -> None:
     rng = np.random.default_rng(0)
     places = rng.normal(size=(200, 3))

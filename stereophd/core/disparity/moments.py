@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.disparity.moved import Moved, Sources, room_for_moved
+from stereophd.core.disparity.moved import IN_VIEW, Moved, Sources, room_for_moved
 from stereophd.core.disparity.rule_move import STEP, rule_components
 from stereophd.core.disparity.sample_move import Look, Looks, carry_components, noise_axes
 from stereophd.core.disparity.world_moments import world_components
@@ -117,7 +117,9 @@ def _low_order(sources: Sources, destination: Array, sets: SampleSets, region: A
     if sets.method == "linear":
         near = room_for_moved(*sources.means.shape)
         rule_components(sources, STEP * points, axes, destination, region, *limits, near)
-        moved.means[:], moved.covariances[:] = near.means, near.covariances / STEP**2
+        # A Gaussian so narrow that its near points round to one keeps the moments of the others.
+        kept = near.status == IN_VIEW
+        moved.means[kept], moved.covariances[kept] = near.means[kept], near.covariances[kept] / STEP**2
     return todo
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
@@ -20,28 +21,35 @@ Time = TypeVar("Time", float, Array)
 BOX_NOISE = (0.06, 0.045, 0.05, 0.09)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, init=False, eq=False)
 class Detector(EqualByValue):
-    """A camera's detector: noise, misses and false detections; ValueError if a value is out of its range."""
+    """A camera's detector: noise, misses and false detections; ValueError if a value is out of its range.
 
-    sigma: Array  # (2,): Standard deviation of a detection along u and v, px; a read-only copy
-    p_detect: float  # Probability that an object in view is detected
-    clutter_per_frame: float  # Mean number of false detections per frame, uniform over the image
-    # Standard deviations of the middle u, the top, the bottom and the width of a box, as parts of its height
-    box_noise: tuple[float, float, float, float] = BOX_NOISE
+    Attributes
+    ----------
+    sigma : (2,), standard deviation of a detection along u and v, px; a read-only copy
+    p_detect : probability that an object in view is detected
+    clutter_per_frame : mean number of false detections per frame, uniform over the image
+    box_noise : (4,), standard deviations of middle u, top, bottom and width of a box, as parts of its height
+    """
 
-    def __post_init__(self) -> None:
-        values = frozen(self.sigma)
+    sigma: Array
+    p_detect: float
+    clutter_per_frame: float
+    box_noise: tuple[float, float, float, float]
+
+    def __init__(
+        self, sigma: ArrayLike, p_detect: float, clutter_per_frame: float, box_noise: Iterable[float] = BOX_NOISE
+    ) -> None:
+        values = frozen(sigma)
         if values.shape != (2,) or not (values > 0.0).all() or not np.isfinite(values).all():
-            raise ValueError(f"detector: expected two positive standard deviations, found {self.sigma!r}")
-        if not 0.0 <= self.p_detect <= 1.0:
-            raise ValueError(f"detector: expected p_detect in [0, 1], found {self.p_detect}")
-        if not 0.0 <= self.clutter_per_frame < np.inf:
-            raise ValueError(f"detector: expected clutter_per_frame >= 0, found {self.clutter_per_frame}")
-        object.__setattr__(self, "sigma", values)
-        object.__setattr__(self, "p_detect", float(self.p_detect))
-        object.__setattr__(self, "clutter_per_frame", float(self.clutter_per_frame))
-        object.__setattr__(self, "box_noise", tuple(self.box_noise))
+            raise ValueError(f"detector: expected two positive standard deviations, found {sigma!r}")
+        if not 0.0 <= p_detect <= 1.0:
+            raise ValueError(f"detector: expected p_detect in [0, 1], found {p_detect}")
+        if not 0.0 <= clutter_per_frame < np.inf:
+            raise ValueError(f"detector: expected clutter_per_frame >= 0, found {clutter_per_frame}")
+        self.__dict__.update(sigma=values, p_detect=float(p_detect), clutter_per_frame=float(clutter_per_frame))
+        self.__dict__.update(box_noise=tuple(box_noise))
 
 
 @dataclass(frozen=True)
@@ -67,24 +75,36 @@ class Camera:
     Camera axes: x right, y down, z forward. Pixel (0, 0) is the centre of the top-left pixel (OpenCV).
     Undistorted pixels are those of the pinhole camera with the same intrinsics; detections are distorted pixels. Raises
     ValueError if the image size or a focal length is not positive.
+
+    A rolling shutter exposes row v of the distorted image ``readout_s * v / height`` after the time of the frame, which
+    is that of row 0; one with a negative readout reads from the bottom up, one of zero all rows at once.
+
+    Attributes
+    ----------
+    name : as in logs and configurations
+    width, height : image size, px
+    fx, fy : focal lengths along u and v, px
+    cx, cy : principal point, px
+    pose : in the world; of a moving camera, at ``pose.time_s``
+    lens, detector, clock : distortion; noise, misses and false detections; the camera's own clock
+    frame_rate_hz : frames per second, for simulation; None if it is not stated
+    phase_s : time of the first frame after the start, s, for simulation
+    readout_s : time from the first row of the image to the one after the last, s
     """
 
-    name: str  # As in logs and configurations
-    width: int  # `width`, `height`: Image size, px
+    name: str
+    width: int
     height: int
-    fx: float  # `fx`, `fy`: Focal lengths along u and v, px
+    fx: float
     fy: float
-    cx: float  # `cx`, `cy`: Principal point, px
+    cx: float
     cy: float
-    pose: Pose  # In the world; of a moving camera, at ``pose.time_s``
+    pose: Pose
     lens: Lens
     detector: Detector
-    frame_rate_hz: float | None = None  # For simulation; None if it is not stated
-    phase_s: float = 0.0  # Time of the first frame after the start, s, for simulation
-    clock: Clock = field(default_factory=Clock)  # The camera's own clock
-    # Time from the first row of the image to the one after the last, s (rolling shutter; negative: read from the bottom
-    # up). The time of a frame is that of row 0; row v of the distorted image is exposed ``readout_s * v / height``
-    # later. Zero: all rows at once.
+    frame_rate_hz: float | None = None
+    phase_s: float = 0.0
+    clock: Clock = field(default_factory=Clock)
     readout_s: float = 0.0
 
     def __post_init__(self) -> None:

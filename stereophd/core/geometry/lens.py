@@ -22,13 +22,17 @@ class Lens:
     """A lens model: how undistorted normalised points (x / z, y / z) move in the image.
 
     Raises ValueError if the model is unknown, a coefficient is not finite, or one is given that the model lacks.
+    The models: none; radial, x_d = x (1 + k1 r^2), the one-parameter distortion of paper section VIII-F; brown_conrady,
+    OpenCV's rational model with k1..k6, p1, p2; fisheye, OpenCV's, theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3
+    theta^6 + k4 theta^8).
+
+    Attributes
+    ----------
+    model : name of the model
+    k1, k2, p1, p2, k3, k4, k5, k6 : coefficients, without unit
     """
 
-    # none; radial: x_d = x (1 + k1 r^2), the one-parameter distortion of paper section VIII-F; brown_conrady: OpenCV's
-    # rational model with k1..k6, p1, p2; fisheye: OpenCV's, theta_d = theta (1 + k1 theta^2 + k2 theta^4 + k3 theta^6 +
-    # k4 theta^8)
     model: str = "none"
-    # Coefficients, without unit
     k1: float = 0.0
     k2: float = 0.0
     p1: float = 0.0

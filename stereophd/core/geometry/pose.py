@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -82,7 +82,7 @@ def _nearest_rotation(rotation: Array) -> Array:
     return nearest
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, init=False, eq=False)
 class Pose(EqualByValue):
     """Pose of a camera: ``x_camera = rotation @ (x_world - center)``.
 
@@ -90,24 +90,32 @@ class Pose(EqualByValue):
     angular velocity about its own axes, or it follows a known path; `rotation` and `center` hold at `time_s`. Poses are
     equal when all their values are, and their arrays are read-only copies. Raises ValueError if a shape is wrong, a
     value is not finite, or the matrix is not a rotation.
+
+    Attributes
+    ----------
+    rotation : (3, 3), from world to camera axes; one of few digits is replaced by the nearest rotation
+    center : (3,), optical centre in the world, length
+    velocity : (3,), velocity of the centre in the world, length/s
+    rotation_rate : (3,), angular velocity about the camera's own axes, rad/s; (0, w, 0) turns it to the right
+    time_s : time at which rotation and center hold, s
+    path : the camera follows it at all times; the other values are those at `time_s` (see `following`)
     """
 
-    # (3, 3): From world to camera axes. A matrix given with few digits is replaced by the nearest rotation, so that its
-    # transpose is its inverse.
     rotation: Array
-    center: Array  # (3,): Optical centre in the world, length
-    velocity: Array = field(default_factory=lambda: np.zeros(3))  # (3,): Of the centre in the world, length/s
-    # (3,): Angular velocity about the camera's own axes, rad/s, right-handed: (0, w, 0) turns it to the right
-    rotation_rate: Array = field(default_factory=lambda: np.zeros(3))
-    time_s: float = 0.0  # Time at which rotation and center hold, s
-    # The camera follows it at all times; the other values are those at `time_s` (see `following`).
-    path: MountedPath | None = None
+    center: Array
+    velocity: Array
+    rotation_rate: Array
+    time_s: float
+    path: MountedPath | None
 
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "rotation", _nearest_rotation(frozen(self.rotation, (3, 3), "rotation")))
-        for name in ("center", "velocity", "rotation_rate"):
-            object.__setattr__(self, name, frozen(getattr(self, name), (3,), name))
-        object.__setattr__(self, "time_s", float(self.time_s))
+    def __init__(
+        self, rotation: ArrayLike, center: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0),
+        rotation_rate: ArrayLike = (0.0, 0.0, 0.0), time_s: float = 0.0, path: MountedPath | None = None,
+    ) -> None:  # fmt: skip
+        self.__dict__["rotation"] = _nearest_rotation(frozen(rotation, (3, 3), "rotation"))
+        for name, values in (("center", center), ("velocity", velocity), ("rotation_rate", rotation_rate)):
+            self.__dict__[name] = frozen(values, (3,), name)
+        self.__dict__.update(time_s=float(time_s), path=path)
 
     @staticmethod
     def following(path: MountedPath, time_s: float | None = None) -> Pose:

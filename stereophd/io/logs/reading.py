@@ -41,16 +41,28 @@ from stereophd.io.tables.writing import ROW_GROUP_ROWS
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """All detections of one camera frame; what the log does not state is None."""
+    """All detections of one camera frame; what the log does not state is None.
 
-    time_s: float  # True time (the camera's clock corrected)
-    camera: int  # Index in the configuration's order of cameras
+    Attributes
+    ----------
+    time_s : true time, s (the camera's clock corrected)
+    camera : index in the configuration's order of cameras
+    frame : number of the frame
+    pixels : (m, 2), distorted px; m = 0 for an empty frame
+    sigma : (m, 2), standard deviations, px
+    object_id : (m,), true objects, -1 clutter; for evaluation only
+    sizes : (m, 2), width and height of the boxes, px
+    rows : (m,), rows of the log that the frame is from
+    """
+
+    time_s: float
+    camera: int
     frame: int
-    pixels: Array  # (m, 2): distorted px; m = 0 for an empty frame
-    sigma: Array | None = None  # (m, 2): standard deviations, px
-    object_id: Integers | None = None  # (m,): true objects, -1 clutter; for evaluation only
-    sizes: Array | None = None  # (m, 2): width and height of the boxes, px
-    rows: Integers | None = None  # (m,): rows of the log that the frame is from
+    pixels: Array
+    sigma: Array | None = None
+    object_id: Integers | None = None
+    sizes: Array | None = None
+    rows: Integers | None = None
 
 
 class LogReader:

@@ -61,24 +61,39 @@ class ReportTimes:
 
 @dataclass(frozen=True)
 class Record:
-    """One event of a run, or a prediction to a time of the grid: camera and frame are those of the last event then."""
+    """One event of a run, or a prediction to a time of the grid: camera and frame are those of the last event then.
 
-    time_s: float  # True time
+    Attributes
+    ----------
+    time_s : true time, s
+    camera, frame : name of the camera, number of its frame
+    n_detections : 0 of a prediction
+    first_label : smallest label that an object first detected in this event can have
+    info : diagnostics; of a prediction those of the last event, faded, with log-likelihood 0
+    estimates : the objects: labels, states (k, 6), covariances (k, 6, 6) and existence, in the world, per second
+    attributed : track -> camera -> number of detections known to be its own since the last record (a new one: ever)
+    reported : whether the estimates are to be written
+    is_event : False of a prediction
+    event : the detections themselves, where a run keeps them
+    associations : detections that reported tracks claim: also earlier ones of tracks reported for the first time
+    knock : a camera that the event shows to have been knocked
+    outside : number of detections that see nothing of the region, or are of tracks beside it
+    """
+
+    time_s: float
     camera: str
     frame: int
-    n_detections: int  # 0 of a prediction
-    first_label: int  # Smallest label that an object first detected in this event can have
-    info: Info  # Of a prediction that of the last event, faded, with log-likelihood 0
+    n_detections: int
+    first_label: int
+    info: Info
     estimates: Estimates
-    # Track -> camera -> number of detections known to be its own since the last record; before it, too, when it is new.
     attributed: Mapping[int, Mapping[str, int]] = field(default_factory=dict)
-    reported: bool = True  # Whether the estimates are to be written
+    reported: bool = True
     is_event: bool = True
-    event: Event | None = None  # The detections themselves, where a run keeps them
-    # Detections that reported tracks claim: also earlier ones of tracks that are reported for the first time.
+    event: Event | None = None
     associations: tuple[Associated, ...] = ()
-    knock: Knock | None = None  # A camera that the event shows to have been knocked
-    outside: int = 0  # Detections that see nothing of the region, or are of tracks beside it
+    knock: Knock | None = None
+    outside: int = 0
 
 
 class EstimatorState(Protocol):

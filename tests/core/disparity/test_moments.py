@@ -97,6 +97,16 @@ def test_low_order_methods_in_the_paper_figures(method: str) -> None:
         np.linalg.cholesky(moved.covariances[0])
 
 
+def test_linear_move_of_a_gaussian_narrower_than_numbers_resolve() -> None:
+    """The points of the derivative round to one pixel; those of the rule, 5000 times as far away, do not."""
+    space = make_space(make_camera())
+    case = Case(np.array([400.3, 300.2, 3.4]), 1e-22 * np.eye(3), space, space, 0.0, Static())
+    moved = case.move(sample_sets("linear", 64, case.motion))
+    assert moved.status[0] == IN_VIEW
+    np.testing.assert_allclose(moved.means[0], case.mean)
+    np.testing.assert_allclose(moved.covariances[0], case.covariance, atol=0.1e-22)
+
+
 def test_figure_4_linear_underestimates_the_uncertainty() -> None:
     """What the paper shows of the extended Kalman filter, and that `particle` and `qmc` do not."""
     case = figure_4()

@@ -31,6 +31,9 @@ from stereophd.core.numerics.compilation.compiled import compiled
 SWEEPS, OTHER = 15, 1e-2
 # A covariance with an eigenvalue below this part of the largest is singular.
 SINGULAR = 1e-10
+# The least eigenvalue: its inverse and its square are still far within the range of numbers. Moves depend on the shape
+# of a covariance and not on its size, so those of a zero covariance are those of any round one.
+LEAST = float(np.finfo(np.float64).tiny) ** (1.0 / 3.0)
 
 
 @dataclass(frozen=True)
@@ -50,11 +53,11 @@ class CameraUncertainty:
         """Derivatives (n, 3, m) of the positions of estimates at times (n,), s, by the values.
 
         The estimates have states (n, 6) and covariances (n, 6, 6). Those of positions that are singular count as
-        regular ones, a part `SINGULAR` of the largest eigenvalue wide.
+        regular ones, a part `SINGULAR` of the largest eigenvalue wide, and at least `LEAST`.
         """
         count, size = len(states), self.parameters.size
         eigenvalues, vectors = np.linalg.eigh(covariances[:, :3, :3])
-        eigenvalues = np.maximum(eigenvalues, SINGULAR * eigenvalues[:, -1:])
+        eigenvalues = np.maximum(eigenvalues, np.maximum(SINGULAR * eigenvalues[:, -1:], LEAST))
         roots = vectors * np.sqrt(eigenvalues)[:, None, :]
         inverse = (vectors / eigenvalues[:, None, :]) @ np.swapaxes(vectors, 1, 2)
         information, pulls = [], []
