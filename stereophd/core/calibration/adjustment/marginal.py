@@ -277,18 +277,17 @@ class MarginalPosterior:
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
         return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume)
 
-    def with_shown_motion(self, values: Array, states: Array, noise: Array, enough: float = -np.inf) -> Point:
+    def with_shown_motion(self, values: Array, states: Array, noise: Array) -> Point:
         """Return the point of values (m,), which stay, at the noise of the motion that fits there, from one (6,) on.
 
-        Where the objective is low `enough` that noise will do. The one that fits has E = g + u / std^2, of the energy E
-        of the motion and the number g of differences between knots that the detections determine: 6 l less the trace
-        of the motion's part of A by A^-1. E goes with e^-2u, and g hardly changes (D. J. C. MacKay, "Bayesian
-        interpolation", Neural Computation 4, 1992).
+        That is E = g + u / std^2, of the energy E of the motion and the number g of differences between knots that the
+        detections determine: 6 l less the trace of the motion's part of A by A^-1. E goes with e^-2u, and g hardly
+        changes (D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4, 1992).
         """
         linearisation = self.linearisation
         for _ in range(MOST_MOTIONS):
             at = self.at(np.append(values, noise[: self.size - len(values)]), states)
-            if not self.links or at.objective <= enough:
+            if not self.links:
                 break
             states, inverse = at.states, np.zeros_like(at.factor)
             inverse_in_band(at.factor, inverse)

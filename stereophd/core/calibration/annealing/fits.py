@@ -4,12 +4,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import LinAlgError
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import SETTLED, MarginalPosterior, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import SETTLED, MarginalPosterior, Point, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -24,13 +25,14 @@ from stereophd.core.calibration.adjustment.trajectories import (
     positions,
 )
 from stereophd.core.calibration.annealing.membership import chosen_detections
-from stereophd.core.calibration.annealing.rejected import lone
+from stereophd.core.calibration.annealing.rejected import collapsed, lone
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.pairing.association import keep, shared, track_detections, with_cameras
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import enlarged, reduced
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
@@ -177,23 +179,8 @@ def fit_from(task: Task, values: Array) -> Fit | None:
 
 
 def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
-    """Adjust to the detections until a time only, with the association of the whole run.
-
-    None if no object of two cameras is left. Trajectories of which one camera alone is left hold no information about
-    the cameras.
-    """
-    rows = np.flatnonzero(fit.observations.times <= time_s)
-    chosen = shared(fit.observations.trajectories[rows], fit.observations.cameras[rows], 1)
-    rows = rows[np.isin(fit.observations.trajectories[rows], chosen)]
-    trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
-    if not len(trajectories):
-        return None
-    cameras = task.parameters.build(fit.adjustment.values)
-    observations = task.observations(cameras, numbers.astype(np.int64), fit.detections[rows])
-    if fit.observations.weights is None:
-        observations = replace(observations, weights=None)
-    of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
-    return adjusted_to(task, fit, observations, of_fit, detections, HISTORY_ITERATIONS)
+    """Adjust to the detections until a time only, with the association of the whole run; None without any."""
+    return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), HISTORY_ITERATIONS)
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
@@ -211,6 +198,24 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
 
 
+def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int | None = None) -> Fit | None:
+    """Adjust to some of the detections, with the association of all; None if no object of two cameras is left.
+
+    Trajectories of which one camera alone is left hold no information about the cameras, and collapse into it.
+    """
+    chosen = shared(fit.observations.trajectories[rows], fit.observations.cameras[rows], 1)
+    rows = rows[np.isin(fit.observations.trajectories[rows], chosen)]
+    trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
+    if not len(trajectories):
+        return None
+    cameras = task.parameters.build(fit.adjustment.values)
+    observations = task.observations(cameras, numbers.astype(np.int64), fit.detections[rows])
+    if fit.observations.weights is None:
+        observations = replace(observations, weights=None)
+    of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
+    return adjusted_to(task, fit, observations, of_fit, detections, most)
+
+
 def adjusted_to(
     task: Task,
     fit: Fit,
@@ -222,8 +227,9 @@ def adjusted_to(
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
     To the optimum of the marginal posterior, or, with at most so many steps (`most`) and where all values are held, to
-    the joint one, which puts what one camera alone sees for long into that camera, where it need not accelerate. What
-    the fit held is held again. The search begins at the noise of the motion of the fit, which stays in joint ones.
+    the joint one. What the fit held is held again. The search begins at the noise of the motion of the fit, which stays
+    in joint ones. Stretches that a joint optimum has put into their camera (`annealing.rejected`) are left out, and the
+    others are adjusted to again.
     """
     is_joint = most is not None or (fit.held is not None and bool(fit.held.all()))
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
@@ -235,13 +241,31 @@ def adjusted_to(
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
     values = fit.adjustment.values
-    states = _settled(problem, values, states, STATED if is_joint else fit.motion_noise)
+    states = _settled(problem, values, states)
+    found = None
     if not is_joint:
         with suppress(LinAlgError):  # the joint optimum is found with damping
             begun = _at(problem, values, states)
-            return _searched(task, problem, begun, detections, fit.motion_noise, SETTLED_IN_PASSES)
-    joint = adjust(problem, values, states, most or MOST_ITERATIONS)
-    return _fit(task, problem, joint, detections, fit.motion_noise)
+            found = _searched(task, problem, begun, detections, fit.motion_noise, SETTLED_IN_PASSES)
+    if found is None:
+        joint = adjust(problem, values, states, most or MOST_ITERATIONS)
+        found = _fit(task, problem, joint, detections, fit.motion_noise)
+    standing = ~_collapsed(task, found)
+    if standing.all():
+        return found
+    return _part(task, found, np.flatnonzero(standing), most) or found
+
+
+def _collapsed(task: Task, fit: Fit) -> Booleans:
+    """Which detections (n,) of a fit belong to stretches that have collapsed into their camera."""
+    seen = fit.observations
+    points = positions(fit.adjustment.states, *interpolation(fit.knots, seen.trajectories, seen.times))
+    still = np.zeros_like(points)
+    distances = [
+        np.linalg.norm(look(camera, points, still, seen.times, seen.log_times, seen.rows).points, axis=1)
+        for camera in task.parameters.build(fit.adjustment.values)
+    ]
+    return collapsed(seen.trajectories, seen.times, seen.cameras, np.stack(distances, axis=1))
 
 
 def problem_of(task: Task, fit: Fit) -> Problem:
@@ -265,7 +289,9 @@ def marginal_fit(task: Task, fit: Fit) -> Fit:
     """
     stated = with_stated_motion(task, fit)
     try:
-        return _searched(task, problem_of(task, stated), fit.adjustment, fit.detections, fit.motion_noise)
+        found = _searched(task, problem_of(task, stated), fit.adjustment, fit.detections, fit.motion_noise)
+        noise_std = MotionNoise.of(found.motion_noise, found.knots.noise_std).std
+        return replace(found, knots=replace(found.knots, noise_std=noise_std))
     except LinAlgError:
         failed = replace(fit.adjustment, converged=False)
         return replace(stated, adjustment=failed, held=None, motion_noise=STATED)
@@ -276,8 +302,7 @@ def _searched(
 ) -> Fit:
     """Return the fit at the marginal optimum of a problem with the noise stated; LinAlgError if there is none."""
     found = marginal_optimum(problem, begun, noise, settled)
-    knots = replace(problem.knots, noise_std=MotionNoise.of(found.motion_noise, problem.knots.noise_std).std)
-    return _fit(task, replace(problem, knots=knots), found.adjustment, detections, found.motion_noise)
+    return _fit(task, problem, found.adjustment, detections, found.motion_noise)
 
 
 def restated_fit(task: Task, chosen: Fit, noise: Array) -> Fit:
@@ -320,27 +345,28 @@ def confirmed_fit(
     with suppress(LinAlgError):  # where nothing can be compared, or found, the joint optimum stays
         first = posterior.with_shown_motion(values, states, noise)
         noise = posterior.parted(first.unknowns)[1]
-        if not _is_as_probable(posterior, joint, noise, first.objective):
+        last = _shown(posterior, joint, noise)
+        if last is None or last.objective > first.objective:
             return _searched(task, problem, replace(begun, states=first.states), detections, noise, SETTLED_IN_PASSES)
+        noise = posterior.parted(last.unknowns)[1]
     return _fit(task, problem, joint, detections, noise)
 
 
-def _is_as_probable(posterior: MarginalPosterior, joint: Adjustment, noise: Array, objective: float) -> bool:
-    """Whether the objective is as low at a joint optimum, at the noise of the motion that shows there, from one on."""
+def _shown(posterior: MarginalPosterior, joint: Adjustment, noise: Array) -> Point | None:
+    """Return the point of a joint optimum at the noise of the motion that shows there, if it has one."""
     with suppress(LinAlgError):
-        last = posterior.with_shown_motion(joint.values, joint.states, noise, objective)
-        return last.objective <= objective
-    return False
+        return posterior.with_shown_motion(joint.values, joint.states, noise)
+    return None
 
 
-def _settled(problem: Problem, values: Array, states: Array, noise: Array = STATED) -> Array:
-    """Return knots (k, 2, 3) that reach out for their detections, whatever the loss says, at a noise of the motion.
+def _settled(problem: Problem, values: Array, states: Array) -> Array:
+    """Return knots (k, 2, 3) that reach out for their detections, whatever the loss says.
 
     It would leave out at once what lies beyond the last detection so far, or nearly all where the knots begin at points
     whose depths rays hardly show. Knots that cannot settle stay as they are.
     """
     with suppress(LinAlgError):
-        return settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, noise, SETTLING_STEPS)
+        return settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=SETTLING_STEPS)
     return states
 
 

@@ -276,7 +276,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             again = restated_fit(task, chosen, answer.motion_noise)
             if is_new or again.adjustment.converged:
                 answer = again
-        fit = answer
+        fit = with_stated_motion(task, answer)
         if is_new:
             if hides.any() or not answer.adjustment.converged:
                 fit, answer = chosen_anew(task, readjusted(task, fit)), None
@@ -345,9 +345,9 @@ def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
     """Return the task with what was contradicted among its unknowns, and the fit, which has it as it was stated.
 
-    What nobody has measured with it is unknown, too. The search for the marginal optimum begins there, with the noise
-    of the motion that was found. The joint optimum of all that runs away where objects manoeuvre, to a lens from which
-    that search does not come back.
+    What nobody has measured with it is unknown, too. The trajectories follow it with the noise of the motion as it is
+    stated, and the search for the marginal optimum begins there. The joint optimum of all that runs away where objects
+    manoeuvre, to a lens from which that search does not come back.
     """
     places = enlarged.unmeasured_with(suspicion.group)
     task = replace(task, parameters=enlarged.freed(task.parameters, places))

@@ -19,8 +19,7 @@ from stereophd.core.calibration.adjustment.trajectories import (
     place_knots,
 )
 from stereophd.core.calibration.annealing import fits
-from stereophd.core.calibration.annealing.fits import FITTED_LOSS, adjusted_to, confirmed_fit, marginal_fit, problem_of
-from stereophd.core.calibration.annealing.membership import GATE, Predictions
+from stereophd.core.calibration.annealing.fits import FITTED_LOSS, adjusted_to, confirmed_fit, marginal_fit
 from stereophd.core.calibration.annealing.task import Fit
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 
@@ -60,10 +59,6 @@ def test_fits_end_near_the_marginal_optimum_where_the_joint_one_runs_away(seed: 
     right = marginal_optimum(problem, replace(joint, values=true, states=states, distances=np.zeros(len(detections))))
     error = given.adjustment.values - right.adjustment.values
     assert error @ np.linalg.solve(right.adjustment.covariance, error) < len(true)
-    # judged at the noise of the motion that they have, trajectories keep their detections
-    predictions = Predictions.of(problem_of(task, given), given.adjustment)  # type: ignore[arg-type]
-    distances, _ = predictions.judged(given.observations, np.ones(len(detections)))
-    assert np.mean(distances > GATE) < 0.02
 
 
 def test_the_noise_of_the_motion_that_shows_is_where_the_marginal_posterior_is_greatest() -> None:
@@ -74,8 +69,6 @@ def test_the_noise_of_the_motion_that_shows_is_where_the_marginal_posterior_is_g
     for step in (-0.1, 0.1):
         unknowns = shown.unknowns + step * np.eye(len(shown.unknowns))[len(true)]
         assert posterior.at(unknowns, shown.states).objective > shown.objective
-    # an objective that is low enough ends the search at once
-    assert posterior.with_shown_motion(true, states, STATED, np.inf).unknowns[len(true)] == 0.0
 
 
 @pytest.mark.parametrize("quantity", ["center", "rotation"])

@@ -13,11 +13,70 @@ from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, adjusted_to, fit_until
 from stereophd.core.calibration.annealing.known_scale import rescaled
+from stereophd.core.calibration.annealing.rejected import collapsed
 from stereophd.core.calibration.annealing.task import Fit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, log_scale
 
 from ..problems_of_unknowns import MOTION, observe, problem_of, rig, unknowns
+
+
+def found(cameras: list[int], distances: list[float], far: float = 9.0) -> list[bool]:
+    """Which detections of one trajectory, in order of time, have collapsed.
+
+    The distances are those from the camera of each detection; the object is far from the other camera.
+    """
+    count = len(cameras)
+    both = np.full((count, 2), far)
+    both[np.arange(count), cameras] = distances
+    return collapsed(np.zeros(count, dtype=np.int64), np.arange(count, dtype=float), np.array(cameras), both).tolist()
+
+
+@pytest.mark.parametrize(
+    ("cameras", "distances", "expected"),
+    [
+        # at the end, at the start, and between what two cameras see
+        ([0, 1, 0, 1, 0, 0, 0], [8, 9, 8, 9, 4, 2, 0.01], [False] * 4 + [True] * 3),
+        ([0, 0, 1, 0, 1, 0], [0.01, 4, 9, 8, 9, 8], [True] * 2 + [False] * 4),
+        ([0, 1, 0, 1, 1, 1, 0, 1, 0], [8, 9, 8, 9, 0.01, 9, 8, 9, 8], [False] * 3 + [True] * 3 + [False] * 3),
+        # most of the detections, but one stretch
+        ([0, 1, 0, 1] + [0] * 20, [8, 9, 8, 9] + [0.01] * 20, [False] * 4 + [True] * 20),
+        # an object that comes near
+        ([0, 1, 0, 1, 0, 0, 0], [8, 9, 8, 9, 4, 2, 1], [False] * 7),
+        ([0], [8], [False]),
+        ([], [], []),
+    ],
+)
+def test_a_stretch_that_ends_in_its_camera_has_collapsed(
+    cameras: list[int], distances: list[float], expected: list[bool]
+) -> None:
+    assert found(cameras, distances) == expected
+
+
+def test_a_camera_that_is_near_the_objects_stays_beside_others_far_away() -> None:
+    """Camera 0 is 0.1 from the object all the time, cameras 1 and 2 at 9: most stretches are of those."""
+    distances = np.tile([0.1, 9.0, 9.0], (9, 1))
+    cameras = np.array([1, 2, 0, 1, 2, 1, 0, 0, 0])
+    assert not collapsed(np.zeros(9, dtype=np.int64), np.arange(9.0), cameras, distances).any()
+    distances[8, 0] = 0.001
+    assert (
+        collapsed(np.zeros(9, dtype=np.int64), np.arange(9.0), cameras, distances).tolist() == [False] * 6 + [True] * 3
+    )
+
+
+def test_trajectories_are_apart_and_their_order_does_not_matter() -> None:
+    rng = np.random.default_rng(4)
+    trajectories = np.repeat([0, 1, 2], 7)
+    times = np.tile(np.arange(7.0), 3)
+    cameras = np.tile([0, 1, 0, 1, 0, 0, 0], 3)
+    distances = np.full((21, 2), 9.0)
+    distances[np.arange(21), cameras] = np.tile([8.0, 9.0, 8.0, 9.0, 4.0, 2.0, 0.01], 3)
+    distances[:7] *= 100.0
+    distances[7:14] = 0.1
+    expected = np.concatenate([np.zeros(4), np.ones(3), np.zeros(7), np.zeros(4), np.ones(3)]).astype(bool)
+    for order in (np.arange(21), rng.permutation(21)):
+        out = collapsed(trajectories[order], times[order], cameras[order], distances[order])
+        np.testing.assert_array_equal(out, expected[order])
 
 
 def of_rows(observations: Observations, rows: np.ndarray) -> Observations:
