@@ -43,8 +43,8 @@ LEAST_SHARE, LONGER = 1.0 / 64.0, 2.0
 # Marquardt's damping of the first steps, and of equations that are singular: where it starts, its factor, and where it
 # gives up.
 FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10
-# Part of a diagonal of 1 that rounding makes.
-ROUNDED = 1e-12
+# Part of a diagonal of 1 that rounding makes, and least eigenvalue beside which that is nothing.
+ROUNDED, REGULAR = 1e-12, 1e-10
 # Most steps that do not lower the cost: damping can grow from the first to the most, and a step be halved.
 STALLED_STEPS = 20
 
@@ -230,13 +230,14 @@ def within_prior(precision: Array, prior_std: Array) -> Array:
     """Invert a precision (m, m); the covariance is never wider than the prior.
 
     A clock may be known to 1e-17 of its prior, so that rounding in units of `prior_std` (m,) would hide all else. Where
-    the information beside the prior, scaled to a diagonal of 1, is not negative, that is the scale. Elsewhere, in units
-    of the prior, the eigenvalues of the precision are at least 1 (second derivatives, objects far away).
+    the precision, scaled to a diagonal of 1, is regular, and no less than that of the prior, that is the scale.
+    Elsewhere, in units of the prior, its eigenvalues are at least 1 (second derivatives, objects far away).
     """
     for scale in (1.0 / np.sqrt(np.maximum(np.diag(precision), prior_std**-2)), prior_std):
         scaled = precision * np.outer(scale, scale)
         scaled, of_prior = (scaled + scaled.T) / 2.0, (scale / prior_std) ** 2
-        if np.linalg.eigvalsh(scaled - np.diag(of_prior))[0] >= -ROUNDED:
+        is_regular = np.linalg.eigvalsh(scaled)[0] >= REGULAR
+        if is_regular and np.linalg.eigvalsh(scaled - np.diag(of_prior))[0] >= -ROUNDED:
             break
     eigenvalues, vectors = np.linalg.eigh(scaled)
     covariance = (vectors / np.maximum(eigenvalues, of_prior @ vectors**2)) @ vectors.T * np.outer(scale, scale)

@@ -281,7 +281,12 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             if hides.any() or not answer.adjustment.converged:
                 fit, answer = chosen_anew(task, readjusted(task, fit)), None
             continue
-        enlarged, held = suspected(task, answer)
+        try:
+            enlarged, held = suspected(task, answer)
+        except LinAlgError:
+            text = "what is held as stated could not be tested: the posterior is singular"
+            held, remarks = [], (Remark("model", text, is_reservation=True),)
+            break
         wrong = next((s for s in held if s.is_contradicted and may_be_freed(s, choices, task.parameters)), None)
         if wrong is not None and not last:
             given_up.append(wrong)
@@ -320,7 +325,10 @@ def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, tuple[Remark
             adjustment = replace(adjustment, covariance=exact)
         except LinAlgError:
             adjustment = replace(adjustment, converged=False)
-    more, factor = disagreement_of_stretches(problem, adjustment, answer.motion_noise)
+    try:
+        more, factor = disagreement_of_stretches(problem, adjustment, answer.motion_noise)
+    except LinAlgError:
+        return replace(answer, adjustment=replace(adjustment, converged=False)), ()
     adjustment = replace(adjustment, covariance=adjustment.covariance + more + doubtful @ doubtful.T)
     text = (
         f"stretches of the log disagree on the cameras by up to {factor:.1f} times what their noise allows: the stated "
