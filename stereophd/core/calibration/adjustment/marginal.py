@@ -78,7 +78,6 @@ from stereophd.core.calibration.adjustment.trajectories import OF_ALL, STATED, p
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes, inverse_in_band
 from stereophd.core.calibration.time_limit import within
 from stereophd.core.calibration.unknowns.scale import log_scale
-from stereophd.core.numerics.covariance_factors import covariance_factor
 from stereophd.core.numerics.random_streams import BENDS_SEED
 from stereophd.core.numerics.threads import in_threads
 
@@ -124,7 +123,7 @@ def marginal_optimum(
     """Move an adjustment of the problem to the maximum of the marginal posterior of the values.
 
     The search begins at a noise of the motion (6,), and ends at a step of at most `settled` posterior standard
-    deviations. Raises LinAlgError where the normal equations are singular, or leave no covariance.
+    deviations. Raises LinAlgError where the normal equations are singular.
     """
     size = problem.parameters.size
     states, weights = found.states, problem.weights(found.distances)
@@ -137,7 +136,6 @@ def marginal_optimum(
         if np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
             break
     covariance = posterior.covariance(at)[:size, :size]
-    covariance_factor(covariance)  # cameras at one place leave none
     moved = replace(
         found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
         distances=at.equations.distances, converged=left <= LONGEST_LEFT,

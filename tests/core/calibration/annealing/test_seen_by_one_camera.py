@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.linalg import LinAlgError
 
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.solver import adjust
+from stereophd.core.calibration.annealing import fits
 from stereophd.core.calibration.annealing.fits import FITTED_LOSS, adjusted_to, fit_until
 from stereophd.core.calibration.annealing.known_scale import rescaled
 from stereophd.core.calibration.annealing.rejected import collapsed
@@ -130,6 +132,26 @@ def test_an_object_that_one_camera_alone_sees_for_long_is_not_put_into_the_camer
     np.testing.assert_array_equal(fit.detections, joint.detections)
     error = fit.adjustment.values - drawn
     assert error @ np.linalg.solve(fit.adjustment.covariance, error) < 4.0 * len(drawn)
+
+
+def test_a_stretch_from_which_the_marginal_search_does_not_come_back_is_left_out(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """So it is for four cameras of unknown lenses and twenty objects; here the search finds nothing."""
+
+    def fails(*_: object) -> None:
+        raise LinAlgError
+
+    task, joint, _ = one_alone()
+    monkeypatch.setattr(fits, "marginal_optimum", fails)
+    observations = joint.observations
+    fit = adjusted_to(task, joint, observations, observations.trajectories, joint.detections)
+    assert nearest(fit, 0, task) > 1.0
+    left = np.setdiff1d(joint.detections, fit.detections)
+    assert len(left)
+    assert (observations.trajectories[left] == 0).all()
+    assert (observations.cameras[left] == 0).all()
+    assert (observations.times[left] > 3.0 - 0.2).all()  # what two cameras see stays
 
 
 def test_a_known_scale_holds_where_a_stretch_had_collapsed() -> None:
