@@ -36,7 +36,7 @@ LEAST_GAIN, LEAST_RATIO = 0.08, 1.4
 FALSE_ALARMS = 0.005
 # Clock offsets that are tried: up to this many seconds, in this many steps.
 LARGEST_SHIFT_S, SHIFT_STEPS = 6.0, 160
-# Rates of clocks, frames of the first stretch from which one is told, in which they drift little, and how many times
+# Rates of clocks, frames of the first stretch that shows one, in which they drift little, and how many times
 # longer each other one is.
 RATES, FIRST_FRAMES, LONGER = (0.2, 5.0), 30, 4
 SHIFT_DETECTIONS = 120
