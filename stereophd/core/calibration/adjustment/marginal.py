@@ -102,7 +102,7 @@ LEFT_OUT = 50.0
 MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
 # Step of differences of the gradient, in standard deviations.
 DIFFERENCE = 0.1
-# Directions of the posterior beyond this part of the prior are loose. Draws of these, beside which the bend of the
+# Directions of the posterior beyond this part of the prior are loose. Draws of several, beside which the bend of the
 # others is looked at.
 LOOSE, BENDS = 0.1, 12
 
@@ -174,9 +174,13 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, noise: Array, thr
     def bend(draw: Array) -> Array:
         return np.asarray(-known @ (known.T @ _differences(posterior, at, gradient, draw)[1]))
 
-    draws = np.random.default_rng(BENDS_SEED).standard_normal((BENDS * int(is_loose.any()), loose.shape[1])) @ loose.T
-    bends = np.array(in_threads(bend, draws, threads)).reshape(-1, len(std))
-    return np.asarray((covariance + bends.T @ bends / BENDS)[:size, :size])
+    # a bend grows with the square of a draw: all have the length whose fourth power is that in the mean, so that one
+    # is exact along one direction
+    several = loose.shape[1]
+    draws = np.random.default_rng(BENDS_SEED).standard_normal((BENDS if several > 1 else several, several))
+    draws *= (several * (several + 2.0)) ** 0.25 / np.linalg.norm(draws, axis=1, keepdims=True)
+    bends = np.array(in_threads(bend, draws @ loose.T, threads)).reshape(-1, len(std))
+    return np.asarray((covariance + bends.T @ bends / max(len(draws), 1))[:size, :size])
 
 
 @dataclass(frozen=True)

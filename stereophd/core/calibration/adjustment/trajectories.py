@@ -178,14 +178,23 @@ def slopes(knots: Knots, trajectories: Integers, times: Array) -> Interpolation:
 
 def positions(states: Array, knot: Integers, weights: Array, offsets: Array) -> Array:
     """Positions or velocities (n, 3) from the states of all knots (k, 2, 3) and the fields of an `Interpolation`."""
-    following = np.minimum(knot + 1, len(states) - 1)
-    return np.asarray(
-        weights[:, 0, None] * states[knot, 0]
-        + weights[:, 1, None] * states[knot, 1]
-        + weights[:, 2, None] * states[following, 0]
-        + weights[:, 3, None] * states[following, 1]
-        + offsets
-    )
+    out = offsets.copy()
+    _add_states(np.ascontiguousarray(states), knot, weights, out)
+    return out
+
+
+@compiled
+def _add_states(states: Array, knot: Integers, weights: Array, out: Array) -> None:
+    """Add position and velocity of knots and of those after them, with weights (n, 4), to points (n, 3)."""
+    for n in range(knot.shape[0]):
+        first, second = knot[n], min(knot[n] + 1, states.shape[0] - 1)
+        for axis in range(3):
+            out[n, axis] += (
+                weights[n, 0] * states[first, 0, axis]
+                + weights[n, 1] * states[first, 1, axis]
+                + weights[n, 2] * states[second, 0, axis]
+                + weights[n, 3] * states[second, 1, axis]
+            )
 
 
 class Links(NamedTuple):

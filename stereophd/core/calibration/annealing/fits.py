@@ -269,8 +269,13 @@ def _collapsed(task: Task, fit: Fit) -> Booleans:
 
 
 def problem_of(task: Task, fit: Fit) -> Problem:
-    """Return the problem that a fit solves, with all values free."""
+    """Return the problem that a fit solves, with all values free, at the noise of the motion that was found."""
     return Problem(task.parameters, task.reference, fit.knots, fit.observations, FITTED_LOSS, task.scale)
+
+
+def stated_problem(task: Task, fit: Fit) -> Problem:
+    """Return the problem that a fit solves, with all values free, at the noise of the motion that is stated."""
+    return problem_of(task, replace(fit, knots=replace(fit.knots, noise_std=least_noise(task.filter.motion))))
 
 
 def at_values(task: Task, fit: Fit, values: Array, states: Array, covariance: Array) -> Fit:
@@ -282,19 +287,15 @@ def at_values(task: Task, fit: Fit, values: Array, states: Array, covariance: Ar
 
 
 def marginal_fit(task: Task, fit: Fit) -> Fit:
-    """Move a fit to the maximum of the marginal posterior; the knots get the noise of the motion along each axis.
+    """Move a fit to the maximum of the marginal posterior.
 
     Nothing is held. The noise of the motion beside what is stated is looked for from that of the fit. Where the normal
-    equations are singular, the fit is returned, not converged, at the noise stated.
+    equations are singular, the fit is returned, not converged.
     """
-    stated = with_stated_motion(task, fit)
     try:
-        found = _searched(task, problem_of(task, stated), fit.adjustment, fit.detections, fit.motion_noise)
-        noise_std = MotionNoise.of(found.motion_noise, found.knots.noise_std).std
-        return replace(found, knots=replace(found.knots, noise_std=noise_std))
+        return _searched(task, stated_problem(task, fit), fit.adjustment, fit.detections, fit.motion_noise)
     except LinAlgError:
-        failed = replace(fit.adjustment, converged=False)
-        return replace(stated, adjustment=failed, held=None, motion_noise=STATED)
+        return replace(fit, adjustment=replace(fit.adjustment, converged=False), held=None)
 
 
 def _searched(
@@ -305,13 +306,13 @@ def _searched(
     return _fit(task, problem, found.adjustment, detections, found.motion_noise)
 
 
-def restated_fit(task: Task, chosen: Fit, noise: Array) -> Fit:
+def restated_fit(task: Task, chosen: Fit) -> Fit:
     """`marginal_fit` of the detections that the trajectories of a marginal optimum have chosen.
 
     The joint optimum of objects that manoeuvre is biased. It chooses detections that are biased alike, and its
     residuals look like shared errors. The search goes on from the marginal optimum, with the noise of the task.
     """
-    return marginal_fit(task, replace(readjusted(task, chosen, still=True), motion_noise=noise))
+    return marginal_fit(task, readjusted(task, chosen, still=True))
 
 
 def readjusted(task: Task, fit: Fit, still: bool = False) -> Fit:
@@ -320,11 +321,6 @@ def readjusted(task: Task, fit: Fit, still: bool = False) -> Fit:
     observations = task.observations(cameras, of_fit, fit.detections)
     fit = replace(fit, held=np.ones(task.parameters.size, dtype=np.bool_) if still else None)
     return adjusted_to(task, fit, observations, of_fit, fit.detections)
-
-
-def with_stated_motion(task: Task, fit: Fit) -> Fit:
-    """Return a fit whose knots have the noise of the motion that is stated, whatever was found."""
-    return replace(fit, knots=replace(fit.knots, noise_std=least_noise(task.filter.motion)))
 
 
 def confirmed_fit(
@@ -382,7 +378,8 @@ def _fit(task: Task, problem: Problem, found: Adjustment, detections: Integers, 
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:
         observations = replace(observations, times=true_times(cameras, observations))
-    return Fit(found, problem.knots, observations, detections, problem.held, noise)
+    noise_std = MotionNoise.of(noise, least_noise(task.filter.motion)).std
+    return Fit(found, replace(problem.knots, noise_std=noise_std), observations, detections, problem.held, noise)
 
 
 def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:

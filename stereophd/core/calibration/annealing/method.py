@@ -31,7 +31,7 @@ from stereophd.core.calibration.annealing.fits import (
     readjusted,
     refitted,
     restated_fit,
-    with_stated_motion,
+    stated_problem,
 )
 from stereophd.core.calibration.annealing.known_lengths import with_lengths
 from stereophd.core.calibration.annealing.known_scale import measured_scale, rescaled
@@ -273,10 +273,10 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             task, noise = task.with_noise(factors, shared), noise * factors
             from_above |= hides
         if answer.adjustment.converged and not hides.any():
-            again = restated_fit(task, chosen, answer.motion_noise)
+            again = restated_fit(task, chosen)
             if is_new or again.adjustment.converged:
                 answer = again
-        fit = with_stated_motion(task, answer)
+        fit = answer
         if is_new:
             if hides.any() or not answer.adjustment.converged:
                 fit, answer = chosen_anew(task, readjusted(task, fit)), None
@@ -307,7 +307,7 @@ def suspected(task: Task, answer: Fit) -> tuple[EnlargedSet, list[Suspicion]]:
     """Test what an answer holds as stated; the statement of the greatest evidence against it first."""
     within("what is held as stated is tested")
     enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
-    problem = problem_of(task, with_stated_motion(task, answer))
+    problem = stated_problem(task, answer)
     quadratic = quadratic_posterior(problem, enlarged, answer.adjustment, answer.motion_noise)
     return enlarged, suspect(quadratic, enlarged, np.arange(task.parameters.size))
 
@@ -317,7 +317,7 @@ def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, tuple[Remark
 
     `doubtful` (m, k) is the root of the covariance that what is stated adds.
     """
-    problem, adjustment = problem_of(task, with_stated_motion(task, answer)), answer.adjustment
+    problem, adjustment = stated_problem(task, answer), answer.adjustment
     task.limit.begin("the covariance of the answer is computed")
     if adjustment.converged:
         try:
@@ -353,8 +353,8 @@ def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
     """Return the task with what was contradicted among its unknowns, and the fit, which has it as it was stated.
 
-    What nobody has measured with it is unknown, too. The trajectories follow it with the noise of the motion as it is
-    stated, and the search for the marginal optimum begins there. The joint optimum of all that runs away where objects
+    What nobody has measured with it is unknown, too. The trajectories follow it with the noise of the motion that was
+    found, and the search for the marginal optimum begins there. The joint optimum of all that runs away where objects
     manoeuvre, to a lens from which that search does not come back.
     """
     places = enlarged.unmeasured_with(suspicion.group)

@@ -132,9 +132,9 @@ class Task:
 class Fit:
     """Cameras and trajectories after an adjustment, with the detections of the recording they were adjusted to.
 
-    The knots have the noise of the motion that is stated, but in answers (`marginal_fit`), where they have what was
-    found. `held` (m,) are the values that the adjustment did not move; None if it moved all. `motion_noise` (6,) are
-    unknowns of the noise of the motion (`MotionNoise`) beside what is stated, from which other fits look for it.
+    The knots have the noise of the motion that was found. `held` (m,) are the values that the adjustment did not move;
+    None if it moved all. `motion_noise` (6,) are unknowns of the noise of the motion (`MotionNoise`) beside what is
+    stated, from which other fits look for it.
     """
 
     adjustment: Adjustment

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves
-from stereophd.core.calibration.adjustment.trajectories import STATED
 from stereophd.core.calibration.annealing.fits import (
     fit_from,
     fit_until,
@@ -225,7 +224,7 @@ def test_a_lens_is_freed_as_it_is_stated_and_found_from_there(made: MadeUp, task
     loose = replace(task, recording=log)
     exact, fit = loose.with_noise(np.full(2, 0.05)), fit_from(loose, made.truth)
     assert fit is not None
-    answer = restated_fit(exact, fit, STATED)
+    answer = restated_fit(exact, fit)
     enlarged, suspicions = suspected(exact, answer)
     lenses = next(one for one in suspicions if one.group.quantity == "distortion" and len(one.values) == 2)
     freed, begin = with_freed(exact, answer, enlarged, lenses)
