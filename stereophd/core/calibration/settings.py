@@ -29,6 +29,12 @@ class AnnealedSettings:
     max_events: Count = parameter(
         "frames used while tracking; a longer log is thinned to every n-th frame of each camera", default=4000
     )
+    max_detections: Count = parameter(
+        "detections, false ones among them, that cameras are fitted to; a longer log is thinned to every n-th frame of "
+        "each camera",
+        default=150_000,
+        advice="more where a log of an hour is to be used whole: time grows with the detections.",
+    )
     min_detections: Annotated[int, Interval(ge=4, le=LARGEST_COUNT)] = parameter(
         "a track is used from this many detections in each of two cameras on", default=16
     )

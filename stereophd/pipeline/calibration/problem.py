@@ -54,7 +54,7 @@ class CalibrationProblem:
 
     parameters: ParameterSet
     reference: int  # Index of the reference camera
-    recording: Recording  # The log
+    recording: Recording  # The log, or every n-th frame of each camera of a long one
     scale: ScaleMeasurement | None  # A known baseline
     counts: dict[str, int]  # Counts of the log, as in ``report.json``
     remarks: tuple[Remark, ...] = ()  # What of the configuration the log replaces
@@ -165,6 +165,9 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str, is_placed: bool = T
         _check_overlap(parameters, recording, log_path)
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
     _check_method(loaded, parameters)
+    if (section := calibration_section(loaded)).method == "annealed":
+        recording = recording.thinned(section.annealed.max_detections)
+    counts["frames_used"] = len(recording.cameras)
     return CalibrationProblem(
         parameters, reference, recording, scale, counts, remarks, build_control(loaded, cameras), stream.has_noise
     )

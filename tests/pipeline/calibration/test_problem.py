@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
+from stereophd.pipeline.calibration.problem import read_problem
 from stereophd.pipeline.calibration.unknowns import build_parameters, draw_guess
 
 CONFIG = Path(__file__).parents[3] / "configs" / "paper" / "calibration.yaml"
@@ -87,3 +89,23 @@ def test_shared_intrinsics_are_one_parameter() -> None:
 def test_bad_priors_are_refused(changes: list[str], message: str) -> None:
     with pytest.raises(InputError, match=message):
         build_parameters(loaded(*changes))
+
+
+def test_a_log_of_more_detections_than_are_fitted_is_thinned(tmp_path: Path) -> None:
+    configuration = loaded("simulate.duration_s=5")
+    simulate(configuration, tmp_path)
+    log = tmp_path / "detections.parquet"
+    whole = read_problem(configuration, log).recording
+    most = len(whole.pixels) // 3 + 1
+    problem = read_problem(loaded("simulate.duration_s=5", f"calibration.annealed.max_detections={most}"), log)
+    thinned = problem.recording
+    assert problem.counts["frames_used"] == len(thinned.times) < len(whole.times)
+    for camera in range(2):
+        here, of_whole = np.flatnonzero(thinned.cameras == camera), np.flatnonzero(whole.cameras == camera)[::3]
+        np.testing.assert_array_equal(thinned.times[here], whole.times[of_whole])
+        for frame, other in zip(here, of_whole, strict=True):
+            np.testing.assert_array_equal(
+                thinned.pixels[thinned.first[frame] : thinned.first[frame + 1]],
+                whole.pixels[whole.first[other] : whole.first[other + 1]],
+            )
+    assert len(thinned.sigma) == len(thinned.pixels) == thinned.first[-1]

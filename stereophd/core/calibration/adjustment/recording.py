@@ -6,6 +6,7 @@ make other events of the same recording.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -95,6 +96,15 @@ class Recording:
             here = self.cameras == camera
             place[here] = np.arange(int(here.sum()))
         return np.flatnonzero(place % n == 0)
+
+    def thinned(self, most: int) -> Recording:
+        """Return every n-th frame of each camera, so that at most about `most` detections remain."""
+        frames, counts = self.every(max(math.ceil(len(self.pixels) / most), 1)), np.diff(self.first)
+        rows = np.isin(self.frame_of, frames)
+        return replace(
+            self, cameras=self.cameras[frames], times=self.times[frames],
+            first=np.concatenate([[0], np.cumsum(counts[frames])]), pixels=self.pixels[rows], sigma=self.sigma[rows],
+        )  # fmt: skip
 
     def observations(
         self, cameras: Sequence[Camera], trajectories: Integers, detections: Integers, inflation: float = 1.0
