@@ -2,6 +2,7 @@
 
     python benchmarks/flights.py --seeds 600 12              one line of JSON a flight, then a summary
     python benchmarks/flights.py --seeds 607 1 --keep DIR    keep configuration, log and results in DIR/607
+    python benchmarks/flights.py --white                     the drone moves as the filter assumes, by white acceleration
 
 A seed draws the flight: images of 640 or 1280 px, focal lengths of 1.0 to 1.6 widths, k1 of -0.2 to -0.45, cameras of
 10 to 30 Hz that are not synchronised and stand 12 to 56 m apart, one drone at 100 to 160 m from both for 90 to 230 s
@@ -51,6 +52,8 @@ WRONG, GOOD_M = 3.0, 3.0
 OFF_M, OFF_DEG, PRIOR, DISTANCE_STD = 2.0, 5.0, {"center_std": 1.2, "rotation_std_deg": 3.0}, 0.05
 # Distances of the drone from the cameras; time between the knots of its path, and how far wind moves them.
 NEAREST_M, FARTHEST_M, KNOT_S, WIND_M = 100.0, 160.0, 2.0, 0.1
+# White acceleration, m/s^2, of a drone that a spring holds near the middle: rate, 1/s, and damping; step of time, s.
+WHITE, SPRING, DAMPING, WHITE_S = 1.2, 0.15, 0.7, 0.05
 # Step of a derivative, in standard deviations.
 SMALL = 1e-3
 
@@ -119,6 +122,17 @@ def draw_path(rng: np.random.Generator, cameras: Sequence[Camera], duration_s: f
     return CubicSpline(knots, along + rng.normal(0.0, WIND_M, along.shape))
 
 
+def white_path(rng: np.random.Generator, cameras: Sequence[Camera], duration_s: float) -> CubicSpline:
+    """A path as `draw_path` returns it, of white acceleration: 12 m about its middle and 1.8 m/s on each axis."""
+    middle = np.mean([draw_place(rng, cameras) for _ in range(200)], axis=0)
+    times = np.arange(-KNOT_S, duration_s + 2.0 * KNOT_S, WHITE_S)
+    places, velocity = np.zeros((len(times), 3)), np.zeros(3)
+    for k, push in enumerate(WHITE * math.sqrt(WHITE_S) * rng.standard_normal((len(times) - 1, 3))):
+        velocity = velocity + push - WHITE_S * (SPRING**2 * places[k] + 2.0 * DAMPING * SPRING * velocity)
+        places[k + 1] = places[k] + WHITE_S * velocity
+    return CubicSpline(times, middle + places)
+
+
 def detections(
     rng: np.random.Generator, camera: Camera, path: CubicSpline, duration_s: float, noise_px: float
 ) -> list[tuple[Any, ...]]:
@@ -139,13 +153,13 @@ def detections(
     return rows
 
 
-def write_flight(seed: int, starts: int, folder: Path) -> tuple[CubicSpline, dict[str, Any]]:
+def write_flight(seed: int, starts: int, white: bool, folder: Path) -> tuple[CubicSpline, dict[str, Any]]:
     """Write true cameras, log and configuration of a flight; return its path and what was drawn."""
     rng = np.random.default_rng([seed, 20261126])
     for name, tree in zip(("true", "stated"), draw_cameras(rng), strict=True):
         (folder / f"{name}.yaml").write_text(yaml.safe_dump({"units": {"length": "m"}, "cameras": tree}))
     cameras, duration_s, noise_px = built(folder / "true.yaml"), rng.uniform(90.0, 230.0), rng.uniform(0.1, 0.5)
-    path = draw_path(rng, cameras, duration_s)
+    path = (white_path if white else draw_path)(rng, cameras, duration_s)
     write_log(folder, [row for camera in cameras for row in detections(rng, camera, path, duration_s, noise_px)])
     init(folder / "init", folder / "log.parquet", folder / "stated.yaml", kind="drones", force=True)
     tree = yaml.safe_load((folder / "init" / "config.yaml").read_text())
@@ -181,7 +195,7 @@ def rays_meet(found: Sequence[Camera], true: Sequence[Camera], path: CubicSpline
 
 def score(uncertainty: CameraUncertainty, true: Sequence[Camera], path: CubicSpline) -> dict[str, tuple[float, float]]:
     """Median errors, and medians of what is stated of them, m, after a rigid alignment and without any."""
-    cameras, times = uncertainty.parameters, np.arange(path.x[1], path.x[-2], 0.5)
+    cameras, times = uncertainty.parameters, np.arange(0.0, path.x[-1] - KNOT_S, 0.5)
     ends = [
         rays_meet(cameras.build(step), true, path, times)
         for step in SMALL * np.vstack([uncertainty.root.T, -uncertainty.root.T])
@@ -203,9 +217,9 @@ def score(uncertainty: CameraUncertainty, true: Sequence[Camera], path: CubicSpl
     }
 
 
-def one_run(seed: int, starts: int, folder: Path, changes: Sequence[str] = ()) -> dict[str, Any]:
+def one_run(seed: int, starts: int, white: bool, folder: Path, changes: Sequence[str] = ()) -> dict[str, Any]:
     """Draw a flight, calibrate its cameras, and compare with the truth."""
-    path, drawn = write_flight(seed, starts, folder)
+    path, drawn = write_flight(seed, starts, white, folder)
     row, since = {"seed": seed, **drawn}, time.process_time()
     loaded = load_config(folder / "config.yaml", changes)
     report = calibrate(loaded, folder / "log.parquet", folder / "out", jobs=1, plots=False, force=True)
@@ -243,6 +257,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seeds", type=int, nargs=2, default=(600, 10), metavar=("FIRST", "COUNT"))
     parser.add_argument("--starts", type=int, default=1, help="starts of the calibration")
+    parser.add_argument("--white", action="store_true", help="the acceleration of the drone is white")
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the files of every flight in DIR/SEED")
     parser.add_argument("--set", action="append", default=[], dest="changes", metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
@@ -251,7 +266,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         with tempfile.TemporaryDirectory() as temporary:
             folder = options.keep / str(seed) if options.keep else Path(temporary)
             folder.mkdir(parents=True, exist_ok=True)
-            rows.append(one_run(seed, options.starts, folder, options.changes))
+            rows.append(one_run(seed, options.starts, options.white, folder, options.changes))
         print(json.dumps(rows[-1]), flush=True)
     figures = summary(rows)
     print(json.dumps(figures, indent=2))
