@@ -2,7 +2,7 @@
 
     python benchmarks/flights.py --seeds 600 12              one line of JSON a flight, then a summary
     python benchmarks/flights.py --seeds 607 1 --keep DIR    keep configuration, log and results in DIR/607
-    python benchmarks/flights.py --white                     the drone moves as the filter assumes, by white acceleration
+    python benchmarks/flights.py --white                     the drone moves by white acceleration, as filters assume
 
 A seed draws the flight: images of 640 or 1280 px, focal lengths of 1.0 to 1.6 widths, k1 of -0.2 to -0.45, cameras of
 10 to 30 Hz that are not synchronised and stand 12 to 56 m apart, one drone at 100 to 160 m from both for 90 to 230 s
