@@ -13,7 +13,8 @@ is 2 m and 5 degrees off, with priors of 1.2 m and 3 degrees, and the distance o
 
 Scored are points of the truth where the rays of the calibrated cameras meet, at one time by their clocks: the median
 distance from the truth after a rigid alignment and without any, and the median of what the covariance of the cameras
-states of each. An answer is wrong that is `determined` and more than three times as far off as it states.
+states of each. An answer is wrong that is `determined` and more than three times as far off as it states. A mistake
+that `init` names before the calibration (`must_be_corrected`) is none, and is counted.
 """
 
 from __future__ import annotations
@@ -161,7 +162,7 @@ def write_flight(seed: int, starts: int, white: bool, folder: Path) -> tuple[Cub
     cameras, duration_s, noise_px = built(folder / "true.yaml"), rng.uniform(90.0, 230.0), rng.uniform(0.1, 0.5)
     path = (white_path if white else draw_path)(rng, cameras, duration_s)
     write_log(folder, [row for camera in cameras for row in detections(rng, camera, path, duration_s, noise_px)])
-    init(folder / "init", folder / "log.parquet", folder / "stated.yaml", kind="drones", force=True)
+    first = init(folder / "init", folder / "log.parquet", folder / "stated.yaml", kind="drones", force=True)
     tree = yaml.safe_load((folder / "init" / "config.yaml").read_text())
     apart = float(np.linalg.norm(cameras[1].pose.center - cameras[0].pose.center))
     distance = {"distance": measured_distance(apart, DISTANCE_STD, seed), "std": DISTANCE_STD}
@@ -173,7 +174,7 @@ def write_flight(seed: int, starts: int, white: bool, folder: Path) -> tuple[Cub
     return path, {
         "width": cameras[0].width, "apart_m": round(apart, 1), "noise_px": round(noise_px, 2),
         "duration_s": round(duration_s), "k1": [round(float(camera.lens.coefficients[0]), 3) for camera in cameras],
-        "clock_ms": round(1e3 * cameras[1].clock.offset_s, 1),
+        "clock_ms": round(1e3 * cameras[1].clock.offset_s, 1), "is_called_mistaken": first["must_be_corrected"],
     }  # fmt: skip
 
 
@@ -246,6 +247,7 @@ def summary(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "status": {state: states.count(state) for state in sorted(set(states))},
         "beyond_3_of_what_is_stated": [row["seed"] for row in beyond],
         "wrong": [row["seed"] for row in beyond if row["status"] == "determined"],
+        "mistakes_that_are_none": [row["seed"] for row in rows if row["is_called_mistaken"]],
         "aligned_m_median": float(np.median([row["aligned_m"][0] for row in done])) if done else None,
         "within_3_m": sum(row["aligned_m"][0] <= GOOD_M for row in done),
         "seconds_median": float(np.median([row["seconds"] for row in rows])),
