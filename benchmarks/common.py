@@ -15,6 +15,8 @@ from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
 
 import numpy as np  # noqa: E402
+import pyarrow as pa  # noqa: E402
+import pyarrow.parquet as pq  # noqa: E402
 
 from stereophd.config.calibration import BaselineScale  # noqa: E402
 from stereophd.config.loading import LoadedConfig, load_config  # noqa: E402
@@ -40,6 +42,16 @@ def with_measured_distance(path: Path, changes: Sequence[str], seed: int) -> lis
     if section is None or not isinstance(scale := section.scale, BaselineScale):
         return list(changes)
     return [*changes, f"calibration.scale.distance={measured_distance(scale.distance, scale.std, seed)!r}"]
+
+
+def write_log(folder: Path, rows: list[tuple[Any, ...]]) -> None:
+    """Write ``log.parquet`` of rows of time, s, camera, frame, u and v, px; a frame without detections has NaN."""
+    rows.sort(key=lambda row: (row[0], row[1]))
+    times, cameras, frames, u, v = (list(column) for column in zip(*rows, strict=True))
+    pixels = {
+        name: pa.array(np.array(values), mask=~np.isfinite(values)) for name, values in (("u_px", u), ("v_px", v))
+    }
+    pq.write_table(pa.table({"time_s": times, "camera": cameras, "frame": frames, **pixels}), folder / "log.parquet")
 
 
 # Sizes of the images of drawn cameras.

@@ -21,11 +21,10 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from common import facing
+from common import facing, write_log
 
 # isort: split
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import yaml
 
@@ -169,16 +168,6 @@ def write_paper(seed: int, folder: Path) -> tuple[Camera, ...]:
     tree["calibration"] = {"reference": "cam0"}
     write_unknown(folder, tree, (1.0 + rng.uniform(-0.05, 0.05, count)).tolist(), True)
     return tuple(config.build(name) for name, config in load_cameras(folder / "scene" / "cameras.yaml").cameras.items())
-
-
-def write_log(folder: Path, rows: list[tuple[Any, ...]]) -> None:
-    """Write a detection log."""
-    rows.sort(key=lambda row: (row[0], row[1]))
-    times, cameras, frames, u, v = (list(column) for column in zip(*rows, strict=True))
-    pixels = {
-        name: pa.array(np.array(values), mask=~np.isfinite(values)) for name, values in (("u_px", u), ("v_px", v))
-    }
-    pq.write_table(pa.table({"time_s": times, "camera": cameras, "frame": frames, **pixels}), folder / "log.parquet")
 
 
 def write_unknown(folder: Path, tree: dict[str, Any], factors: list[float], clocks: bool) -> None:
