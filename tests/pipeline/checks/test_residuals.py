@@ -135,6 +135,15 @@ def test_a_lens_left_out_is_named() -> None:
     assert (found.cause, found.camera) == ("lens_missing", "right")
 
 
+def test_a_longer_log_of_many_objects_shows_a_lens_left_out_as_well() -> None:
+    """Misses end one-camera tracks soon: of single detections among very many no track had enough."""
+    stated = tuple(replace(one, detector=replace(one.detector, p_detect=0.85)) for one in CAMERAS)
+    true = replace(stated[1], lens=Lens("radial", k1=-0.12))
+    (found,) = _findings(stated, seen=(stated[0], true, stated[2]), frames=500, objects=24)
+    assert (found.cause, found.camera) == ("lens_missing", "right")
+    assert {one.status for one in _findings(stated, seen=stated, frames=500, objects=24)} == {"ok"}
+
+
 @pytest.mark.parametrize(("k1", "cause"), [(-0.15, "lens_missing"), (0.0, None)])
 def test_a_lens_left_out_for_all_cameras_is_named(k1: float, cause: str | None) -> None:
     """The same lens everywhere bends all rays alike, and no camera alone explains that."""

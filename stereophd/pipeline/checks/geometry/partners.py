@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
-from stereophd.pipeline.checks.geometry.rays import signed_distances
+from stereophd.pipeline.checks.geometry.rays import GOLDEN_ANGLE, signed_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
 
 # Detections of a camera that are examined, and candidates of all of them together.
 MOST_DETECTIONS, MOST_PAIRS, LEAST_DETECTIONS = 3000, 200_000, 100
+# Frames in which a one-camera track is examined whole, or not at all where there are more detections: single ones of
+# tracks that misses end soon are too few.
+PIECE = 64
 # Frames on either side from which an image velocity is fitted.
 HALF_WINDOW = 4
 # Largest distance of partners, over that at which most rays meet beyond chance; frames, and share of a track, in which
@@ -102,7 +105,9 @@ def partners(
     most = min(MOST_DETECTIONS, max(LEAST_DETECTIONS, MOST_PAIRS // max(width, 1)), len(usable))
     if len(usable) < LEAST_DETECTIONS or not width:
         return None
-    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, most).astype(int))]
+    pieces = np.stack([first.frame_of[usable] // PIECE, track_a[usable]])
+    number = np.unique(pieces, axis=1, return_inverse=True)[1].ravel()
+    chosen = usable[GOLDEN_ANGLE * number % (2.0 * np.pi) <= 2.0 * np.pi * most / len(usable)]
     interval, passed = second.around(times[chosen])
     index = second.first[interval][:, None] + np.arange(width)
     present = index < second.first[interval + 1][:, None]
