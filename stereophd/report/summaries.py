@@ -218,7 +218,7 @@ def _tracks(
         *(() if each else ("detections", "cameras")), f"speed [{unit}/s]", f"position std, 3-D [{unit}]", "existence",
     )  # fmt: skip
     hidden = len(tracks) - len(chosen)
-    notes = (*((f"... and {hidden} shorter tracks",) if hidden else ()), *_camera_error(tracking, described, unit))
+    notes = (*((f"... and {counted(hidden, 'shorter track')}",) if hidden else ()), *_camera_error(tracking, described, unit))
     return SummaryTable(f"Tracks ({len(tracks)})", header, tuple(rows), notes)
 
 

@@ -44,6 +44,7 @@ class Spool:
     in_order: bool = True
     has_frames: bool = True
     has_whole_times: bool = True
+    has_times: bool = False
     extra: set[str] = field(default_factory=set)  # Extra columns that have a value in some row
 
     def discard(self) -> None:
@@ -73,8 +74,11 @@ def _append(spool: Spool, piece: Piece) -> None:
         rows[:, FRAME] = piece.frame
     if piece.time_s is not None:
         rows[:, TIME] = piece.time_s
-    is_empty = np.isnan(piece.pixels[:, 0]) | np.isnan(piece.pixels[:, 1])
-    rows[:, U : V + 1] = np.where(is_empty[:, None], np.nan, piece.pixels)
+    rows[:, U : V + 1] = piece.pixels
+    if len(half := np.flatnonzero(np.isnan(piece.pixels).sum(axis=1) == 1)):
+        what, at = ("frame", FRAME) if piece.frame is not None else ("time", TIME)
+        where = f"camera {piece.camera}, {what} {rows[half[0], at]:.12g}"
+        raise InputError(f"{where}: expected u and v, or neither in a frame without detections, found one of them")
     if np.isinf(rows[:, U : V + 1]).any():
         raise InputError(f"camera {piece.camera}: expected finite pixels, found infinity")
     for name, values in piece.extra.items():
@@ -85,6 +89,7 @@ def _append(spool: Spool, piece: Piece) -> None:
     if (np.abs(identities[~np.isnan(identities)]) > MAX_FRAME).any():
         raise InputError(f"camera {piece.camera}: expected whole identities of objects, found one beyond 2^53")
     spool.has_frames &= piece.frame is not None
+    spool.has_times |= bool(np.isfinite(rows[:, TIME]).any())
     spool.has_whole_times &= bool((rows[:, TIME] % 1.0 == 0.0).all())
     key: Array = rows[:, FRAME] if spool.has_frames else rows[:, TIME]
     if not np.isfinite(key).all():
@@ -191,6 +196,8 @@ class _Camera:
             raise InputError(f"rate of camera {name}: expected frames per second > 0, found {self._rate:g}")
         self._is_rate_stated, self._is_timed_by_rate = stated is not None, False
         self._untimed = recording.untimed
+        if spool.has_times and stated is not None:
+            recording.assumed.append(f"{name}: times are by `rates`: those of the source are not used")
         self._first_frame, self._offset = recording.first_frame, options.offsets.get(name) or 0.0
         self._range = options.frames.get(name) or recording.frames.get(name)
         if self._range is not None and self._range[1] - self._range[0] > MOST_FRAMES:
@@ -296,9 +303,10 @@ class _Camera:
             rows[:, TIME] = self._by_rate(rows[:, FRAME], self._rate)
             return rows
         if not has_times:
+            untimed = rows[~np.isfinite(rows[:, TIME]), FRAME]
+            found = f"frame {untimed[0]:.0f} without a time" if self._spool.has_times else "frame numbers only"
             raise InputError(
-                f"camera {self._name}: expected times or `rates` (frames per second), found frame numbers only"
-                f"{self._untimed}"
+                f"camera {self._name}: expected times or `rates` (frames per second), found {found}{self._untimed}"
             )
         _, starts, index = np.unique(rows[:, FRAME], return_index=True, return_inverse=True)
         rows[:, TIME] = rows[starts[index], TIME] + self._offset
