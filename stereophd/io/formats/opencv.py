@@ -151,20 +151,21 @@ def _camera(
     posed = {"rotation", "translation"} & values.keys()
     if len(posed) == 1:
         raise InputError(f"{where}: {name}: expected a pose (rvec and tvec, or R and T), found its {posed.pop()} alone")
-    is_placed = bool(posed)
-    if not is_placed:
+    more = {} if posed else {"pose": "unknown"}
+    if not posed:
+        values = {**values, "rotation": np.eye(3), "translation": np.zeros(3)}
         board = ": rvecs and tvecs are poses of a board in several images" if "views" in values else ""
         recording.assumed.append(f"{name}: its pose is unknown: {where} has no rvec and tvec, or R and T, of it{board}")
     matrix = _array(values["matrix"], (3, 3), f"{where}: {name}: camera matrix")
     if matrix[0, 1] != 0.0:
         raise InputError(f"{where}: {name}: expected a camera matrix without skew, found K[0, 1] = {matrix[0, 1]:g}")
-    rotation = _rotation(values["rotation"], f"{where}: {name}") if is_placed else np.eye(3)
-    translation = _array(values["translation"], (3,), f"{where}: {name}: translation") if is_placed else np.zeros(3)
+    rotation = _rotation(values["rotation"], f"{where}: {name}")
+    translation = _array(values["translation"], (3,), f"{where}: {name}: translation")
     coefficients = np.asarray(values.get("coefficients", np.zeros(5)), dtype=np.float64).ravel()
     fisheye = str(values.get("fisheye", 0)).strip().lower() in ("1", "1.0", "true")
     size = image_size(name, _size(values), options, where)
     parts = Parts(matrix, coefficients, fisheye, rotation, -rotation.T @ translation, size)
-    return put_together(name, parts, options, where, **({} if is_placed else {"pose": "unknown"}))
+    return put_together(name, parts, options, where, **more)
 
 
 def _rotation(value: Any, where: str) -> np.ndarray[Any, np.dtype[np.float64]]:

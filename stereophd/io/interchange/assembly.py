@@ -8,7 +8,7 @@ at a time.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -53,8 +53,8 @@ class Spool:
         self.path.unlink(missing_ok=True)
 
 
-def spool_pieces(recording: ForeignRecording, folder: Path) -> dict[str, Spool]:
-    """Append every piece to the temporary file of its camera."""
+def spool_pieces(recording: ForeignRecording, folder: Path, options: ImportOptions) -> dict[str, Spool]:
+    """Append every piece to the temporary file of its camera, with gaps for detections of a score that is too low."""
     spools: dict[str, Spool] = {}
     for piece in recording.pieces or ():
         if not len(piece.pixels):
@@ -63,6 +63,10 @@ def spool_pieces(recording: ForeignRecording, folder: Path) -> dict[str, Spool]:
         if spool is None:
             path = folder / f"camera-{len(spools)}.rows"
             spool = spools[piece.camera] = Spool(path, open(path, "w+b"))  # noqa: SIM115 (closed by discard)
+        if "score" in piece.extra and options.least_score is not None:
+            is_low = piece.extra["score"] < options.least_score
+            gaps = {name: np.where(is_low, np.nan, values) for name, values in piece.extra.items()}
+            piece = replace(piece, pixels=np.where(is_low[:, None], np.nan, piece.pixels), extra=gaps)
         _append(spool, piece)
     return spools
 
@@ -75,10 +79,6 @@ def _append(spool: Spool, piece: Piece) -> None:
     if piece.time_s is not None:
         rows[:, TIME] = piece.time_s
     rows[:, U : V + 1] = piece.pixels
-    if len(half := np.flatnonzero(np.isnan(piece.pixels).sum(axis=1) == 1)):
-        what, at = ("frame", FRAME) if piece.frame is not None else ("time", TIME)
-        where = f"camera {piece.camera}, {what} {rows[half[0], at]:.12g}"
-        raise InputError(f"{where}: expected u and v, or neither in a frame without detections, found one of them")
     if np.isinf(rows[:, U : V + 1]).any():
         raise InputError(f"camera {piece.camera}: expected finite pixels, found infinity")
     for name, values in piece.extra.items():
@@ -91,10 +91,13 @@ def _append(spool: Spool, piece: Piece) -> None:
     spool.has_frames &= piece.frame is not None
     spool.has_times |= bool(np.isfinite(rows[:, TIME]).any())
     spool.has_whole_times &= bool((rows[:, TIME] % 1.0 == 0.0).all())
-    key: Array = rows[:, FRAME] if spool.has_frames else rows[:, TIME]
+    what, at = ("frame number", FRAME) if spool.has_frames else ("time", TIME)
+    key: Array = rows[:, at]
     if not np.isfinite(key).all():
-        what = "frame numbers" if spool.has_frames else "times"
-        raise InputError(f"camera {piece.camera}: expected {what}, found a row without one")
+        raise InputError(f"camera {piece.camera}: expected {what}s, found a row without one")
+    if len(half := np.flatnonzero(np.isnan(piece.pixels).sum(axis=1) == 1)):
+        where = f"camera {piece.camera}, {what} {key[half[0]]:.12g}"
+        raise InputError(f"{where}: expected u and v, or neither in a frame without detections, found one of them")
     broken = key[(key % 1.0 != 0.0) | (np.abs(key) > MAX_FRAME)]
     if spool.has_frames and len(broken):
         raise InputError(f"camera {piece.camera}: expected whole frame numbers, found {broken[0]:g}")
@@ -162,7 +165,7 @@ def write_native_log(
     recording's cameras). Raises InputError for no detections, a camera with neither times nor a rate, or frame numbers
     that cannot be.
     """
-    spools = spool_pieces(recording, folder)
+    spools = spool_pieces(recording, folder, options)
     try:
         if not spools:
             raise InputError(f"{next(iter(recording.files), 'the source')}: expected detections, found none")

@@ -236,17 +236,17 @@ def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> tuple[Dr
         for finding in check_files(samples, whole=False)
         if finding.status == "warning" and finding.cause in CAUSES_OF_DETECTORS
     }
-    notes, unknown = dict(draft.camera_notes), []
+    unknown = []
     for name, camera in draft.cameras.items():
         is_given = draft.is_given(f"cameras.{name}.detector")
         if not camera.detector.estimate and (is_given or name not in contradicted):
-            said = "detector: as given" if is_given else "detector: as the file of cameras states it"
-            notes[name] = (*notes.get(name, ()), said)
+            said = "as given" if is_given else "as the file of cameras states it"
+            draft = _with_note(draft, [name], f"detector: {said}")
             continue
         unknown.append(name)
         if not camera.detector.estimate:
-            notes[name] = (*notes.get(name, ()), f"detector: the log contradicts the file: {contradicted[name]}")
-    return replace(draft, camera_notes=notes), unknown
+            draft = _with_note(draft, [name], f"detector: the log contradicts the file: {contradicted[name]}")
+    return draft, unknown
 
 
 def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, NoisePrior]) -> dict[str, Choice] | None:
@@ -338,10 +338,9 @@ def _with_detectors(
     cameras, report = estimate_detectors(
         parts[0].cameras, priors, lambda used: build_labelled_filter(config, used, path, 1), parts
     )
-    notes = dict(draft.camera_notes)
     for name, entry in report["cameras"].items():
-        notes[name] = (*notes.get(name, ()), _source_of_detector(entry))
-    draft = replace(draft, camera_notes=notes, findings=tuple(check_estimated_detectors(report)))
+        draft = _with_note(draft, [name], _source_of_detector(entry))
+    draft = replace(draft, findings=tuple(check_estimated_detectors(report)))
     return _with_cameras(draft, cameras, priors)
 
 

@@ -176,7 +176,7 @@ def test_a_large_unsorted_table_is_merged_in_order(
         ("u,v\n1,2\n", {}, "expected columns for time_s or frame"),
         ("frame,u,v\n1,2,3\n", {}, "expected times or `rates`"),
         ("frame,t,u,v\n1,0.1,2,3\n7,nan,2,3\n", {}, "found frame 7 without a time"),
-        ("frame,t,u,v\n6,0.1,2,nan\n", {}, "camera bad, frame 6: expected u and v, or neither"),
+        ("frame,t,u,v\n6,0.1,2,nan\n", {}, "camera bad, frame number 6: expected u and v, or neither"),
         ("t,u,v\n0.25,,3\n", {}, "camera bad, time 0.25: expected u and v, or neither"),
         ("frame,u,v\n1.5,2,3\n", {"rates": 1.0}, "expected whole frame numbers, found 1.5"),
         ("frame,u,v\n1,2,x\n", {"rates": 1.0}, "invalid value 'x'"),
