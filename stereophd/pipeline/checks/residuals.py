@@ -219,6 +219,11 @@ def _named(
         return " or ".join(samples[camera].camera.name for camera in cameras) or "all cameras"
 
     others = [fit for fit in alike if not set(cause.numbers) <= set(fit.cause.numbers)]
+    camera = name if best.camera is not None and len({fit.camera for fit in (*same, *others)}) == 1 else None
+    if camera is not None:
+        remedy = remedy.replace("NAME", camera)
+        if cause is LENS_MISSING:
+            change = f"cameras.{camera}.distortion={{model: radial, k1: {best.value:.3g}}}"
     what = " or ".join(dict.fromkeys(fit.cause.what for fit in others))
     instead = f"; the {what} of {names(others)} would explain as much" if others else ""
     # what all cameras have alike is one number, and no shift
@@ -230,8 +235,7 @@ def _named(
         f"{names(same)}: the distances of rays from those of other cameras {text} (this explains "
         f"{percent(best.share)} of their squares{instead}); tracks are less certain than they state",
         round(shift if cause.numbers[0] in TURNS else best.value, 5), 0.0,
-        names(same) if best.camera is not None and len({fit.camera for fit in (*same, *others)}) == 1 else None, remedy,
-        cause.name, change,
+        camera, remedy, cause.name, change,
     )  # fmt: skip
 
 

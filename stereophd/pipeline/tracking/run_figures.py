@@ -42,8 +42,6 @@ def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> 
     rolling shutter reads a row later: the detection shows the object at its position at that later time.
     """
     delays = camera.row_delays(pixels[:, 1])
-    if delays is None:
-        return np.asarray(pixels - camera.project_at(states[:, :3], times))
     return np.asarray(pixels - camera.project_at(states[:, :3] + delays[:, None] * states[:, 3:], times + delays))
 
 
