@@ -1,0 +1,174 @@
+"""Residuals of tracks: what is expected of them, and what those of successive detections say together.
+
+The residuals of a filter whose assumptions hold are white, as its innovations are (R. K. Mehra, "On the identification
+of variances and adaptive Kalman filtering", IEEE Trans. Automatic Control 15 (2), 1970). A detection with the residual
+e, noise R and derivatives H of its pixels says ``s = H' R^-1 e`` of the position, and ``I = H' R^-1 H`` of how well it
+knows it. For a successive detection of the same track, of covariance P, ``s' P t`` has the mean 0 and the variance
+``tr(P I P J)``. If the track errs by what lasts from one to the other, with a covariance of c P beyond what is stated,
+the mean is ``c tr(P I P J)``: this tells how far tracks err, along every axis that cameras see, depth too.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from stereophd.core.arrays import Array, Booleans
+from stereophd.core.geometry.camera import Camera
+from stereophd.core.multi.state.estimates import Estimates
+from stereophd.io.outputs.json_text import finite_or_none
+from stereophd.pipeline.tracking.associations import Associated
+
+# A detection that belongs to a track more probably than not has a residual.
+PROBABLE = 0.5
+# Residuals computed at a time.
+BATCH = 2048
+# Residuals that exceed what is expected by this many times the median excess are those of wrong detections or of tracks
+# that are elsewhere. They say nothing about the noise, and a few of them would outweigh all others.
+OUTLIER = 8.0
+# An estimate that was little more than its detection has next to no residual, which shows neither noise nor outliers:
+# one is judged if at least this share of the variance of the noise is expected of it.
+LEAST_EXPECTED = 0.1
+# Step of the derivatives of a projection, over the standard deviation of the position.
+DERIVATIVE_STEP = 0.1
+# Of estimates that are little more than two detections these say nothing: most of the root of tr(P I P J).
+MOST_SHARE = 0.7
+
+
+class Sighting(NamedTuple):
+    """A track and its detection."""
+
+    camera: str
+    track_id: int
+    time_s: float
+    state: Array  # (6,)
+    covariance: Array  # (3, 3), of the position
+    pixels: Array  # (2,)
+
+
+def sightings_of(estimates: Estimates, associated: Associated) -> Iterator[Sighting]:
+    """Yield the tracks that have probably made detections of an event, with their estimates at that event."""
+    place = {track: row for row, track in enumerate(estimates.track_ids.tolist())}
+    ids = associated.track_ids.tolist()
+    for row in np.flatnonzero(associated.probabilities > PROBABLE).tolist():
+        if (track := place.get(ids[row])) is not None:
+            state, covariance = estimates.states[track], estimates.covariances[track, :3, :3]
+            yield Sighting(associated.camera, ids[row], associated.time_s, state, covariance, associated.pixels[row])
+
+
+def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> Array:
+    """Return detections minus reprojected states (n, 2), in distorted pixels; NaN where a state is out of view.
+
+    Times of the frames are (n,), s; positions and velocities at these times (n, 6); pixels (n, 2) as in the log. A
+    rolling shutter reads a row later: the detection shows the object at its position at that later time.
+    """
+    delays = camera.row_delays(pixels[:, 1])
+    if delays is None:
+        return np.asarray(pixels - camera.project_at(states[:, :3], times))
+    return np.asarray(pixels - camera.project_at(states[:, :3] + delays[:, None] * states[:, 3:], times + delays))
+
+
+def are_usual(squares: Array, expected: Array, noise: float) -> Booleans:
+    """Return whether each of these squares of residuals (n,) is that of none of the outliers, px^2.
+
+    Expected are those of `expected_squares`; the noise is the variance of a detection, both axes together.
+    """
+    least = LEAST_EXPECTED * noise
+    ratios, telling = squares / np.maximum(expected, least), expected >= least
+    return np.asarray(ratios <= (OUTLIER**2 * np.median(ratios[telling]) if telling.any() else np.inf))
+
+
+def derivatives(camera: Camera, times: Array, states: Array, covariances: Array) -> Array:
+    """Return the derivatives (n, 2, 3) of the pixels of states, by steps within their covariances (n, 3, 3)."""
+    steps = DERIVATIVE_STEP * np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2) / 3.0, 1e-24))
+    moved = states[:, None, :3] + np.eye(3) * steps[:, None, None]
+    there = camera.project_at(moved.reshape(-1, 3), np.repeat(times, 3)).reshape(-1, 3, 2)
+    slopes = (there - camera.project_at(states[:, :3], times)[:, None]) / steps[:, None, None]
+    return np.swapaxes(slopes, 1, 2)
+
+
+def expected_squares(camera: Camera, jacobians: Array, covariances: Array) -> Array:
+    """Return the squares (n,) of residuals, both axes together, that noise and uncertainty lead to expect, px^2.
+
+    An estimate that has taken in a detection of noise R has residuals of the covariance R - H P H^T, with its own
+    covariance P: less than the noise, as the estimate has moved towards the detection. The `derivatives` are (n, 2, 3),
+    the covariances (n, 3, 3) those of the positions.
+    """
+    explained = np.einsum("nij,njk,nik->ni", jacobians, covariances, jacobians)
+    return np.asarray(np.maximum(np.asarray(camera.detector.sigma) ** 2 - explained, 0.0).sum(axis=1))
+
+
+@dataclass
+class PairSums:
+    """Sums over pairs of successive detections of tracks."""
+
+    count: int = 0
+    products: float = 0.0  # Of s' P t over the root of tr(P I P J)
+    squares: float = 0.0  # Of the squares of these
+    roots: float = 0.0  # Of the roots
+
+    def add(self, products: Array, roots: Array) -> None:
+        """Take in pairs (n,)."""
+        self.count += len(products)
+        self.products += float(products.sum())
+        self.squares += float((products**2).sum())
+        self.roots += float(roots.sum())
+
+    def report(self) -> dict[str, Any]:
+        """Return the figures for ``report.json``."""
+        return {
+            "pairs": self.count,
+            "excess": finite_or_none(self.products / self.roots) if self.roots > 0.0 else None,
+            "standard_errors": finite_or_none(self.products / self.squares**0.5) if self.squares > 0.0 else None,
+        }
+
+
+@dataclass
+class TrackErrors:
+    """What successive detections say together of the errors of tracks: of one camera, and of one after another."""
+
+    same_camera: PairSums = field(default_factory=PairSums)
+    other_camera: PairSums = field(default_factory=PairSums)
+    waiting: list[Sighting] = field(default_factory=list)
+
+    def add(self, sightings: Iterator[Sighting], cameras: Mapping[str, Camera]) -> None:
+        """Take in detections of an event, by estimates of the filter."""
+        self.waiting += sightings
+        if len(self.waiting) >= BATCH:
+            self._compute(cameras)
+
+    def report(self, cameras: Mapping[str, Camera]) -> dict[str, Any]:
+        """Return the figures for ``report.json``."""
+        self._compute(cameras)
+        return {"same_camera": self.same_camera.report(), "other_camera": self.other_camera.report()}
+
+    def _compute(self, cameras: Mapping[str, Camera]) -> None:
+        """Take in the detections that wait, in order of time."""
+        if not self.waiting:
+            return
+        columns = [np.array(column) for column in zip(*self.waiting, strict=True)]
+        names, tracks, covariances = columns[0], columns[1], columns[4]
+        scores, informations = np.full((len(names), 3), np.nan), np.full((len(names), 3, 3), np.nan)
+        for name, camera in cameras.items():
+            own = np.flatnonzero(names == name)
+            times, states, spreads, pixels = (column[own] for column in columns[2:])
+            found, slopes = residuals_px(camera, times, states, pixels), derivatives(camera, times, states, spreads)
+            weighted = slopes / np.asarray(camera.detector.sigma)[:, None] ** 2
+            expected, noise = expected_squares(camera, slopes, spreads), float((camera.detector.sigma**2).sum())
+            usable = np.flatnonzero(np.isfinite(found).all(axis=1) & np.isfinite(expected))
+            kept = usable[are_usual((found[usable] ** 2).sum(axis=1), expected[usable], noise)]
+            scores[own[kept]] = np.einsum("nij,ni->nj", weighted[kept], found[kept])
+            informations[own[kept]] = np.einsum("nij,nik->njk", weighted[kept], slopes[kept])
+        known = np.flatnonzero(np.isfinite(scores).all(axis=1))
+        for sums, keys in ((self.other_camera, (tracks,)), (self.same_camera, (names, tracks))):
+            order = known[np.lexsort([key[known] for key in keys])]
+            first, second = order[:-1], order[1:]
+            pairs = (tracks[first] == tracks[second]) & ((names[first] == names[second]) == (len(keys) == 2))
+            first, second = first[pairs], second[pairs]
+            spread = covariances[second]
+            shares = spread @ informations[first] @ spread @ informations[second]
+            roots = np.sqrt(np.maximum(np.trace(shares, axis1=1, axis2=2), 1e-24))
+            products = np.einsum("ni,nij,nj->n", scores[first], spread, scores[second]) / roots
+            sums.add(products[roots <= MOST_SHARE], roots[roots <= MOST_SHARE])
+        self.waiting = []
