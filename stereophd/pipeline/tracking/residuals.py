@@ -8,7 +8,7 @@ knows it. For a successive detection of the same track, of covariance P, ``s' P 
 the mean is ``c tr(P I P J)``: this tells how far tracks err, along every axis that cameras see, depth too.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -72,31 +72,44 @@ def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> 
 def are_usual(squares: Array, expected: Array, noise: float) -> Booleans:
     """Return whether each of these squares of residuals (n,) is that of none of the outliers, px^2.
 
-    Expected are those of `expected_squares`; the noise is the variance of a detection, both axes together.
+    Expected are those of `Residuals`; the noise is the variance of a detection, both axes together.
     """
     least = LEAST_EXPECTED * noise
     ratios, telling = squares / np.maximum(expected, least), expected >= least
     return np.asarray(ratios <= (OUTLIER**2 * np.median(ratios[telling]) if telling.any() else np.inf))
 
 
-def derivatives(camera: Camera, times: Array, states: Array, covariances: Array) -> Array:
-    """Return the derivatives (n, 2, 3) of the pixels of states, by steps within their covariances (n, 3, 3)."""
+class Residuals(NamedTuple):
+    """Residuals of sightings of a camera, px."""
+
+    residuals: Array  # (n, 2)
+    jacobians: Array  # (n, 2, 3): Derivatives of the pixels, by steps within the covariances of the positions
+    # (n,): The squares of residuals, both axes together, that noise and uncertainty lead to expect. An estimate that
+    # has taken in a detection of noise R has residuals of the covariance R - H P H^T, with its own covariance P: less
+    # than the noise, as the estimate has moved towards the detection.
+    expected: Array
+    usable: Booleans  # (n,): In view
+    usual: Booleans  # (n,): And no outliers
+
+
+def residuals_of(camera: Camera, sightings: Sequence[Sighting]) -> Residuals:
+    """Return the residuals of n sightings of a camera."""
+    if not sightings:
+        nothing = np.empty(0, dtype=np.bool_)
+        return Residuals(np.empty((0, 2)), np.empty((0, 2, 3)), np.empty(0), nothing, nothing)
+    times, states, covariances, pixels = map(np.array, list(zip(*sightings, strict=True))[2:])
+    found, variances = residuals_px(camera, times, states, pixels), np.asarray(camera.detector.sigma) ** 2
     steps = DERIVATIVE_STEP * np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2) / 3.0, 1e-24))
     moved = states[:, None, :3] + np.eye(3) * steps[:, None, None]
     there = camera.project_at(moved.reshape(-1, 3), np.repeat(times, 3)).reshape(-1, 3, 2)
     slopes = (there - camera.project_at(states[:, :3], times)[:, None]) / steps[:, None, None]
-    return np.swapaxes(slopes, 1, 2)
-
-
-def expected_squares(camera: Camera, jacobians: Array, covariances: Array) -> Array:
-    """Return the squares (n,) of residuals, both axes together, that noise and uncertainty lead to expect, px^2.
-
-    An estimate that has taken in a detection of noise R has residuals of the covariance R - H P H^T, with its own
-    covariance P: less than the noise, as the estimate has moved towards the detection. The `derivatives` are (n, 2, 3),
-    the covariances (n, 3, 3) those of the positions.
-    """
+    jacobians = np.swapaxes(slopes, 1, 2)
     explained = np.einsum("nij,njk,nik->ni", jacobians, covariances, jacobians)
-    return np.asarray(np.maximum(np.asarray(camera.detector.sigma) ** 2 - explained, 0.0).sum(axis=1))
+    expected = np.maximum(variances - explained, 0.0).sum(axis=1)
+    usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
+    usual = usable.copy()
+    usual[usable] = are_usual((found[usable] ** 2).sum(axis=1), expected[usable], float(variances.sum()))
+    return Residuals(found, jacobians, expected, usable, usual)
 
 
 @dataclass
@@ -147,19 +160,15 @@ class TrackErrors:
         """Take in the detections that wait, in order of time."""
         if not self.waiting:
             return
-        columns = [np.array(column) for column in zip(*self.waiting, strict=True)]
-        names, tracks, covariances = columns[0], columns[1], columns[4]
+        names, tracks, *_, covariances, _ = map(np.array, zip(*self.waiting, strict=True))
         scores, informations = np.full((len(names), 3), np.nan), np.full((len(names), 3, 3), np.nan)
         for name, camera in cameras.items():
             own = np.flatnonzero(names == name)
-            times, states, spreads, pixels = (column[own] for column in columns[2:])
-            found, slopes = residuals_px(camera, times, states, pixels), derivatives(camera, times, states, spreads)
+            found = residuals_of(camera, [self.waiting[row] for row in own.tolist()])
+            kept, slopes = own[found.usual], found.jacobians[found.usual]
             weighted = slopes / np.asarray(camera.detector.sigma)[:, None] ** 2
-            expected, noise = expected_squares(camera, slopes, spreads), float((camera.detector.sigma**2).sum())
-            usable = np.flatnonzero(np.isfinite(found).all(axis=1) & np.isfinite(expected))
-            kept = usable[are_usual((found[usable] ** 2).sum(axis=1), expected[usable], noise)]
-            scores[own[kept]] = np.einsum("nij,ni->nj", weighted[kept], found[kept])
-            informations[own[kept]] = np.einsum("nij,nik->njk", weighted[kept], slopes[kept])
+            scores[kept] = np.einsum("nij,ni->nj", weighted, found.residuals[found.usual])
+            informations[kept] = np.einsum("nij,nik->njk", weighted, slopes)
         known = np.flatnonzero(np.isfinite(scores).all(axis=1))
         for sums, keys in ((self.other_camera, (tracks,)), (self.same_camera, (names, tracks))):
             order = known[np.lexsort([key[known] for key in keys])]

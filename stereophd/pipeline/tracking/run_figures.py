@@ -20,16 +20,7 @@ from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.tracking.associations import Associated
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.residuals import (
-    BATCH,
-    Sighting,
-    TrackErrors,
-    are_usual,
-    derivatives,
-    expected_squares,
-    residuals_px,
-    sightings_of,
-)
+from stereophd.pipeline.tracking.residuals import BATCH, Sighting, TrackErrors, residuals_of, sightings_of
 
 
 def is_of_event(record: Record, associated: Associated) -> bool:
@@ -67,21 +58,13 @@ class CameraSums:
 
     def _compute(self, camera: Camera) -> None:
         """Compute the residuals that wait."""
-        if not self.waiting:
-            return
-        times, states, covariances, pixels = map(np.array, list(zip(*self.waiting, strict=True))[2:])
-        found = residuals_px(camera, times, states, pixels)
-        expected = expected_squares(camera, derivatives(camera, times, states, covariances), covariances)
-        usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
-        found, expected = found[usable], expected[usable]
-        squares = (found**2).sum(axis=1)
-        usual = are_usual(squares, expected, float((np.asarray(camera.detector.sigma) ** 2).sum()))
-        found, squares = found[usual], squares[usual]
+        residuals, _, expected, usable, usual = residuals_of(camera, self.waiting)
+        found = residuals[usual]
         self.expected += float(expected[usual].sum())
         self.residuals += len(found)
-        self.outliers += int((~usual).sum())
+        self.outliers += int(usable.sum()) - len(found)
         self.total = self.total + found.sum(axis=0)
-        self.squares += float(squares.sum())
+        self.squares += float((found**2).sum())
         self.waiting = []
 
     def report(self, camera: Camera) -> dict[str, Any]:
