@@ -160,7 +160,8 @@ class _Outputs:
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))
         findings += tuple(check_detections(summary, tracking.cameras))
-        findings += tuple(check_errors(summary, findings, self.motion is not None))
+        of_many = tracking.motion.moves and not isinstance(tracking.estimator, SingleTracker)
+        findings += tuple(check_errors(summary, findings, of_many and self.motion is None))
         since = functools.partial(check_log, loaded, self.stream.source, False, tracking.cameras)
         findings += tuple(check_knocks(summary, findings, since))
         if not tracking.boxes:

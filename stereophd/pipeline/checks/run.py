@@ -81,7 +81,7 @@ def check_log(
     if warnings_of(tuple(rays)):
         # more noise than about one-camera tracks may be what keeps these rays together: less would only part them
         findings = [one for one in findings if not is_overstated(one)]
-    # speeds and accelerations follow from the times
+    # speeds follow from the times
     if not {"geometry.cause", "log.frame_rate"} & {found.name for found in warnings_of((*findings, *rays))}:
         rays += check_settings(config, measure_scene(geometry), samples, whole)
     return (*findings, *rays)

@@ -104,12 +104,12 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
             )  # fmt: skip
 
 
-def check_errors(summary: Mapping[str, Any], before: tuple[Finding, ...], is_estimated: bool) -> Iterator[Finding]:
+def check_errors(summary: Mapping[str, Any], before: tuple[Finding, ...], can_estimate: bool) -> Iterator[Finding]:
     """Yield a finding on ``track_errors`` of the figures of a run: do tracks err by more than they state?
 
     Tracks that lag behind their objects leave residuals that agree from frame to frame and between cameras. Where the
     detections of one camera agree against those of the others, these last, as the checks `before` the run may have
-    found. `is_estimated` says whether the acceleration is that of greatest likelihood.
+    found. `can_estimate` says whether `track` can estimate the acceleration, and has not.
     """
     same, other = ((one["excess"] or 0.0, one["standard_errors"] or 0.0) for one in (
         summary["track_errors"]["same_camera"], summary["track_errors"]["other_camera"]
@@ -131,7 +131,7 @@ def check_errors(summary: Mapping[str, Any], before: tuple[Finding, ...], is_est
     else:
         text += "successive residuals agree, as of objects that turn, stop or sway more than the motion model lets them"
         cause, remedy = "acceleration_std", "state a larger motion.acceleration_std, or more noise (sigma_px)"
-        if not is_estimated:
+        if can_estimate:
             remedy = "let track estimate it (motion.acceleration_std: estimate), or state a larger one"
             change = "motion.acceleration_std=estimate"
     yield Finding("tracking.errors", "warning", text, round(max(shown), 3), 0.0, None, remedy, cause, change)
