@@ -19,6 +19,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.tracking.associations import Associated
+from stereophd.pipeline.tracking.loop import Record
 
 # A detection that belongs to a track more probably than not has a residual.
 PROBABLE = 0.5
@@ -47,8 +48,10 @@ class Sighting(NamedTuple):
     pixels: Array  # (2,)
 
 
-def sightings_of(estimates: Estimates, associated: Associated) -> Iterator[Sighting]:
-    """Yield the tracks that have probably made detections of an event, with their estimates at that event."""
+def sightings_of(record: Record, estimates: Estimates, associated: Associated) -> Iterator[Sighting]:
+    """Yield the tracks that have probably made detections of the event of a record, with their estimates then."""
+    if not record.is_event or (associated.time_s, associated.camera) != (record.time_s, record.camera):
+        return  # earlier claims of a track that is new
     place = {track: row for row, track in enumerate(estimates.track_ids.tolist())}
     ids = associated.track_ids.tolist()
     for row in np.flatnonzero(associated.probabilities > PROBABLE).tolist():
@@ -145,9 +148,11 @@ class TrackErrors:
     other_camera: PairSums = field(default_factory=PairSums)
     waiting: list[Sighting] = field(default_factory=list)
 
-    def add(self, sightings: Iterator[Sighting], cameras: Mapping[str, Camera]) -> None:
-        """Take in detections of an event, by estimates of the filter."""
-        self.waiting += sightings
+    def add(self, record: Record, cameras: Mapping[str, Camera]) -> None:
+        """Take in the detections of a record's event, by estimates of the filter; none of bodies."""
+        estimates, associated = record.filtered or (record.estimates, record.associations)
+        for one in associated if estimates.extents is None else ():
+            self.waiting += sightings_of(record, estimates, one)
         if len(self.waiting) >= BATCH:
             self._compute(cameras)
 

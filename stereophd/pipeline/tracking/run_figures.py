@@ -23,12 +23,6 @@ from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.residuals import BATCH, Sighting, TrackErrors, residuals_of, sightings_of
 
 
-def is_of_event(record: Record, associated: Associated) -> bool:
-    """Whether claims are those of the event of a record, whose estimates are known, and not earlier ones."""
-    same = associated.time_s == record.time_s and associated.camera == record.camera
-    return same and record.is_event
-
-
 @dataclass
 class CameraSums:
     """Sums over what one camera reported, and the states and detections whose residuals are still to be computed."""
@@ -50,9 +44,8 @@ class CameraSums:
     def add(self, record: Record, sightings: Associated, camera: Camera) -> None:
         """Take in detections of this camera that tracks claim; those of the record's event have residuals."""
         self.explained += float(sightings.probabilities.sum())
-        if is_of_event(record, sightings):
-            self.of_points = record.estimates.extents is None
-            self.waiting += sightings_of(record.estimates, sightings)
+        self.of_points = record.estimates.extents is None
+        self.waiting += sightings_of(record, record.estimates, sightings)
         if len(self.waiting) >= BATCH:
             self._compute(camera)
 
@@ -166,11 +159,7 @@ class RunFigures:
         for sightings in record.associations:
             sums = self.cameras.setdefault(sightings.camera, CameraSums())
             sums.add(record, sightings, cameras[sightings.camera])
-        estimates, associated = record.filtered or (record.estimates, record.associations)
-        if estimates.extents is None:
-            for sightings in associated:
-                if is_of_event(record, sightings):
-                    self.errors.add(sightings_of(estimates, sightings), cameras)
+        self.errors.add(record, cameras)
 
     def add_estimates(self, estimates: Estimates, time_s: float) -> None:
         """Count what is reported at a time, s."""

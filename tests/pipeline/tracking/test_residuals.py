@@ -58,9 +58,7 @@ def test_tracks_that_are_too_sure_are_told(stated: float, lasts: bool, cause: st
     errors = TrackErrors()
     for track in range(4):
         noise = lasting(rng) if lasts else rng.normal(size=(COUNT, 2))
-        sightings = [one._replace(track_id=track) for one in filtered(stated, noise, rng)]
-        for first in range(0, COUNT, 100):
-            errors.add(iter(sightings[first : first + 100]), by_name)
+        errors.waiting += [one._replace(track_id=track) for one in filtered(stated, noise, rng)]
     summary = {"track_errors": errors.report(by_name)}
     (found,) = check_errors(summary, (), True)
     assert (found.status, found.cause) == ("ok" if cause is None else "warning", cause)

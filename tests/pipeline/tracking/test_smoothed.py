@@ -17,9 +17,8 @@ from stereophd.io.tables.reading import open_parquet
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import run_estimator
-from stereophd.pipeline.tracking.residuals import TrackErrors, sightings_of
+from stereophd.pipeline.tracking.residuals import TrackErrors
 from stereophd.pipeline.tracking.run import reported_records
-from stereophd.pipeline.tracking.run_figures import is_of_event
 from stereophd.pipeline.tracking.smoothed import _is_worse, _smoothed, _trajectories, claims_of_run
 from tests.commands.test_track import SCENE
 
@@ -94,9 +93,7 @@ def test_smoothing_leaves_what_successive_detections_say(log: Path) -> None:
         errors = TrackErrors()
         for record in reported_records(tracker, tracker.motion, stream, ReportConfig(smooth=smooth)):
             assert (record.filtered is None) == (smooth is None)
-            estimates, associated = record.filtered or (record.estimates, record.associations)
-            for one in associated:
-                errors.add(sightings_of(estimates, one) if is_of_event(record, one) else iter(()), by_name)
+            errors.add(record, by_name)
         found.append(errors.report(by_name))
     assert found[0]["same_camera"]["pairs"] > 20
     assert found[0] == found[1]
