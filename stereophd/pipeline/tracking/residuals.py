@@ -37,7 +37,7 @@ DERIVATIVE_STEP = 0.1
 MOST_SHARE = 0.7
 
 
-class Sighting(NamedTuple):
+class SeenTrack(NamedTuple):
     """A track and its detection."""
 
     camera: str
@@ -48,7 +48,7 @@ class Sighting(NamedTuple):
     pixels: Array  # (2,)
 
 
-def sightings_of(record: Record, estimates: Estimates, associated: Associated) -> Iterator[Sighting]:
+def sightings_of(record: Record, estimates: Estimates, associated: Associated) -> Iterator[SeenTrack]:
     """Yield the tracks that have probably made detections of the event of a record, with their estimates then."""
     if not record.is_event or (associated.time_s, associated.camera) != (record.time_s, record.camera):
         return  # earlier claims of a track that is new
@@ -57,7 +57,7 @@ def sightings_of(record: Record, estimates: Estimates, associated: Associated) -
     for row in np.flatnonzero(associated.probabilities > PROBABLE).tolist():
         if (track := place.get(ids[row])) is not None:
             state, covariance = estimates.states[track], estimates.covariances[track, :3, :3]
-            yield Sighting(associated.camera, ids[row], associated.time_s, state, covariance, associated.pixels[row])
+            yield SeenTrack(associated.camera, ids[row], associated.time_s, state, covariance, associated.pixels[row])
 
 
 def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> Array:
@@ -75,14 +75,14 @@ def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> 
 def are_usual(squares: Array, expected: Array, noise: float) -> Booleans:
     """Return whether each of these squares of residuals (n,) is that of none of the outliers, px^2.
 
-    Expected are those of `Residuals`; the noise is the variance of a detection, both axes together.
+    Expected are those of `TrackResiduals`; the noise is the variance of a detection, both axes together.
     """
     least = LEAST_EXPECTED * noise
     ratios, telling = squares / np.maximum(expected, least), expected >= least
     return np.asarray(ratios <= (OUTLIER**2 * np.median(ratios[telling]) if telling.any() else np.inf))
 
 
-class Residuals(NamedTuple):
+class TrackResiduals(NamedTuple):
     """Residuals of sightings of a camera, px."""
 
     residuals: Array  # (n, 2)
@@ -95,11 +95,11 @@ class Residuals(NamedTuple):
     usual: Booleans  # (n,): And no outliers
 
 
-def residuals_of(camera: Camera, sightings: Sequence[Sighting]) -> Residuals:
+def residuals_of(camera: Camera, sightings: Sequence[SeenTrack]) -> TrackResiduals:
     """Return the residuals of n sightings of a camera."""
     if not sightings:
         nothing = np.empty(0, dtype=np.bool_)
-        return Residuals(np.empty((0, 2)), np.empty((0, 2, 3)), np.empty(0), nothing, nothing)
+        return TrackResiduals(np.empty((0, 2)), np.empty((0, 2, 3)), np.empty(0), nothing, nothing)
     times, states, covariances, pixels = map(np.array, list(zip(*sightings, strict=True))[2:])
     found, variances = residuals_px(camera, times, states, pixels), np.asarray(camera.detector.sigma) ** 2
     steps = DERIVATIVE_STEP * np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2) / 3.0, 1e-24))
@@ -112,7 +112,7 @@ def residuals_of(camera: Camera, sightings: Sequence[Sighting]) -> Residuals:
     usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
     usual = usable.copy()
     usual[usable] = are_usual((found[usable] ** 2).sum(axis=1), expected[usable], float(variances.sum()))
-    return Residuals(found, jacobians, expected, usable, usual)
+    return TrackResiduals(found, jacobians, expected, usable, usual)
 
 
 @dataclass
@@ -146,7 +146,7 @@ class TrackErrors:
 
     same_camera: PairSums = field(default_factory=PairSums)
     other_camera: PairSums = field(default_factory=PairSums)
-    waiting: list[Sighting] = field(default_factory=list)
+    waiting: list[SeenTrack] = field(default_factory=list)
 
     def add(self, record: Record, cameras: Mapping[str, Camera]) -> None:
         """Take in the detections of a record's event, by estimates of the filter; none of bodies."""

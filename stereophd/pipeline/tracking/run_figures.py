@@ -20,7 +20,7 @@ from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.tracking.associations import Associated
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.residuals import BATCH, Sighting, TrackErrors, residuals_of, sightings_of
+from stereophd.pipeline.tracking.residuals import BATCH, SeenTrack, TrackErrors, residuals_of, sightings_of
 
 
 @dataclass
@@ -39,7 +39,7 @@ class CameraSums:
     squares: float = 0.0
     expected: float = 0.0
     of_points: bool = True
-    waiting: list[Sighting] = field(default_factory=list)  # Whose residuals are still to be computed
+    waiting: list[SeenTrack] = field(default_factory=list)  # Whose residuals are still to be computed
 
     def add(self, record: Record, sightings: Associated, camera: Camera) -> None:
         """Take in detections of this camera that tracks claim; those of the record's event have residuals."""

@@ -8,14 +8,14 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run_figures import check_errors
-from stereophd.pipeline.tracking.residuals import Sighting, TrackErrors, residuals_of
+from stereophd.pipeline.tracking.residuals import SeenTrack, TrackErrors, residuals_of
 from tests.scenes import build_camera
 
 CAMERAS = [build_camera("left", (-2.0, 0.0, -5.0)), build_camera("right", (2.0, 0.0, -5.0))]
 ACCELERATION, STEP_S, COUNT = 0.3, 0.02, 600
 
 
-def filtered(stated: float, errors: Array, rng: np.random.Generator) -> list[Sighting]:
+def filtered(stated: float, errors: Array, rng: np.random.Generator) -> list[SeenTrack]:
     """Track one object by a Kalman filter of this acceleration, from detections of one camera after the other."""
     true, tracked = (ConstantVelocity(value).transition(STEP_S) for value in (ACCELERATION, stated))
     truth = np.concatenate([rng.normal(0.0, 0.2, 3), np.zeros(3)])
@@ -25,7 +25,7 @@ def filtered(stated: float, errors: Array, rng: np.random.Generator) -> list[Sig
         truth = rng.multivariate_normal(*true.predict(truth, np.zeros((6, 6))), method="cholesky")
         pixels = camera.project(truth[None, :3])[0] + errors[k] * np.asarray(camera.detector.sigma)
         state, covariance = tracked.predict(state, covariance)
-        seen = Sighting(camera.name, 0, k * STEP_S, state, covariance[:3, :3], pixels)
+        seen = SeenTrack(camera.name, 0, k * STEP_S, state, covariance[:3, :3], pixels)
         found = residuals_of(camera, [seen])
         slopes = np.hstack([found.jacobians[0], np.zeros((2, 3))])
         spread = slopes @ covariance @ slopes.T + np.diag(np.asarray(camera.detector.sigma) ** 2)

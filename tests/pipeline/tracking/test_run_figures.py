@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.pipeline.tracking.residuals import Sighting, are_usual
+from stereophd.pipeline.tracking.residuals import SeenTrack, are_usual
 from stereophd.pipeline.tracking.run_figures import CameraSums, RunFigures
 from tests.scenes import build_camera
 
@@ -38,7 +38,7 @@ def test_the_share_that_is_left_out_is_reported() -> None:
     sums = CameraSums(frames=count, detections=count)
     pixels = camera.project_at(states[:, :3], np.zeros(count)) + errors
     sums.waiting = [
-        Sighting("left", 0, 0.0, *row, pixel)
+        SeenTrack("left", 0, 0.0, *row, pixel)
         for *row, pixel in zip(states, [1e-8 * np.eye(3)] * count, pixels, strict=True)
     ]
     report = sums.report(camera)
