@@ -7,6 +7,8 @@ from typing import Any, Literal
 Status = Literal["ok", "warning", "not checked"]
 # Cause of findings after which only a calibration makes tracks possible, and their remedy.
 DO_NOT_MEET = "rays_do_not_meet"
+ERRORS_LAST = "errors_last"
+LASTING_REMEDY = "look for what smooths the detections, state more noise (sigma_px), or refine the cameras (calibrate)"
 CHECK_CAMERAS = "check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses"
 
 

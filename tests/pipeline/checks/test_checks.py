@@ -43,7 +43,7 @@ from stereophd.pipeline.checks.run_figures import (
     check_noise,
     check_tracking,
 )
-from stereophd.pipeline.checks.settings import _motion, check_settings, measure_scene
+from stereophd.pipeline.checks.settings import check_settings, measure_scene
 from tests.scenes import build_camera
 
 DEPTHS = (3.0, 15.0)
@@ -202,15 +202,6 @@ def test_a_mistake_of_all_cameras_is_tried_where_it_can_concern_a_camera() -> No
     trial = _trial(Geometry(samples, (), (), ()), radians, (0, 1, 2))
     assert trial is not None
     assert trial.scope == (0, 1)
-
-
-@pytest.mark.parametrize(("squares", "is_known"), [([-1.0, -0.5, -0.2, 0.1], False), ([0.3, 0.5, 0.2, 0.4], True)])
-def test_an_acceleration_that_noise_hides_is_not_zero(
-    squares: list[float], is_known: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tracks = (np.empty(0), np.empty(0), np.array(squares))
-    monkeypatch.setattr("stereophd.pipeline.checks.settings._track_motion", lambda *_: tracks)
-    assert (_motion([], 5.0)[1] is not None) == is_known
 
 
 def test_a_clock_offset_is_measured() -> None:
