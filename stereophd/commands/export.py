@@ -30,7 +30,7 @@ def export(
     format has no use, and an existing target without `force`.
     """
     options = options or ExportOptions()
-    written = find(form)
+    written = find(form, ("write_tracks", "write_cameras"))
     path, target = Path(source), Path(out)
     what, path = _find_source(written, form, path)
     if what == "cameras" and (stated := list(options.plain())):

@@ -66,7 +66,7 @@ def import_recording(
     it, and an unusable output folder.
     """
     options = options or ImportOptions()
-    find(form, readable=True)  # an unknown format is named before a missing source
+    find(form, ("read",))  # an unknown format is named before a missing source
     paths = [Path(source) for source in sources]
     for path in filter(None, (*paths, options.truth)):
         if not path.exists():
@@ -207,8 +207,8 @@ def _check(
             )
         if summary.has_whole_times and rates[name] is None and 0.0 < (summary.rate_hz or 0.0) <= 1.0:
             warn(
-                f"camera {name}: times are whole numbers of seconds: if they number the frames, read them as `columns` "
-                "frame=COLUMN, and state `rates`"
+                f"camera {name}: times are whole numbers of seconds: if they are of another unit, state it, such as "
+                "`time_unit` ms; if they number the frames, read them as `columns` frame=COLUMN, and state `rates`"
             )
     spans = {name: (one.first_s or 0.0, one.last_s or 0.0) for name, one in summaries.items()}
     if spans and not recording.cameras and max(spans.values())[0] > min(last for _, last in spans.values()):

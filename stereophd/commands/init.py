@@ -57,7 +57,7 @@ def init(
         loaded, alone = loaded_draft(draft, str(target)), draft.is_unplaced
         checked = check_log_alone(loaded, log_path) if alone else check_log(loaded, log_path, thorough=False)
         # a mistake by which the values are chosen is named once, one in the log of all cameras
-        named = {found.name for found in draft.findings} & {"geometry.cause"}
+        named = {found.name for found in draft.findings} & {"geometry.cause", "geometry.boxes"}
         before = (found for found in draft.findings if found.name in named or not is_mistake(found))
         draft = replace(draft, findings=(*before, *(one for one in checked if one.name not in named)))
     sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]

@@ -26,6 +26,7 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.run_figures import (
     check_detections,
+    check_errors,
     check_estimated_detectors,
     check_knocks,
     check_losses,
@@ -159,6 +160,8 @@ class _Outputs:
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))
         findings += tuple(check_detections(summary, tracking.cameras))
+        of_many = tracking.motion.moves and not isinstance(tracking.estimator, SingleTracker)
+        findings += tuple(check_errors(summary, findings, of_many and self.motion is None))
         since = functools.partial(check_log, loaded, self.stream.source, False, tracking.cameras)
         findings += tuple(check_knocks(summary, findings, since))
         if not tracking.boxes:

@@ -218,7 +218,8 @@ def _tracks(
         *(() if each else ("detections", "cameras")), f"speed [{unit}/s]", f"position std, 3-D [{unit}]", "existence",
     )  # fmt: skip
     hidden = len(tracks) - len(chosen)
-    notes = (*((f"... and {hidden} shorter tracks",) if hidden else ()), *_camera_error(tracking, described, unit))
+    shorter = [f"... and {counted(hidden, 'shorter track')}"] * bool(hidden)
+    notes = (*shorter, *_camera_error(tracking, described, unit))
     return SummaryTable(f"Tracks ({len(tracks)})", header, tuple(rows), notes)
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from itertools import combinations
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -24,6 +26,7 @@ from stereophd.core.multi.state.estimates import Estimates
 from stereophd.errors import InputError
 from stereophd.io.streams.rows import ArrowRows, document_of
 from stereophd.pipeline.initial.bodies import measure_bodies, refine_bodies
+from stereophd.pipeline.initial.draft import _strangers
 from stereophd.pipeline.stream import open_stream
 from stereophd.pipeline.tracking.run import build_tracking
 
@@ -184,9 +187,28 @@ def test_a_camera_whose_boxes_do_not_agree_is_named(log: Path, tmp_path: Path, r
     (tmp_path / "cameras.yaml").write_text(yaml.safe_dump(described))
     report = init(tmp_path / "out", tmp_path / "detections.parquet")
     assert {one["camera"] for one in report["checks"] if one["cause"] == "boxes_disagree"} == named
-    assert not report["must_be_calibrated"]
+    assert (report["must_be_calibrated"], report["must_be_corrected"]) == (False, bool(named))
+    assert all(one["source"] for one in report["detectors"].values())
     for detector in report["detectors"].values():
         np.testing.assert_allclose(detector["box_noise"] or BOX_NOISE, BOX_NOISE, rtol=0.3)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "of", "named"),
+    [("abcd", "abcd", "abcd"), ("b", "abcd", "b"), ("bd", "abcd", "bd"), ("b", "ab", "ab"), ("", "abc", "")],
+)
+def test_cameras_beside_a_wrong_one_are_not_called_wrong(
+    monkeypatch: pytest.MonkeyPatch, wrong: str, of: str, named: str
+) -> None:
+    """By a likelihood that right cameras raise together, and a wrong one lowers with each beside it."""
+
+    def likelihood(_loaded: object, _parts: object, group: list[int]) -> float:
+        pairs = combinations([of[k] for k in group], 2)
+        return float(sum(50.0 if not {*pair} & {*wrong} else -100.0 for pair in pairs))
+
+    monkeypatch.setattr("stereophd.pipeline.initial.draft._log_likelihood", likelihood)
+    loaded = SimpleNamespace(cameras=dict.fromkeys(of))
+    assert [found.camera for found in _strangers(loaded, [])] == [*named]  # type: ignore[arg-type]
 
 
 @pytest.mark.usefixtures("without_checks")

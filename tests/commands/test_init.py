@@ -284,6 +284,19 @@ def test_an_acceleration_is_not_estimated_elsewhere(scene: Path, tmp_path: Path)
         single.config.motion.build()
 
 
+def test_one_agile_object_among_many_at_rest_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Below the acceleration of the agile one its tracks are lost, and the likelihood rises with those at rest."""
+
+    def likelihoods(loaded: Any, parts: Any) -> np.ndarray[Any, Any]:
+        value = loaded.config.motion.acceleration_std
+        return np.full(100, 0.1 * max(-np.log(value / 0.3), 20.0 - 20.0 * np.log(value / 2.0) ** 2))
+
+    monkeypatch.setattr(acceleration, "log_likelihoods", likelihoods)
+    loaded = load_config(ROOT / "configs" / "quickstart.yaml")
+    found = acceleration.estimate_acceleration(loaded, [[]], 0.03)
+    assert found.value == pytest.approx(2.0, rel=0.8)
+
+
 def test_windows_bound_the_acceleration_from_below() -> None:
     # 400 events, of which the last 25 hold a manoeuvre that the smaller values miss
     quiet = {0.1: 0.0, 0.3: -0.2, 1.0: -1.0}

@@ -194,7 +194,7 @@ def framed_detections(
     covariances, areas, delays and travels as in an `Event`; a row of NaN points where a detection cannot be used.
     """
     points, covariances, areas = undistorted_detections(camera, pixels, std)
-    delays = camera.row_delays(pixels[:, 1])
+    delays = camera.row_delays(pixels[:, 1]) if camera.readout_s else None
     if delays is None or camera.pose.is_static:
         return points, covariances, areas, delays, None
     points, covariances, areas = turned_to_frame(camera, times, delays, points, covariances, areas)

@@ -125,9 +125,9 @@ class Camera:
         """Return the camera with another noise of its detector, (2,) or one along both axes, px."""
         return replace(self, detector=replace(self.detector, sigma=np.broadcast_to(sigma_px, 2)))
 
-    def row_delays(self, rows: Array) -> Array | None:
-        """Return when rows (n,) of the distorted image are read, s after the frame's time; None without readout."""
-        return None if self.readout_s == 0.0 else self.readout_s / self.height * rows
+    def row_delays(self, rows: Array) -> Array:
+        """Return when rows (...,) of the distorted image are read, s after the frame's time; 0 without readout."""
+        return self.readout_s / self.height * rows
 
     @property
     def readout_span(self) -> tuple[float, float]:

@@ -80,8 +80,6 @@ def _frame_numbers(path: Path, images: Sequence[Annotation], recording: ForeignR
 def _detections(annotation: Annotation, options: ImportOptions) -> Iterator[tuple[float, ...]]:
     """Yield (u, v, score, object, shift, width, height) of an annotation; NaN where there is no box."""
     score = float(annotation.get("score", np.nan))
-    if options.least_score is not None and score < options.least_score:
-        return
     identity = annotation.get("track_id", annotation.get("instance_id"))
     number = np.nan if identity is None else float(identity)
     if annotation.get("bbox"):

@@ -137,15 +137,10 @@ def _split(
         names = encoded.dictionary.to_pylist()
     else:
         codes, names = np.zeros(len(batch), dtype=int), [path.stem]
-    keep = np.ones(len(batch), dtype=bool)
-    if "score" in values and options.least_score is not None:
-        keep = ~(values["score"] < options.least_score)
     for code, name in enumerate(names):
         mine = {key: column[codes == code] for key, column in values.items()}
         camera = options.name(name.strip())
         pixels = np.stack([mine["u_px"], mine["v_px"]], axis=1)
-        # a frame stays although its detections are left out
-        pixels = np.where(keep[codes == code, None], pixels, np.nan)
         where = f"{path}: column {columns.get('time_s')}"
         time = in_seconds(mine["time_s"], options, where) if "time_s" in mine else None
         extra = {key: mine[key] for key in EXTRA_COLUMNS if key in mine}
@@ -162,21 +157,13 @@ def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str
     from stereophd.io.interchange.tracks import batches, optional_columns
 
     upper = [(i, j) for i in range(6) for j in range(i, 6)]
-    names = [
-        "time_s",
-        "camera",
-        "frame",
-        "track_id",
-        *AXES,
-        *(f"cov_{AXES[i]}_{AXES[j]}" for i, j in upper),
-        "existence",
-        *(more := optional_columns(tracks)),
-    ]
+    plain, more = ("time_s", "camera", "frame", "track_id", *AXES), optional_columns(tracks)
+    names = [*plain, *(f"cov_{AXES[i]}_{AXES[j]}" for i, j in upper), "existence", *more]
     with open(target, "w", encoding="utf-8", newline="\n") as stream:
         table = csv.writer(stream, lineterminator="\n")
         table.writerow(names)
         for rows in batches(tracks, options):
-            columns = [rows[name] for name in ("time_s", "camera", "frame", "track_id", *AXES)]
+            columns = [rows[name] for name in plain]
             columns += [rows["covariance"][:, 6 * i + j] for i, j in upper]
             columns += [rows[name] for name in ("existence", *more)]
             cells = [map(_inert, c.tolist()) if c.dtype == object else c.tolist() for c in columns]

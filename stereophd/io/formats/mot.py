@@ -80,26 +80,20 @@ def _pieces(files: dict[str, Path], options: ImportOptions, recording: ForeignRe
             raise InputError(f"{path}: expected rows of {', '.join(COLUMNS)}, found {len(words)} columns")
         names = [*COLUMNS, *(f"more_{k}" for k in range(len(words) - len(COLUMNS)))][: len(words)]
         for row in number_batches(path, separator, names[: len(COLUMNS)], str(path), names):
-            keep = np.ones(len(row["frame"]), dtype=bool)
-            if options.least_score is not None and "score" in row:
-                keep = ~(row["score"] < options.least_score)
-            yield _piece(camera, row, keep, options, recording)
+            yield _piece(camera, row, options, recording)
 
 
-def _piece(
-    camera: str, row: dict[str, Array], keep: Array, options: ImportOptions, recording: ForeignRecording
-) -> Piece:
+def _piece(camera: str, row: dict[str, Array], options: ImportOptions, recording: ForeignRecording) -> Piece:
     # a box covers the pixels left ... left + width - 1, all counted from 1
     u = row["left"] + (row["width"] - 1.0) / 2
     down = row["height"] - 1.0
     v = row["top"] + (down if options.box_point == "bottom" else down / 2)
-    pixels = np.where(keep[:, None], np.stack([u, v], axis=1), np.nan)
     extra = {"object_id": np.where(row["id"] >= 0, row["id"], np.nan)}
     if options.box_point == "center":
         extra |= {"width_px": row["width"], "height_px": row["height"]}
     if "score" in row:
         extra["score"] = row["score"]
-    native = native_pixels(pixels, camera, options, recording, origin="one")
+    native = native_pixels(np.stack([u, v], axis=1), camera, options, recording, origin="one")
     return Piece(camera, native, row["frame"], extra=extra)
 
 

@@ -4,7 +4,7 @@ Quantities are found by their usual names, in any case: the camera matrix (``K``
 lens coefficients (``D``, ``dist``, ``distortion_coefficients``), and the pose by ``rvec`` and ``tvec`` or by ``R``
 and ``T``. A camera is a mapping of its name, a part of the names (``K1``, ``left_K``, ``K_left``), or a file of its
 own, named as the file. Where two cameras are there and one R, T without a name, as ``stereoCalibrate`` returns them,
-the first camera is at the origin and R, T map its axes to those of the second.
+the first camera is at the origin and R, T map its axes to those of the second. Without any pose all are unknown.
 
 Conventions: pixels and camera axes are the native ones. ``x_camera = R x_world + T``, so the centre is ``-R^T T``.
 Coefficients: k1, k2, p1, p2, k3, k4, k5, k6; four of a fisheye where ``fisheye_model`` (or a similar key) is set.
@@ -70,7 +70,8 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
         _place_pair(cameras, pair, where, recording)
     stated = pair.get("unit") if options.length_unit is None else None
     recording.length_unit = str(stated) if stated else unit(options, recording, where)
-    recording.assumed.append("poses map the world to the camera: x_camera = R x_world + T")
+    if any("rotation" in values for values in cameras.values()):
+        recording.assumed.append("poses map the world to the camera: x_camera = R x_world + T")
     for name, values in cameras.items():
         native = options.name(name)
         recording.cameras[native] = _camera(native, {**_shared(pair), **values}, options, where, recording)
@@ -147,13 +148,14 @@ def _quantity(key: str) -> tuple[str | None, str]:
 def _camera(
     name: str, values: Mapping[str, Any], options: ImportOptions, where: str, recording: ForeignRecording
 ) -> CameraConfig:
-    if "rotation" not in values or "translation" not in values:
-        kind = "intrinsics only"
-        if "views" in values:
-            kind = (
-                "rvecs and tvecs, which are poses of a calibration board in several images, not of cameras in one world"
-            )
-        raise InputError(f"{where}: {name}: expected a pose (rvec and tvec, or R and T), found {kind}")
+    posed = {"rotation", "translation"} & values.keys()
+    if len(posed) == 1:
+        raise InputError(f"{where}: {name}: expected a pose (rvec and tvec, or R and T), found its {posed.pop()} alone")
+    more = {} if posed else {"pose": "unknown"}
+    if not posed:
+        values = {**values, "rotation": np.eye(3), "translation": np.zeros(3)}
+        board = ": rvecs and tvecs are poses of a board in several images" if "views" in values else ""
+        recording.assumed.append(f"{name}: its pose is unknown: {where} has no rvec and tvec, or R and T, of it{board}")
     matrix = _array(values["matrix"], (3, 3), f"{where}: {name}: camera matrix")
     if matrix[0, 1] != 0.0:
         raise InputError(f"{where}: {name}: expected a camera matrix without skew, found K[0, 1] = {matrix[0, 1]:g}")
@@ -163,7 +165,7 @@ def _camera(
     fisheye = str(values.get("fisheye", 0)).strip().lower() in ("1", "1.0", "true")
     size = image_size(name, _size(values), options, where)
     parts = Parts(matrix, coefficients, fisheye, rotation, -rotation.T @ translation, size)
-    return put_together(name, parts, options, where)
+    return put_together(name, parts, options, where, **more)
 
 
 def _rotation(value: Any, where: str) -> np.ndarray[Any, np.dtype[np.float64]]:

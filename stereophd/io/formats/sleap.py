@@ -67,7 +67,7 @@ def _file_pieces(file: Any, camera: str, options: ImportOptions, recording: Fore
             who = labels[k // nodes] if k // nodes < len(labels) else f"track{k // nodes}"
             recording.labels[k] = f"{who}.{names[k % nodes]}"
         flat = native_pixels(points.reshape(-1, 2), camera, options, recording)
-        yield point_rows(camera, frames.astype(np.float64), flat.reshape(points.shape), scores, options.least_score)
+        yield point_rows(camera, frames.astype(np.float64), flat.reshape(points.shape), scores)
 
 
 def _in_order(values: Any, axes: tuple[str, ...], frames: Integers) -> Array:

@@ -73,8 +73,6 @@ def _pieces(files: dict[str, dict[int, Path]], options: ImportOptions, recording
                 if table is None or not 5 <= table.shape[1] <= len(COLUMNS):
                     raise InputError(f"{path}: expected rows of numbers: {', '.join(COLUMNS)}; found others")
                 rows = np.pad(table, ((0, 0), (0, len(COLUMNS) - table.shape[1])), constant_values=np.nan)
-            if options.least_score is not None:
-                rows[rows[:, 5] < options.least_score] = np.nan
             middle, extent = rows[:, 1:3] * size, rows[:, 3:5] * size
             extra = {"score": rows[:, 5], "object_id": rows[:, 6]}
             if options.box_point == "bottom":

@@ -8,7 +8,7 @@ at a time.
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -44,6 +44,7 @@ class Spool:
     in_order: bool = True
     has_frames: bool = True
     has_whole_times: bool = True
+    has_times: bool = False
     extra: set[str] = field(default_factory=set)  # Extra columns that have a value in some row
 
     def discard(self) -> None:
@@ -52,8 +53,8 @@ class Spool:
         self.path.unlink(missing_ok=True)
 
 
-def spool_pieces(recording: ForeignRecording, folder: Path) -> dict[str, Spool]:
-    """Append every piece to the temporary file of its camera."""
+def spool_pieces(recording: ForeignRecording, folder: Path, options: ImportOptions) -> dict[str, Spool]:
+    """Append every piece to the temporary file of its camera, with gaps for detections of a score that is too low."""
     spools: dict[str, Spool] = {}
     for piece in recording.pieces or ():
         if not len(piece.pixels):
@@ -62,6 +63,10 @@ def spool_pieces(recording: ForeignRecording, folder: Path) -> dict[str, Spool]:
         if spool is None:
             path = folder / f"camera-{len(spools)}.rows"
             spool = spools[piece.camera] = Spool(path, open(path, "w+b"))  # noqa: SIM115 (closed by discard)
+        if "score" in piece.extra and options.least_score is not None:
+            is_low = piece.extra["score"] < options.least_score
+            gaps = {name: np.where(is_low, np.nan, values) for name, values in piece.extra.items()}
+            piece = replace(piece, pixels=np.where(is_low[:, None], np.nan, piece.pixels), extra=gaps)
         _append(spool, piece)
     return spools
 
@@ -73,8 +78,7 @@ def _append(spool: Spool, piece: Piece) -> None:
         rows[:, FRAME] = piece.frame
     if piece.time_s is not None:
         rows[:, TIME] = piece.time_s
-    is_empty = np.isnan(piece.pixels[:, 0]) | np.isnan(piece.pixels[:, 1])
-    rows[:, U : V + 1] = np.where(is_empty[:, None], np.nan, piece.pixels)
+    rows[:, U : V + 1] = piece.pixels
     if np.isinf(rows[:, U : V + 1]).any():
         raise InputError(f"camera {piece.camera}: expected finite pixels, found infinity")
     for name, values in piece.extra.items():
@@ -85,11 +89,15 @@ def _append(spool: Spool, piece: Piece) -> None:
     if (np.abs(identities[~np.isnan(identities)]) > MAX_FRAME).any():
         raise InputError(f"camera {piece.camera}: expected whole identities of objects, found one beyond 2^53")
     spool.has_frames &= piece.frame is not None
+    spool.has_times |= bool(np.isfinite(rows[:, TIME]).any())
     spool.has_whole_times &= bool((rows[:, TIME] % 1.0 == 0.0).all())
-    key: Array = rows[:, FRAME] if spool.has_frames else rows[:, TIME]
+    what, at = ("frame number", FRAME) if spool.has_frames else ("time", TIME)
+    key: Array = rows[:, at]
     if not np.isfinite(key).all():
-        what = "frame numbers" if spool.has_frames else "times"
-        raise InputError(f"camera {piece.camera}: expected {what}, found a row without one")
+        raise InputError(f"camera {piece.camera}: expected {what}s, found a row without one")
+    if len(half := np.flatnonzero(np.isnan(piece.pixels).sum(axis=1) == 1)):
+        where = f"camera {piece.camera}, {what} {key[half[0]]:.12g}"
+        raise InputError(f"{where}: expected u and v, or neither in a frame without detections, found one of them")
     broken = key[(key % 1.0 != 0.0) | (np.abs(key) > MAX_FRAME)]
     if spool.has_frames and len(broken):
         raise InputError(f"camera {piece.camera}: expected whole frame numbers, found {broken[0]:g}")
@@ -157,7 +165,7 @@ def write_native_log(
     recording's cameras). Raises InputError for no detections, a camera with neither times nor a rate, or frame numbers
     that cannot be.
     """
-    spools = spool_pieces(recording, folder)
+    spools = spool_pieces(recording, folder, options)
     try:
         if not spools:
             raise InputError(f"{next(iter(recording.files), 'the source')}: expected detections, found none")
@@ -191,6 +199,8 @@ class _Camera:
             raise InputError(f"rate of camera {name}: expected frames per second > 0, found {self._rate:g}")
         self._is_rate_stated, self._is_timed_by_rate = stated is not None, False
         self._untimed = recording.untimed
+        if spool.has_times and stated is not None:
+            recording.assumed.append(f"{name}: times are by `rates`: those of the source are not used")
         self._first_frame, self._offset = recording.first_frame, options.offsets.get(name) or 0.0
         self._range = options.frames.get(name) or recording.frames.get(name)
         if self._range is not None and self._range[1] - self._range[0] > MOST_FRAMES:
@@ -296,9 +306,10 @@ class _Camera:
             rows[:, TIME] = self._by_rate(rows[:, FRAME], self._rate)
             return rows
         if not has_times:
+            untimed = rows[~np.isfinite(rows[:, TIME]), FRAME]
+            found = f"frame {untimed[0]:.0f} without a time" if self._spool.has_times else "frame numbers only"
             raise InputError(
-                f"camera {self._name}: expected times or `rates` (frames per second), found frame numbers only"
-                f"{self._untimed}"
+                f"camera {self._name}: expected times or `rates` (frames per second), found {found}{self._untimed}"
             )
         _, starts, index = np.unique(rows[:, FRAME], return_index=True, return_inverse=True)
         rows[:, TIME] = rows[starts[index], TIME] + self._offset

@@ -30,15 +30,13 @@ def native_pixels(
     return result
 
 
-def point_rows(camera: str, frames: Array, points: Array, scores: Array | None, least: float | None) -> Piece:
+def point_rows(camera: str, frames: Array, points: Array, scores: Array | None) -> Piece:
     """Return the detections of a camera; a frame without any is one row of NaN.
 
     Frame numbers are (n,), native pixels (n, points, 2), NaN where a point is not seen, scores (n, points). The number
-    of a point is its ``object_id``. Points of a smaller score than `least` are not seen.
+    of a point is its ``object_id``.
     """
     is_seen = np.isfinite(points[:, :, 0]) & np.isfinite(points[:, :, 1])
-    if scores is not None and least is not None:
-        is_seen &= ~(scores < least)
     frame_index, point_index = np.nonzero(is_seen)
     empty = np.flatnonzero(~is_seen.any(axis=1))
     number = np.concatenate([frames[frame_index], frames[empty]])

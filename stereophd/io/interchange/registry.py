@@ -28,17 +28,18 @@ def names() -> list[str]:
     return list(module_names(PACKAGE))
 
 
-def find(name: str, readable: bool = False) -> Format:
-    """Return a format by its name.
+def find(name: str, able: Sequence[str] = ()) -> Format:
+    """Return a format by its name: one that is `able`, by one of these fields (``read``, ``write_tracks``, ...).
 
-    Raises InputError when there is none; it lists all formats, or only those that can be read.
+    Raises InputError when there is none, and lists those that are.
     """
     known = names()
-    if name not in known:
-        known = [word for word in known if find(word).read is not None] if readable else known
-        raise InputError(f"format: expected one of {', '.join(known)}, found {name}{did_you_mean(name.lower(), known)}")
-    form: Format = import_member(PACKAGE, name).FORMAT
-    return form
+    if name in known:
+        form: Format = import_member(PACKAGE, name).FORMAT
+        if not able or any(getattr(form, key) is not None for key in able):
+            return form
+    known = [word for word in known if not able or any(getattr(find(word), key) is not None for key in able)]
+    raise InputError(f"format: expected one of {', '.join(known)}, found {name}{did_you_mean(name.lower(), known)}")
 
 
 def description(name: str) -> str:
@@ -64,10 +65,9 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
     Raises InputError for no such format, one for export only, or files that are not of it (also while the pieces are
     consumed).
     """
-    found = find(form, readable=True)
+    found = find(form, ("read",))
     read = found.read
-    if read is None:
-        raise InputError(f"format {form}: expected a format that can be imported, found one for export only")
+    assert read is not None
     for source in sources:
         if kind_of_file(source) != PARQUET:
             continue
@@ -88,11 +88,11 @@ def _doubt_metres(recording: ForeignRecording) -> None:
     """Add a warning where metres are assumed, and cameras would be far from each other."""
     known = [camera.build(name) for name, camera in recording.cameras.items() if not camera.pose.unknown]
     centers = np.array([camera.pose.center for camera in known]).reshape(-1, 3)
-    farthest = np.linalg.norm(centers[:, None] - centers, axis=2).max(initial=0.0)
-    if farthest > MOST_METRES:
+    apart = np.linalg.norm(centers[:, None] - centers, axis=2)[np.triu_indices(len(centers), 1)]
+    if apart.max(initial=0.0) > MOST_METRES:
         recording.warnings.append(
-            f"cameras are {farthest:.4g} m apart, as metres are assumed: if the board of the calibration was in mm, "
-            "state `length_unit` mm"
+            f"cameras are {apart.max():.4g} m apart, the nearest {apart.min():.4g} m, as metres are assumed: if the "
+            "board of the calibration was in mm, state `length_unit` mm; if only some centres are, correct the file"
         )
 
 

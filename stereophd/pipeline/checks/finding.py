@@ -7,6 +7,8 @@ from typing import Any, Literal
 Status = Literal["ok", "warning", "not checked"]
 # Cause of findings after which only a calibration makes tracks possible, and their remedy.
 DO_NOT_MEET = "rays_do_not_meet"
+ERRORS_LAST = "errors_last"
+LASTING_REMEDY = "look for what smooths the detections, state more noise (sigma_px), or refine the cameras (calibrate)"
 CHECK_CAMERAS = "check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses"
 
 
@@ -42,7 +44,7 @@ def is_mistake(found: Finding) -> bool:
     """
     if found.name == "log.frame_rate":
         return found.status == "warning" and found.cause != "frame_rate"
-    names_one = found.name == "geometry.cause" or found.cause == "pixels_normalised"
+    names_one = found.name in ("geometry.cause", "geometry.boxes") or found.cause == "pixels_normalised"
     return names_one and found.status == "warning" and found.cause != DO_NOT_MEET
 
 

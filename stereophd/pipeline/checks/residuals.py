@@ -21,7 +21,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import rotation_from_vector
-from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding
+from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, ERRORS_LAST, LASTING_REMEDY, Finding
 from stereophd.pipeline.checks.geometry.alternatives import posed
 from stereophd.pipeline.checks.geometry.causes import clock_change, shift_remedy
 from stereophd.pipeline.checks.geometry.findings import CHANCE_SCORE
@@ -41,12 +41,10 @@ ALIKE = 2.0
 # track averages several, and so many errors of white noise, for so many pairs of tracks; a cause must leave less than
 # this share of what lasts. Beyond the whole variance of a detection cameras do not agree.
 LASTING, LASTING_ERRORS, LEAST_TRACKS, MOST_LEFT = 0.1, 4.0, 8, 0.25
-ERRORS_LAST = "errors_last"
 # Steps of numerical derivatives: s, and of the numbers that change a camera, those of lenses as large as of wide ones.
 STEP_S, STEPS = 1e-5, (1e-5, 1e-5, 1e-5, 1e-5, -0.2, -1.0)
 PRIORS = "let calibrate estimate it (calibration.priors.NAME"
 ESTIMATE_LENS, ESTIMATE_READOUT = f"{PRIORS}.distortion_std: {{k1: 0.1}})", f"{PRIORS}.readout_std_s)"
-LASTING_REMEDY = "look for what smooths the detections, state more noise (sigma_px), or refine the cameras (calibrate)"
 REFINE = "let calibrate refine the poses, starting from these cameras"
 
 
@@ -219,6 +217,11 @@ def _named(
         return " or ".join(samples[camera].camera.name for camera in cameras) or "all cameras"
 
     others = [fit for fit in alike if not set(cause.numbers) <= set(fit.cause.numbers)]
+    camera = name if best.camera is not None and len({fit.camera for fit in (*same, *others)}) == 1 else None
+    if camera is not None:
+        remedy = remedy.replace("NAME", camera)
+        if cause is LENS_MISSING:
+            change = f"cameras.{camera}.distortion={{model: radial, k1: {best.value:.3g}}}"
     what = " or ".join(dict.fromkeys(fit.cause.what for fit in others))
     instead = f"; the {what} of {names(others)} would explain as much" if others else ""
     # what all cameras have alike is one number, and no shift
@@ -230,8 +233,7 @@ def _named(
         f"{names(same)}: the distances of rays from those of other cameras {text} (this explains "
         f"{percent(best.share)} of their squares{instead}); tracks are less certain than they state",
         round(shift if cause.numbers[0] in TURNS else best.value, 5), 0.0,
-        names(same) if best.camera is not None and len({fit.camera for fit in (*same, *others)}) == 1 else None, remedy,
-        cause.name, change,
+        camera, remedy, cause.name, change,
     )  # fmt: skip
 
 

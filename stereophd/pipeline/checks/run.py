@@ -9,12 +9,12 @@ import numpy as np
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
-from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake, is_overstated, warnings_of
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, ERRORS_LAST, Finding, is_mistake, is_overstated, warnings_of
 from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import MOST_FRAMES, CameraSample, sample_log
-from stereophd.pipeline.checks.residuals import ERRORS_LAST, check_residuals
+from stereophd.pipeline.checks.residuals import check_residuals
 from stereophd.pipeline.checks.run_figures import check_rows
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
 from stereophd.pipeline.stream import covered
@@ -81,7 +81,7 @@ def check_log(
     if warnings_of(tuple(rays)):
         # more noise than about one-camera tracks may be what keeps these rays together: less would only part them
         findings = [one for one in findings if not is_overstated(one)]
-    # speeds and accelerations follow from the times
+    # speeds follow from the times
     if not {"geometry.cause", "log.frame_rate"} & {found.name for found in warnings_of((*findings, *rays))}:
         rays += check_settings(config, measure_scene(geometry), samples, whole)
     return (*findings, *rays)

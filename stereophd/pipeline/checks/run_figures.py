@@ -8,7 +8,7 @@ import numpy as np
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.checks import REMEDIES, bad_rows
-from stereophd.pipeline.checks.finding import Finding, is_overstated, warnings_of
+from stereophd.pipeline.checks.finding import ERRORS_LAST, LASTING_REMEDY, Finding, is_overstated, warnings_of
 from stereophd.wording import instant, percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
@@ -18,10 +18,14 @@ RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
 # Share of the residuals from which it matters that these are left out as outliers.
 MOST_OUTLIERS = 0.1
 # Checks before the run whose warnings look like a knock, and causes among them that a knock looks like.
-LIKE_KNOCKS = ("detector.sigma", "geometry.cause", "geometry.residuals")
+LIKE_KNOCKS = ("detector.sigma", "geometry.cause", "geometry.residuals", "tracking.errors")
 OF_KNOCKS = ("pose_inaccurate", "detections_shifted", "errors_last")
 # Share of the rays that met before a knock which must meet again with another clock, to call it a jump of times.
 MET_AGAIN = 0.7
+# Squares of errors of tracks beyond those that they state, over these, and their standard errors, from which tracks are
+# too sure; and what detections of one camera after another show over what those of the same camera do, below which the
+# cameras contradict each other.
+TOO_SURE, TOO_SURE_ERRORS, CONTRADICT = 0.25, 4.0, -0.75
 # Frames of a camera from which unexplained detections are judged: against this many times the stated clutter, so many
 # standard errors, and this share of all detections, which tracks need to begin and to end.
 LEAST_FRAMES, CLUTTER_FACTOR, CLUTTER_ERRORS, LEAST_UNEXPLAINED = 30, 2.0, 4.0, 0.3
@@ -98,6 +102,39 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
                 f"set cameras.{name}.detector.clutter_per_frame near {unexplained:.2g} if they are false; else look at "
                 "the births and at the other cameras", "unexplained_detections",
             )  # fmt: skip
+
+
+def check_errors(summary: Mapping[str, Any], before: tuple[Finding, ...], can_estimate: bool) -> Iterator[Finding]:
+    """Yield a finding on ``track_errors`` of the figures of a run: do tracks err by more than they state?
+
+    Tracks that lag behind their objects leave residuals that agree from frame to frame and between cameras. Where the
+    detections of one camera agree against those of the others, these last, as the checks `before` the run may have
+    found. `can_estimate` says whether `track` can estimate the acceleration, and has not.
+    """
+    same, other = ((one["excess"] or 0.0, one["standard_errors"] or 0.0) for one in (
+        summary["track_errors"]["same_camera"], summary["track_errors"]["other_camera"]
+    ))  # fmt: skip
+    shown = [excess for excess, errors in (same, other) if excess > TOO_SURE and errors > TOO_SURE_ERRORS]
+    text = "successive residuals show no errors of tracks beyond those that they state"
+    if not shown:
+        yield Finding("tracking.errors", "ok", text, round(max(same[0], other[0]), 3), 0.0)
+        return
+    text = f"tracks err by about {np.sqrt(1.0 + max(shown)):.2g} times what they state: "
+    doubts = [one.name for one in warnings_of(before) if one.name in LIKE_KNOCKS and not is_overstated(one)]
+    if doubts:
+        yield Finding("tracking.errors", "not checked", f"{text}mend what {doubts[0]} warns of first")
+        return
+    cause, change, remedy = ERRORS_LAST, None, LASTING_REMEDY
+    if other[0] < CONTRADICT * same[0]:
+        text += "residuals of a camera agree from frame to frame, against those of the others: errors of detections "
+        text += "last, or a clock or lens is off"
+    else:
+        text += "successive residuals agree, as of objects that turn, stop or sway more than the motion model lets them"
+        cause, remedy = "acceleration_std", "state a larger motion.acceleration_std, or more noise (sigma_px)"
+        if can_estimate:
+            remedy = "let track estimate it (motion.acceleration_std: estimate), or state a larger one"
+            change = "motion.acceleration_std=estimate"
+    yield Finding("tracking.errors", "warning", text, round(max(shown), 3), 0.0, None, remedy, cause, change)
 
 
 def check_knocks(

@@ -1,4 +1,4 @@
-"""Checks of the filter's settings against the objects that the log shows: depths, speeds, acceleration, region.
+"""Checks of the filter's settings against the objects that the log shows: depths, speeds, region.
 
 Depths come from rays that meet, less what chance gives at other times and places. Speeds come from one-camera tracks at
 these depths: across the line of sight, over whole tracks, less what the noise of the detections gives.
@@ -24,16 +24,15 @@ LEAST_SCORE = 6.0
 # Share of the depths that the region must cover, and the births, be it those of this first share of the time alone:
 # objects move away from where they appear.
 LEAST_COVERED, LEAST_BORN, BEGINNING = 0.6, 0.25, 0.25
-# Factors between stated and measured spread of the speed, and of the acceleration, that are reported.
-SLOWER, FASTER, ACCELERATION_FACTOR, TOO_MUCH = 6.0, 30.0, 20.0, 60.0
+# Factors between stated and measured spread of the speed that are reported; and the most that the acceleration may
+# change speeds by in a second, over their spread. Too small a one shows in the tracks.
+SLOWER, FASTER, TOO_MUCH = 6.0, 30.0, 20.0
 # Share of the detections that one-camera tracks must hold before settings are called too large.
 LEAST_HELD = 0.6
 # Tracks that a speed is estimated from, at least.
 LEAST_TRACKS = 4
 # Speed of sound, m/s: what cameras follow is slower, but for bullets and meteors, and thousands of it are a wrong unit.
 FASTEST = 340.0
-# Frames of a track from which an acceleration is estimated.
-ACCELERATION_LENGTH = 12
 
 
 @dataclass(frozen=True)
@@ -46,32 +45,35 @@ class MeasuredScene:
     # (2,) or None: Root mean square of one component, and 95 % quantile of the speed across the line of sight,
     # length/s.
     speed: Array | None
-    acceleration: float | None  # Standard deviation of the mean acceleration over 1 s, one component, length/s^2
 
 
 def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> MeasuredScene:
-    """Estimate depths, speeds and accelerations of the objects, from pairs of cameras with at least this score."""
+    """Estimate depths and speeds of the objects, from pairs of cameras with at least this score."""
     samples, first = _depth_samples(geometry, least_score)
     if not len(samples):
-        return MeasuredScene(None, samples, samples, None, None)
+        return MeasuredScene(None, samples, samples, None)
     depths = np.quantile(samples, [0.05, 0.5, 0.95])
     chains = [sample for sample in geometry.samples if sample.linking[1] <= MOST_BY_CHANCE]
-    return MeasuredScene(depths, samples, first, *_motion(chains, float(depths[1])))
+    return MeasuredScene(depths, samples, first, _speed(chains, float(depths[1])))
 
 
-def _motion(samples: list[CameraSample], depth: float) -> tuple[Array | None, float | None]:
-    """Return `speed` and `acceleration` of a `MeasuredScene` at a depth; no speed where noise hides it."""
-    squares, least, accelerations = _track_motion(samples, depth)
-    speed = None
-    if len(squares) >= LEAST_TRACKS:
-        mean = float(squares.mean())
-        if mean > 2.0 * float(squares.std()) / np.sqrt(len(squares)):
-            speed = np.array([np.sqrt(mean / 2.0), np.quantile(least, 0.95)])
-    acceleration = None
-    if len(accelerations) >= LEAST_TRACKS:
-        variance = float(np.median(accelerations))
-        acceleration = float(np.sqrt(variance)) if variance > 0.0 else None  # noise hides it
-    return speed, acceleration
+def _speed(samples: list[CameraSample], depth: float) -> Array | None:
+    """Return `speed` of a `MeasuredScene` at a depth; None where noise hides it."""
+    squares, least = [], []
+    for sample in samples:
+        scale, noise = depth / sample.camera.fx, float(sample.camera.detector.sigma.mean())
+        for track in sample.tracks:
+            times, pixels = sample.times[sample.frame_of[track]], sample.pixels[track]
+            centred = times - times.mean()
+            spread = float(centred @ centred)
+            if spread <= 0.0:
+                continue
+            speed = float(np.hypot(*(centred @ (pixels - pixels.mean(axis=0)))) / spread)  # by least squares
+            squares.append(scale**2 * (speed**2 - 2.0 * noise**2 / spread))
+            least.append(scale * max(speed - 3.0 * noise / np.sqrt(spread), 0.0))
+    if len(squares) < LEAST_TRACKS or np.mean(squares) <= 2.0 * np.std(squares) / np.sqrt(len(squares)):
+        return None
+    return np.array([np.sqrt(np.mean(squares) / 2.0), np.quantile(least, 0.95)])
 
 
 def _depth_samples(geometry: Geometry, least_score: float) -> tuple[Array, Array]:
@@ -109,49 +111,6 @@ def _represent(found: list[tuple[Array, Array]], shifts: int) -> Array:
         return np.empty(0)
     places = np.searchsorted(cumulative, cumulative[-1] * (np.arange(200) + 0.5) / 200)
     return np.asarray(depths[order][np.minimum(places, len(depths) - 1)])
-
-
-def _track_motion(samples: list[CameraSample], depth: float) -> tuple[Array, Array, Array]:
-    """Return squares of speeds (t,), less the noise, and the least that these are, (length/s)^2 and length/s.
-
-    The third are squared accelerations (a,) of one component, (length/s^2)^2.
-    """
-    squares, least, accelerations = [], [], []
-    for sample in samples:
-        scale = depth / sample.camera.fx
-        noise = float(sample.camera.detector.sigma.mean())
-        for track in sample.tracks:
-            times, pixels = sample.times[sample.frame_of[track]], sample.pixels[track]
-            spread = float(((times - times.mean()) ** 2).sum())
-            if spread <= 0.0:
-                continue
-            speed, error = float(np.hypot(*_slope(times, pixels))), noise / np.sqrt(spread)
-            squares.append(scale**2 * (speed**2 - 2.0 * error**2))
-            least.append(scale * max(speed - 3.0 * error, 0.0))
-            if len(track) >= ACCELERATION_LENGTH:
-                accelerations.append(scale**2 * _squared_acceleration(times, pixels, noise, sample.rounding_px))
-    return np.array(squares), np.array(least), np.array(accelerations)
-
-
-def _squared_acceleration(times: Array, pixels: Array, noise: float, rounding: float) -> float:
-    """Return the spectral density of the acceleration, px^2/s^3, from the velocities of the two halves of a track.
-
-    The mean velocities over two successive intervals of length h differ by a variance of 2/3 q h, plus noise. Errors by
-    rounding stay for as long as an object hardly moves, so that each end of an interval has its own.
-    """
-    half = len(times) // 2
-    h = 0.5 * float(times[-1] - times[0])
-    first = _slope(times[:half], pixels[:half])
-    second = _slope(times[half:], pixels[half:])
-    spread = float(((times[:half] - times[:half].mean()) ** 2).sum())
-    by_noise = 2.0 * noise**2 / max(spread, 1e-12) + 4.0 * (rounding / max(h, 1e-12)) ** 2
-    return (float(((second - first) ** 2).mean()) - by_noise) / (2.0 / 3.0 * h)
-
-
-def _slope(times: Array, pixels: Array) -> Array:
-    """Return the slope (2,), px/s, of the line of least squares through pixels (n, 2) at times (n,)."""
-    centred = times - times.mean()
-    return np.asarray(centred @ (pixels - pixels.mean(axis=0)) / (centred @ centred))
 
 
 def expected_depths(config: Config | None, samples: list[CameraSample]) -> tuple[float, float]:
@@ -235,7 +194,7 @@ def _region(config: Config, scene: MeasuredScene, unit: str) -> Iterator[Finding
 
 
 def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Finding]:
-    """Yield findings about speeds and accelerations; settings are too large only where the objects are `complete`."""
+    """Yield findings about speeds; settings are too large only where the objects are `complete`."""
     settings, motion, unit = config.filter, config.motion, config.units.length
     assert settings is not None
     assert not isinstance(settings, SingleSettings)
@@ -269,20 +228,13 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
             limit, round(fastest, 6), None, f"set motion.max_speed to at least {2.0 * fastest:.2g}", "max_speed",
             f"motion.max_speed={2.0 * fastest:.2g}",
         )  # fmt: skip
-    acceleration, found = getattr(motion, "acceleration_std", None), scene.acceleration
-    if acceleration == ESTIMATE or found is None:
-        return
-    stated_acceleration = 0.0 if acceleration is None else float(np.max(acceleration))
-    # The model itself explains some accelerations, such as gravity.
-    explained = bool(motion.build().flow(np.ones(1)).drift.any())
-    too_small = found > max(ACCELERATION_FACTOR * stated_acceleration, 0.1 * spread)
-    text = f"the objects accelerate by about {found:.2g} {unit}/s^2, but motion.acceleration_std is "
-    text += f"{stated_acceleration:g}"
-    if complete and not too_small and stated_acceleration > TOO_MUCH * max(found, 0.1 * spread):
-        text += ": it seems to be in another unit"
-    elif not too_small or explained:
-        return
-    yield Finding(
-        "settings.acceleration_std", "warning", text, stated_acceleration, round(found, 6), None,
-        f"set motion.acceleration_std near {found:.2g}", "acceleration_std", f"motion.acceleration_std={found:.2g}",
-    )  # fmt: skip
+    acceleration = getattr(motion, "acceleration_std", None)
+    most = 0.0 if acceleration in (None, ESTIMATE) else float(np.max(acceleration))
+    if complete and most > TOO_MUCH * spread:
+        yield Finding(
+            "settings.acceleration_std", "warning",
+            f"the objects move at about {number(spread)} {unit}/s per axis, but motion.acceleration_std is {most:g}: "
+            "it seems to be in another unit",
+            most, round(spread, 6), None, "let track estimate it (motion.acceleration_std: estimate)",
+            "acceleration_std", "motion.acceleration_std=estimate",
+        )  # fmt: skip

@@ -82,6 +82,11 @@ def estimate_acceleration(loaded: LoadedConfig, parts: Sequence[Sequence[Event]]
     usual = climb(rounded(start), FACTOR, 0.0)
     if usual == rounded(start):
         usual = climb(usual, 1.0 / FACTOR, LEAST_GAIN)
+    # where few objects turn and most rest there is a second peak far above, at which no track is lost
+    high = rounded(getattr(loaded.config.motion, "max_speed", None) or start * FACTOR**3)
+    if high > max(found) and likelihoods(max(found)).sum() < likelihoods(high).sum():
+        peaks = [usual, *(climb(high, factor, 0.0) for factor in (FACTOR, 1.0 / FACTOR))]
+        usual = max(peaks, key=lambda value: float(likelihoods(value).sum()))
     for factor in (FACTOR**0.5, FACTOR**-0.5):
         if likelihoods(rounded(usual * factor)).sum() > likelihoods(usual).sum() + LEAST_GAIN:
             usual = rounded(usual * factor)

@@ -76,7 +76,7 @@ class Bodies:
         if self.up is not None:
             out["object.width"] = Choice(extent(self.width), f"{self.source}; {unit}")
             what = "normal to the ground" if self.ground is not None else "the mean of the cameras' upright directions"
-            out["object.up"] = Choice([round(float(value), 4) for value in self.up], what)
+            out["object.up"] = Choice([round(float(value), 4) + 0.0 for value in self.up], what)
         if self.ground is not None:
             point = {"point": [rounded(float(value), 4) for value in self.ground], "std": rounded(self.ground_std)}
             out["object.ground"] = Choice(point, "the plane on which they stand: from their middles and heights")

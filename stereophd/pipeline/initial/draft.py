@@ -86,8 +86,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     cameras, priors = starting_detectors(cameras, unknown, samples, are_placed=False)
     if are_compared(samples):
         why = f"detector: the noise about one-camera tracks and in displacements, because rays show none: {cause}"
-        notes = {name: (*draft.camera_notes.get(name, ()), why) for name in unknown}
-        draft = replace(draft, camera_notes=draft.camera_notes | notes)
+        draft = _with_note(draft, unknown, why)
     samples = [sample.with_camera(camera) for sample, camera in zip(samples, cameras, strict=True)]
     # everything else follows from rays; tracks estimate the detectors once there are any
     draft = _with_cameras(draft, cameras, unknown, estimate=draft.must_be_calibrated)
@@ -165,7 +164,9 @@ def _with_bodies(
         draft = draft.with_choices(bodies.choices(draft.unit))
     begin(2, "the boxes of cameras are compared")
     strangers = tuple(_strangers(loaded_draft(draft, name), events))
-    if priors and not strangers:  # whose noise would be that of their clocks or poses
+    if strangers:  # whose noise would be that of their clocks or poses
+        draft = _with_note(draft, unknown, "detector: what is usual, because the boxes of the cameras do not agree")
+    elif priors:
         draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
         noisy = point_noise(loaded_draft(draft, name).build_cameras(), events)
         draft = _with_cameras(draft, noisy, unknown)
@@ -179,21 +180,31 @@ def _with_bodies(
     return draft.with_choices({key: choice for key, choice in final.items() if key not in UNUSED_BY_BODIES})
 
 
+def _with_note(draft: Draft, cameras: Collection[str], note: str) -> Draft:
+    """Return the draft with one more comment on each of these cameras."""
+    notes = {name: (*draft.camera_notes.get(name, ()), note) for name in cameras}
+    return replace(draft, camera_notes=draft.camera_notes | notes)
+
+
 def _strangers(loaded: LoadedConfig, parts: list[list[Event]]) -> Iterator[Finding]:
     """Yield a warning of each camera whose boxes are more probably of objects of its own than of those of the others.
 
     The rays of boxes miss by too much to tell wrong clocks, and a noise that is estimated from boxes that do not agree
-    would hide them: the cameras have the usual one.
+    would hide them: the cameras have the usual one. Beside a wrong camera the others do not agree with it either, so
+    that one after the other is taken out, of which this is most probable; of two it may be either.
     """
-    every = range(len(loaded.cameras))
-    together = _log_likelihood(loaded, parts, every)
-    for k, name in enumerate(loaded.cameras):
-        others = [other for other in every if other != k]
-        gain = together - _log_likelihood(loaded, parts, [k]) - _log_likelihood(loaded, parts, others)
-        if gain <= -BELIEVED:
-            text = f"{name}: its boxes are more probably (by {-gain:,.0f} of the logarithm) of objects of its own"
+    names, alike = list(loaded.cameras), list(range(len(loaded.cameras)))
+    while len(alike) > 1:
+        rest = {k: [other for other in alike if other != k] for k in alike}
+        apart = [_log_likelihood(loaded, parts, [k]) + _log_likelihood(loaded, parts, rest[k]) for k in alike]
+        gain, worst = _log_likelihood(loaded, parts, alike) - max(apart), alike[apart.index(max(apart))]
+        if gain > -BELIEVED:
+            return
+        for k in [*alike] if len(alike) == 2 else [worst]:
+            text = f"{names[k]}: its boxes are more probably (by {-gain:,.0f} of the logarithm) of objects of its own"
             remedy = "check its frame rate, clock and pose"
-            yield Finding("geometry.boxes", "warning", text, round(gain, 1), 0.0, name, remedy, "boxes_disagree")
+            yield Finding("geometry.boxes", "warning", text, round(gain, 1), 0.0, names[k], remedy, "boxes_disagree")
+            alike.remove(k)
 
 
 def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str], estimate: bool = False) -> Draft:
@@ -225,17 +236,17 @@ def _with_known_detectors(draft: Draft, samples: list[CameraSample]) -> tuple[Dr
         for finding in check_files(samples, whole=False)
         if finding.status == "warning" and finding.cause in CAUSES_OF_DETECTORS
     }
-    notes, unknown = dict(draft.camera_notes), []
+    unknown = []
     for name, camera in draft.cameras.items():
         is_given = draft.is_given(f"cameras.{name}.detector")
         if not camera.detector.estimate and (is_given or name not in contradicted):
-            said = "detector: as given" if is_given else "detector: as the file of cameras states it"
-            notes[name] = (*notes.get(name, ()), said)
+            said = "as given" if is_given else "as the file of cameras states it"
+            draft = _with_note(draft, [name], f"detector: {said}")
             continue
         unknown.append(name)
         if not camera.detector.estimate:
-            notes[name] = (*notes.get(name, ()), f"detector: the log contradicts the file: {contradicted[name]}")
-    return replace(draft, camera_notes=notes), unknown
+            draft = _with_note(draft, [name], f"detector: the log contradicts the file: {contradicted[name]}")
+    return draft, unknown
 
 
 def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, NoisePrior]) -> dict[str, Choice] | None:
@@ -327,10 +338,9 @@ def _with_detectors(
     cameras, report = estimate_detectors(
         parts[0].cameras, priors, lambda used: build_labelled_filter(config, used, path, 1), parts
     )
-    notes = dict(draft.camera_notes)
     for name, entry in report["cameras"].items():
-        notes[name] = (*notes.get(name, ()), _source_of_detector(entry))
-    draft = replace(draft, camera_notes=notes, findings=tuple(check_estimated_detectors(report)))
+        draft = _with_note(draft, [name], _source_of_detector(entry))
+    draft = replace(draft, findings=tuple(check_estimated_detectors(report)))
     return _with_cameras(draft, cameras, priors)
 
 

@@ -78,6 +78,7 @@ class Record:
     associations : detections that reported tracks claim: also earlier ones of tracks reported for the first time
     knock : a camera that the event shows to have been knocked
     outside : number of detections that see nothing of the region, or are of tracks beside it
+    filtered : estimates and associations of the filter, if those of the record are smoothed
     """
 
     time_s: float
@@ -94,6 +95,7 @@ class Record:
     associations: tuple[Associated, ...] = ()
     knock: Knock | None = None
     outside: int = 0
+    filtered: tuple[Estimates, tuple[Associated, ...]] | None = None
 
 
 class EstimatorState(Protocol):

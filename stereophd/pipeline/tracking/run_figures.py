@@ -20,56 +20,7 @@ from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.tracking.associations import Associated
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
-
-# A detection that belongs to a track more probably than not has a residual.
-PROBABLE = 0.5
-# Residuals computed at a time.
-BATCH = 2048
-# Residuals that exceed what is expected by this many times the median excess are those of wrong detections or of tracks
-# that are elsewhere. They say nothing about the noise, and a few of them would outweigh all others.
-OUTLIER = 8.0
-# An estimate that was little more than its detection has next to no residual, which shows neither noise nor outliers:
-# one is judged if at least this share of the variance of the noise is expected of it.
-LEAST_EXPECTED = 0.1
-# Step of the derivatives of a projection, over the standard deviation of the position.
-DERIVATIVE_STEP = 0.1
-
-
-def residuals_px(camera: Camera, times: Array, states: Array, pixels: Array) -> Array:
-    """Return detections minus reprojected states (n, 2), in distorted pixels; NaN where a state is out of view.
-
-    Times of the frames are (n,), s; positions and velocities at these times (n, 6); pixels (n, 2) as in the log. A
-    rolling shutter reads a row later: the detection shows the object at its position at that later time.
-    """
-    delays = camera.row_delays(pixels[:, 1])
-    if delays is None:
-        return np.asarray(pixels - camera.project_at(states[:, :3], times))
-    return np.asarray(pixels - camera.project_at(states[:, :3] + delays[:, None] * states[:, 3:], times + delays))
-
-
-def are_usual(squares: Array, expected: Array, noise: float) -> Booleans:
-    """Return whether each of these squares of residuals (n,) is that of none of the outliers, px^2.
-
-    Expected are those of `expected_squares`; the noise is the variance of a detection, both axes together.
-    """
-    least = LEAST_EXPECTED * noise
-    ratios, telling = squares / np.maximum(expected, least), expected >= least
-    return np.asarray(ratios <= (OUTLIER**2 * np.median(ratios[telling]) if telling.any() else np.inf))
-
-
-def expected_squares(camera: Camera, times: Array, states: Array, covariances: Array) -> Array:
-    """Return the squares (n,) of residuals, both axes together, that noise and uncertainty lead to expect, px^2.
-
-    An estimate that has taken in a detection of noise R has residuals of the covariance R - H P H^T, with its own
-    covariance P: less than the noise, as the estimate has moved towards the detection. Times and states are those of
-    `residuals_px`; the covariances (n, 3, 3) are those of the positions.
-    """
-    steps = DERIVATIVE_STEP * np.sqrt(np.maximum(np.trace(covariances, axis1=1, axis2=2) / 3.0, 1e-24))
-    moved = states[:, None, :3] + np.eye(3) * steps[:, None, None]
-    there = camera.project_at(moved.reshape(-1, 3), np.repeat(times, 3)).reshape(-1, 3, 2)
-    jacobian = np.swapaxes((there - camera.project_at(states[:, :3], times)[:, None]) / steps[:, None, None], 1, 2)
-    explained = np.einsum("nij,njk,nik->ni", jacobian, covariances, jacobian)
-    return np.asarray(np.maximum(np.asarray(camera.detector.sigma) ** 2 - explained, 0.0).sum(axis=1))
+from stereophd.pipeline.tracking.residuals import BATCH, SeenTrack, TrackErrors, residuals_of, sightings_of
 
 
 @dataclass
@@ -88,42 +39,25 @@ class CameraSums:
     squares: float = 0.0
     expected: float = 0.0
     of_points: bool = True
-    # Time, state, covariance of the position and detection of residuals that wait to be computed.
-    waiting: list[tuple[float, Array, Array, Array]] = field(default_factory=list)
+    waiting: list[SeenTrack] = field(default_factory=list)  # Whose residuals are still to be computed
 
     def add(self, record: Record, sightings: Associated, camera: Camera) -> None:
         """Take in detections of this camera that tracks claim; those of the record's event have residuals."""
         self.explained += float(sightings.probabilities.sum())
-        if sightings.time_s != record.time_s or not record.is_event or sightings.camera != record.camera:
-            return
         self.of_points = record.estimates.extents is None
-        place = {track: row for row, track in enumerate(record.estimates.track_ids.tolist())}
-        ids = sightings.track_ids.tolist()
-        for row in np.flatnonzero(sightings.probabilities > PROBABLE).tolist():
-            if ids[row] in place:
-                track = place[ids[row]]
-                state, covariance = record.estimates.states[track], record.estimates.covariances[track, :3, :3]
-                self.waiting.append((record.time_s, state, covariance, sightings.pixels[row]))
+        self.waiting += sightings_of(record, record.estimates, sightings)
         if len(self.waiting) >= BATCH:
             self._compute(camera)
 
     def _compute(self, camera: Camera) -> None:
         """Compute the residuals that wait."""
-        if not self.waiting:
-            return
-        times, states, covariances, pixels = map(np.array, zip(*self.waiting, strict=True))
-        found = residuals_px(camera, times, states, pixels)
-        expected = expected_squares(camera, times, states, covariances)
-        usable = np.isfinite(found).all(axis=1) & np.isfinite(expected)
-        found, expected = found[usable], expected[usable]
-        squares = (found**2).sum(axis=1)
-        usual = are_usual(squares, expected, float((np.asarray(camera.detector.sigma) ** 2).sum()))
-        found, squares = found[usual], squares[usual]
+        residuals, _, expected, usable, usual = residuals_of(camera, self.waiting)
+        found = residuals[usual]
         self.expected += float(expected[usual].sum())
         self.residuals += len(found)
-        self.outliers += int((~usual).sum())
+        self.outliers += int(usable.sum()) - len(found)
         self.total = self.total + found.sum(axis=0)
-        self.squares += float(squares.sum())
+        self.squares += float((found**2).sum())
         self.waiting = []
 
     def report(self, camera: Camera) -> dict[str, Any]:
@@ -197,6 +131,7 @@ class RunFigures:
     identities: dict[int, IdentitySums] = field(default_factory=dict)
     detections: dict[int, dict[str, int]] = field(default_factory=dict)  # Track -> camera -> number
     knocks: list[Knock] = field(default_factory=list)
+    errors: TrackErrors = field(default_factory=TrackErrors)
     # Since the last row of the table of events: what happened between two reports belongs to the second.
     new_detections: int = 0
     new_log_likelihood: float = 0.0
@@ -224,6 +159,7 @@ class RunFigures:
         for sightings in record.associations:
             sums = self.cameras.setdefault(sightings.camera, CameraSums())
             sums.add(record, sightings, cameras[sightings.camera])
+        self.errors.add(record, cameras)
 
     def add_estimates(self, estimates: Estimates, time_s: float) -> None:
         """Count what is reported at a time, s."""
@@ -256,6 +192,7 @@ class RunFigures:
             "left_out": asdict(self.losses),
             "cameras": {name: self.cameras.get(name, CameraSums()).report(camera) for name, camera in cameras.items()},
             "knocks": [asdict(knock) for knock in self.knocks],
+            "track_errors": self.errors.report(cameras),
             "tracks": [
                 self._track(track_id, identity, cameras) for track_id, identity in sorted(self.identities.items())
             ],

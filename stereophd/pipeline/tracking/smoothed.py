@@ -27,7 +27,7 @@ from stereophd.core.trajectories.smoothing import Trajectory, extend_back, smoot
 from stereophd.core.trajectories.swaps import choose_anew
 from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.run_figures import PROBABLE
+from stereophd.pipeline.tracking.residuals import PROBABLE
 from stereophd.wording import LOGGER, percent
 
 # A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
@@ -108,7 +108,10 @@ def smoothed_records(
         for track_id, count in seen.items():
             attributed.setdefault(name(track_id), Counter()).update(count)
         own.sort(key=lambda row: row[0])
-        yield replace(record, estimates=_estimates(own, extents), attributed=attributed, associations=sightings)
+        yield replace(
+            record, estimates=_estimates(own, extents), attributed=attributed, associations=sightings,
+            filtered=(record.estimates, record.associations),
+        )  # fmt: skip
 
 
 def _names(continued: dict[int, int]) -> Callable[[int], int]:

@@ -10,7 +10,7 @@ from stereophd.core.bodies.outline import LOG_AXES, POSITION, STATE_SIZE, outlin
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.inspection.runs import Columns, Run
-from stereophd.pipeline.tracking.run_figures import OUTLIER, PROBABLE, residuals_px
+from stereophd.pipeline.tracking.residuals import OUTLIER, PROBABLE, residuals_px
 from stereophd.report.page.columns import Paths, chosen, packed, paths_of
 from stereophd.report.summaries import tracking_part
 

@@ -65,8 +65,7 @@ def events(rig: Rig, state: np.ndarray, times: list[float], noise: np.random.Gen
             # a rolling shutter reads the row of the object later: a fixed point, found by iteration
             for _ in range(50):
                 pixel = camera.project((state[:3] + when * state[3:])[None])
-                delays = camera.row_delays(pixel[:, 1])
-                when = time_s if delays is None else time_s + float(delays[0])
+                when = time_s + float(camera.row_delays(pixel[0, 1:])[0])
             if noise is not None:
                 pixel = pixel + scenes.SIGMA * noise.standard_normal((1, 2))
             out.append(make_event(camera, index, time_s, pixel))

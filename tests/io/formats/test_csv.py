@@ -175,6 +175,9 @@ def test_a_large_unsorted_table_is_merged_in_order(
         ("a,b\n1,2\n", {}, "expected columns for u_px, v_px, time_s or frame, found a, b"),
         ("u,v\n1,2\n", {}, "expected columns for time_s or frame"),
         ("frame,u,v\n1,2,3\n", {}, "expected times or `rates`"),
+        ("frame,t,u,v\n1,0.1,2,3\n7,nan,2,3\n", {}, "found frame 7 without a time"),
+        ("frame,t,u,v\n6,0.1,2,nan\n", {}, "camera bad, frame number 6: expected u and v, or neither"),
+        ("t,u,v\n0.25,,3\n", {}, "camera bad, time 0.25: expected u and v, or neither"),
         ("frame,u,v\n1.5,2,3\n", {"rates": 1.0}, "expected whole frame numbers, found 1.5"),
         ("frame,u,v\n1,2,x\n", {"rates": 1.0}, "invalid value 'x'"),
         ("frame,u,v\n0,1,1\n1,1,1\n1000000000000,1,1\n", {"rates": 1.0}, "expected frame numbers that count frames"),
@@ -198,6 +201,15 @@ def test_what_cannot_be_read_is_named(tmp_path: Path, imported: Import, text: st
     assert not (tmp_path / "imported").exists()
 
 
+def test_a_rate_that_takes_the_place_of_times_is_noted(tmp_path: Path, imported: Import) -> None:
+    source = write(tmp_path / "c.csv", "frame,t,u,v\n0,0.03,1,1\n1,0.04,1,1\n")
+    report, _ = imported("csv", source, rates=50.0)
+    assert report["cameras"]["c"]["last_s"] == 0.02
+    noted = "c: times are by `rates`: those of the source are not used"
+    assert noted in report["assumed"]
+    assert noted not in imported("csv", source)[0]["assumed"]
+
+
 def test_warnings_name_pixels_and_times_that_cannot_be(tmp_path: Path, imported: Import) -> None:
     """Without cameras too, where no check looks at the log."""
     sources = [
@@ -219,7 +231,7 @@ def test_whole_numbers_may_be_frames_where_one_is_missing_too(
     times = [factor * number for number in range(40) if number != missing]
     source = write(tmp_path / "c.csv", "t,u,v\n" + "".join(f"{time},9,9\n" for time in times))
     report, _ = imported("csv", source, fill=fill)
-    assert ["times are whole numbers" in sentence for sentence in report["warnings"]] == [True] * is_warned
+    assert ["`time_unit` ms" in sentence for sentence in report["warnings"]] == [True] * is_warned
 
 
 def test_cameras_of_other_names_only_are_refused(tmp_path: Path, imported: Import) -> None:
@@ -314,7 +326,8 @@ def test_cameras_far_from_each_other_make_metres_doubtful(
     cameras = write(tmp_path / "rig.json", json.dumps(rig))
     source = write(tmp_path / "points.csv", "camera,time_s,u,v\na,0,5,5\nb,0,6,6\n")
     imported("csv", source, cameras=cameras, **({"length_unit": stated} if stated else {}))
-    assert any(f"cameras are {distance} m apart" in text for text in caplog.messages) is warns
+    text = f"cameras are {distance} m apart, the nearest {distance} m"
+    assert any(text in message for message in caplog.messages) is warns
 
 
 def test_a_parquet_file_of_own_columns_is_a_table_like_any_other(tmp_path: Path, imported: Import) -> None:

@@ -108,7 +108,7 @@ def test_a_score_that_is_no_number_is_refused(score: float) -> None:
 def test_a_camera_that_is_named_but_has_no_rows_is_left_out(tmp_path: Path) -> None:
     """As an importer makes it of a column of ports with a gap."""
     pieces = [Piece("a", np.array([[1.0, 2.0]]), np.array([0.0])), Piece("nan", np.empty((0, 2)), np.empty(0))]
-    spools = spool_pieces(ForeignRecording(pieces=pieces), tmp_path)
+    spools = spool_pieces(ForeignRecording(pieces=pieces), tmp_path, ImportOptions())
     assert list(spools) == ["a"]
     for spool in spools.values():
         spool.discard()

@@ -141,8 +141,7 @@ def test_json_of_plain_lists_a_file_a_camera(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"R": None}, "expected a pose"),
-        ({"R": None, "t": None, "rvecs": [[0, 0, 0]]}, "poses of a calibration board"),
+        ({"R": None}, "expected a pose .* found its translation alone"),
         ({"R": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "determinant -1"),
         ({"dist": [0] * 8 + [0.1]}, "thin prisms"),
         ({"K": [[500, 2, 300], [0, 500, 200], [0, 0, 1]]}, "without skew"),
@@ -164,6 +163,19 @@ def test_what_cannot_be_held_is_refused_with_the_reason(
     path.write_text(json.dumps(values))
     with pytest.raises(InputError, match=message):
         read([path], ImportOptions())
+
+
+@pytest.mark.parametrize("board", [{}, {"rvecs": [[0, 0, 0]], "tvecs": [[0, 0, 1]]}])
+def test_without_any_pose_they_are_unknown(tmp_path: Path, board: dict[str, object]) -> None:
+    """As `calibrateCamera` returns them, with the poses of its board: `calibrate` finds those of the cameras."""
+    values = {"K": [[500, 0, 300], [0, 510, 200], [0, 0, 1]], "D": [-0.1], "image_size": [640, 480], **board}
+    (tmp_path / "left.json").write_text(json.dumps(values))
+    recording = read([tmp_path / "left.json"], ImportOptions())
+    camera = recording.cameras["left"]
+    assert camera.pose.unknown
+    assert (camera.build("left").fy, camera.build("left").lens.k1) == (510.0, -0.1)
+    assert any("left: its pose is unknown" in text for text in recording.assumed)
+    assert not any("poses map" in text for text in recording.assumed)
 
 
 def test_native_cameras_are_not_taken_for_opencv(tmp_path: Path) -> None:

@@ -43,7 +43,7 @@ from stereophd.pipeline.checks.run_figures import (
     check_noise,
     check_tracking,
 )
-from stereophd.pipeline.checks.settings import _motion, check_settings, measure_scene
+from stereophd.pipeline.checks.settings import check_settings, measure_scene
 from tests.scenes import build_camera
 
 DEPTHS = (3.0, 15.0)
@@ -177,17 +177,17 @@ def test_a_mistake_is_named(samples: list[CameraSample], cause: str) -> None:
 
 
 def test_a_guessed_pose_is_not_called_another_mistake(samples: list[CameraSample]) -> None:
-    """Turned by some degrees and moved, cameras explain more with other intrinsics too, which are right.
-
-    Two of the three guesses are found, and none is called anything else.
-    """
+    """Turned by some degrees and moved, cameras explain more with other intrinsics too, which are right."""
     left, right = CAMERAS
+    rng = np.random.default_rng(0)
     named = []
-    for turn_deg in ((3.0, 1.0, -1.5), (-1.0, 2.0, 3.0), (4.0, 2.0, 1.0)):
-        rotation = rotation_from_vector(np.deg2rad(turn_deg)) @ right.pose.rotation
-        guess = _turned(right, rotation, right.pose.center + [0.1, -0.2, 0.1])
+    for _ in range(12):
+        turn, move = (rng.standard_normal(3) for _ in range(2))
+        rotation = rotation_from_vector(np.deg2rad(5.0) * turn / np.linalg.norm(turn)) @ right.pose.rotation
+        guess = _turned(right, rotation, right.pose.center + 0.3 * move / np.linalg.norm(move))
         named += [found.cause for found in _geometry(_with(samples, left, guess), True) if found.status == "warning"]
-    assert named == [DO_NOT_MEET] * 2
+    assert set(named) == {DO_NOT_MEET}
+    assert len(named) > 6
 
 
 def test_a_mistake_of_all_cameras_is_tried_where_it_can_concern_a_camera() -> None:
@@ -202,15 +202,6 @@ def test_a_mistake_of_all_cameras_is_tried_where_it_can_concern_a_camera() -> No
     trial = _trial(Geometry(samples, (), (), ()), radians, (0, 1, 2))
     assert trial is not None
     assert trial.scope == (0, 1)
-
-
-@pytest.mark.parametrize(("squares", "is_known"), [([-1.0, -0.5, -0.2, 0.1], False), ([0.3, 0.5, 0.2, 0.4], True)])
-def test_an_acceleration_that_noise_hides_is_not_zero(
-    squares: list[float], is_known: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    tracks = (np.empty(0), np.empty(0), np.array(squares))
-    monkeypatch.setattr("stereophd.pipeline.checks.settings._track_motion", lambda *_: tracks)
-    assert (_motion([], 5.0)[1] is not None) == is_known
 
 
 def test_a_clock_offset_is_measured() -> None:

@@ -133,6 +133,20 @@ def test_a_lens_left_out_is_named() -> None:
     true = replace(CAMERAS[1], lens=Lens("radial", k1=-0.12))
     (found,) = _findings(seen=(CAMERAS[0], true, CAMERAS[2]))
     assert (found.cause, found.camera) == ("lens_missing", "right")
+    assert "calibration.priors.right.distortion_std" in str(found.remedy)
+    # which the configuration takes as it is
+    stated = re.fullmatch(r"cameras.right.distortion=\{model: radial, k1: (-[\d.]+)\}", str(found.change))
+    assert stated is not None
+    assert float(stated[1]) == pytest.approx(-0.12, abs=0.03)
+
+
+def test_a_longer_log_of_many_objects_shows_a_lens_left_out_as_well() -> None:
+    """Misses end one-camera tracks soon: of single detections among very many no track had enough."""
+    stated = tuple(replace(one, detector=replace(one.detector, p_detect=0.85)) for one in CAMERAS)
+    true = replace(stated[1], lens=Lens("radial", k1=-0.12))
+    (found,) = _findings(stated, seen=(stated[0], true, stated[2]), frames=500, objects=24)
+    assert (found.cause, found.camera) == ("lens_missing", "right")
+    assert {one.status for one in _findings(stated, seen=stated, frames=500, objects=24)} == {"ok"}
 
 
 @pytest.mark.parametrize(("k1", "cause"), [(-0.15, "lens_missing"), (0.0, None)])

@@ -24,7 +24,8 @@ from stereophd.pipeline.tracking.associations import (
     Associations,
 )
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.run_figures import LastingTracks, residuals_px
+from stereophd.pipeline.tracking.residuals import residuals_px
+from stereophd.pipeline.tracking.run_figures import LastingTracks
 from stereophd.pipeline.tracking.smoothed import RunClaims
 from tests.commands.test_track import SCENE
 from tests.scenes import build_camera

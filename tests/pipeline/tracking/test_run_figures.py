@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.pipeline.tracking.run_figures import CameraSums, RunFigures, are_usual
+from stereophd.pipeline.tracking.residuals import SeenTrack, are_usual
+from stereophd.pipeline.tracking.run_figures import CameraSums, RunFigures
 from tests.scenes import build_camera
 
 
@@ -36,7 +37,10 @@ def test_the_share_that_is_left_out_is_reported() -> None:
     errors[:300] += 50.0 * rng.normal(size=(300, 2))
     sums = CameraSums(frames=count, detections=count)
     pixels = camera.project_at(states[:, :3], np.zeros(count)) + errors
-    sums.waiting = [(0.0, state, 1e-8 * np.eye(3), pixel) for state, pixel in zip(states, pixels, strict=True)]
+    sums.waiting = [
+        SeenTrack("left", 0, 0.0, *row, pixel)
+        for *row, pixel in zip(states, [1e-8 * np.eye(3)] * count, pixels, strict=True)
+    ]
     report = sums.report(camera)
     left_out = round(report["outlier_share"] * count)
     assert 0.25 * count < left_out <= 0.3 * count

@@ -10,12 +10,15 @@ import pytest
 
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
+from stereophd.config.report import ReportConfig, SmoothConfig
 from stereophd.core.trajectories.chain import NONE, make_run
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.tables.reading import open_parquet
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import run_estimator
+from stereophd.pipeline.tracking.residuals import TrackErrors
+from stereophd.pipeline.tracking.run import reported_records
 from stereophd.pipeline.tracking.smoothed import _is_worse, _smoothed, _trajectories, claims_of_run
 from tests.commands.test_track import SCENE
 
@@ -77,3 +80,20 @@ def test_a_track_that_leaps_is_smoothed_from_its_detections_alone(log: Path) -> 
     errors = np.linalg.norm(part.states[:, :3] - there.states[:, :3], axis=1)
     stds = np.sqrt(np.trace(there.covariances[:, :3, :3], axis1=1, axis2=2))
     assert np.median(errors / stds) < 1.0
+
+
+def test_smoothing_leaves_what_successive_detections_say(log: Path) -> None:
+    """Smoothed residuals are not white: what tells whether tracks are too sure are those of the filter."""
+    loaded = load_config(log / "scene.yaml", ["filter.kind=pmb"])
+    cameras = loaded.build_cameras()
+    tracker = replace(build_filter(loaded.config, cameras, loaded.path), claims=True)
+    by_name, found = {camera.name: camera for camera in cameras}, []
+    for smooth in (None, SmoothConfig()):
+        stream = EventStream(cameras, LogReader(log / "log" / "detections.parquet", cameras))
+        errors = TrackErrors()
+        for record in reported_records(tracker, tracker.motion, stream, ReportConfig(smooth=smooth)):
+            assert (record.filtered is None) == (smooth is None)
+            errors.add(record, by_name)
+        found.append(errors.report(by_name))
+    assert found[0]["same_camera"]["pairs"] > 20
+    assert found[0] == found[1]

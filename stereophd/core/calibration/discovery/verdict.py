@@ -73,7 +73,8 @@ def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[Doubt]:
         doubts.append((few, f"their tracks agree by chance; {remedy}"))
     if fit.residual > MOST_RESIDUAL:
         stated = " or ".join(["a focal length", *["a lens"] * lens_is_stated, *["a clock"] * clock_is_stated])
-        remedy = f"{stated} is unlike what is stated, or the noise is larger"
+        remedy = f"{stated} is unlike what is stated, the noise is larger, or tracks of different objects were paired: "
+        remedy += "state rough poses, or record more objects"
         doubts.append((f"rays of {two} miss each other by {fit.residual:.1f} times the noise", remedy))
     if pair.gap < LEAST_GAP:
         doubts.append(_second_optimum(pair, two, clock_is_stated))

@@ -6,14 +6,12 @@ Every alternative turns the camera of the configuration into the one that explai
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import product
 
 import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
-from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET
 from stereophd.pipeline.checks.geometry.rays import Reading, unchanged
 
 # From OpenGL camera axes (x right, y up, z back) to those of OpenCV.
@@ -23,8 +21,6 @@ RESOLUTION_FACTORS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
 # Focal lengths over the image width that lenses have, tried where the stated one is far smaller (millimetres).
 USUAL_FOCAL = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 1.9, 2.3)
 MILLIMETRES_BELOW = 0.2
-# Turns that are tried, degrees: what a pose that is off, or a mixture of errors, may explain as well as one mistake.
-TURNS_DEG = (1.0, -1.0, 2.0, -2.0, 4.0, -4.0, 8.0, -8.0)
 
 
 @dataclass(frozen=True)
@@ -132,13 +128,6 @@ def alternatives() -> Iterator[Alternative]:
         "u_v_swapped", "u and v seem to be exchanged", "exchange the columns u_px and v_px",
         lambda camera: camera, lambda camera, pixels: pixels[:, ::-1],
     )  # fmt: skip
-    for degrees, axis in product(TURNS_DEG, range(3)):
-        turn = rotation_from_vector(np.deg2rad(degrees) * np.eye(3)[axis])
-        yield Alternative(
-            DO_NOT_MEET, f"a turn by {abs(degrees):g} degrees explains what no usual mistake explains better: poses "
-            "seem to be off, or clocks and lenses", CHECK_CAMERAS,
-            partial(_turned, true_pose=lambda r, c, turn=turn: (turn @ r, c)), alone=True,  # type: ignore[misc]
-        )  # fmt: skip
     for factor in RESOLUTION_FACTORS:
         for cause, what, keys, focal in (
             ("intrinsics_resolution", "intrinsics seem", "fx, fy, cx and cy", factor),

@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from itertools import pairwise, product
 from statistics import NormalDist
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from stereophd.core.arrays import Array
-from stereophd.pipeline.checks.finding import DO_NOT_MEET
-from stereophd.pipeline.checks.geometry.alternatives import Alternative, alternatives
+from stereophd.core.geometry.pose import rotation_from_vector
+from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET
+from stereophd.pipeline.checks.geometry.alternatives import Alternative, alternatives, posed
 from stereophd.pipeline.checks.geometry.rays import (
     LEAST_SCORE,
     SHARP,
@@ -27,6 +29,7 @@ from stereophd.pipeline.checks.geometry.rays import (
     meeting,
     pairs_of,
     pixels_at,
+    signed_of_rays,
 )
 from stereophd.pipeline.checks.log.sample import CameraSample
 
@@ -52,6 +55,10 @@ LEAST_CLOCK_FRAMES = 8
 FEW_DETECTIONS, FEW_SHIFTS, FINALISTS = 100, 3, 6
 # The same where the check is part of another command and must be quick: fewer detections, coarser clock steps.
 QUICK_DETECTIONS, QUICK_SHIFTS, QUICK_STEPS = 50, 2, 40
+# A pose is looked for from turns of these sizes about the axes, with these scales of the loss, one after the other,
+# standard deviations, and so many steps; the standard deviation of its turn, rad, and of its move over the distance of
+# the farthest camera; a miss without rays.
+POSE_TURNS_DEG, POSE_SCALES, POSE_STEPS, POSE_STD, FARTHEST = (2.0, 4.0), (30.0, 3.0), 20, 0.2, 1e4
 # Distances of a pair of cameras in a first trial, about, and detections that it has in any case.
 QUICK_DISTANCES, LEAST_DETECTIONS = 8000, 8
 
@@ -80,9 +87,11 @@ def best_explanation(
         (t, one) for t, one in looks if one is not None and one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN
     ]
     best_first = sorted(promising, key=lambda look: -look[1].met.excess)[:FINALISTS]
-    # a turn, which fits roughly, may not show in few detections: none is left out where a cause would be named
-    chosen, scope = {id(trial) for trial, _ in best_first}, best_first[0][0].scope[:FINALISTS] if best_first else ()
-    finalists = [t for t in trials if id(t) in chosen or (t.cause == DO_NOT_MEET and t.scope[0] in scope)]
+    chosen = {id(trial) for trial, _ in best_first}
+    finalists = [trial for trial in trials if id(trial) in chosen]
+    if not clocks_only:
+        scope = best_first[0][0].scope[:FINALISTS] if best_first else _least_met(geometry)[:1]
+        finalists += [_pose_trial(geometry, camera) for camera in scope]
     tried = sum(steps if trial.cause == "clock_offset" else 1 for trial in trials)
     least = NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried, 1))
     found = [
@@ -205,12 +214,53 @@ def _trial(geometry: Geometry, alternative: Alternative, scope: tuple[int, ...])
     return Trial(scope, alternative.cause, alternative.text, alternative.remedy, views)
 
 
+def _pose_trial(geometry: Geometry, camera: int) -> Trial:
+    """Return the trial of another pose of one camera: what errors of several kinds, too, may pass for.
+
+    A mistake that a pose explains better is none. The pose is the one at which rays miss each other least, those of a
+    detection and of the nearest one of another camera; far misses count less and less.
+    """
+    stated, centers = geometry.samples[camera].camera, [s.camera.pose.center for s in geometry.samples]
+    size = max(float(np.linalg.norm(centers[camera] - other)) for other in centers)
+    concerned = _pairs_with(geometry, camera)[:MOST_CLOCK_PAIRS]
+
+    def views(by: Array) -> list[Reading]:
+        turned, center = rotation_from_vector(by[:3]) @ stated.pose.rotation, stated.pose.center + size * by[3:]
+        moved = Reading(posed(stated, turned, center))
+        return [moved if c == camera else view for c, view in enumerate(geometry.views)]
+
+    def misses(by: Array) -> Array:
+        found, of = [by / POSE_STD], views(by)
+        for k in concerned:
+            pair, (rays_a, rays_b) = geometry.pairs[k], geometry.rays[k]
+            signed = signed_of_rays(of[pair.a].camera, of[pair.b].camera, rays_a[:, None], rays_b[0])
+            signed = np.where(np.isfinite(signed), signed, FARTHEST)
+            found.append(np.take_along_axis(signed, np.abs(signed).argmin(axis=1)[:, None], axis=1)[:, 0])
+        return np.concatenate(found)
+
+    # far misses have many minima: turns of a grid come first
+    turns = np.deg2rad(
+        [(*turn, 0.0, 0.0, 0.0) for step in POSE_TURNS_DEG for turn in product((0.0, -step, step), repeat=3)]
+    )
+    by = min(turns, key=lambda turn: float(np.log1p((misses(turn) / POSE_SCALES[0]) ** 2).sum()))
+    for scale in POSE_SCALES:
+        by = least_squares(misses, by, loss="cauchy", f_scale=scale, max_nfev=POSE_STEPS).x
+    text = (
+        f"a turn by {np.rad2deg(np.linalg.norm(by[:3])):.2g} degrees and a move explain more than any usual mistake: "
+        "poses seem to be off, or clocks and lenses"
+    )
+    return Trial((camera,), DO_NOT_MEET, text, CHECK_CAMERAS, views(by))
+
+
 def usable_clocks(geometry: Geometry) -> list[int]:
     """Return cameras whose clocks can be examined (in a pair, with some frames), those whose rays meet least first."""
-    cameras = range(len(geometry.samples))
-    of_camera = [_pairs_with(geometry, c) for c in cameras]
-    usable = [c for c in cameras if of_camera[c] and len(geometry.samples[c].times) >= LEAST_CLOCK_FRAMES]
-    return sorted(usable, key=lambda c: float(np.mean([geometry.given[k].excess for k in of_camera[c]])))
+    return [c for c in _least_met(geometry) if len(geometry.samples[c].times) >= LEAST_CLOCK_FRAMES]
+
+
+def _least_met(geometry: Geometry) -> list[int]:
+    """Return the cameras that are in a pair, those whose rays meet least first."""
+    of_camera = {c: of for c in range(len(geometry.samples)) if (of := _pairs_with(geometry, c))}
+    return sorted(of_camera, key=lambda c: float(np.mean([geometry.given[k].excess for k in of_camera[c]])))
 
 
 def _pairs_with(geometry: Geometry, camera: int) -> list[int]:

@@ -9,12 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.geometry.camera import Camera
-from stereophd.pipeline.checks.geometry.rays import signed_distances
+from stereophd.pipeline.checks.geometry.rays import GOLDEN_ANGLE, signed_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
 
 # Detections of a camera that are examined, and candidates of all of them together.
 MOST_DETECTIONS, MOST_PAIRS, LEAST_DETECTIONS = 3000, 200_000, 100
+# Frames in which a one-camera track is examined whole, or not at all where there are more detections: single ones of
+# tracks that misses end soon are too few.
+PIECE = 64
 # Frames on either side from which an image velocity is fitted.
 HALF_WINDOW = 4
 # Largest distance of partners, over that at which most rays meet beyond chance; frames, and share of a track, in which
@@ -102,7 +104,9 @@ def partners(
     most = min(MOST_DETECTIONS, max(LEAST_DETECTIONS, MOST_PAIRS // max(width, 1)), len(usable))
     if len(usable) < LEAST_DETECTIONS or not width:
         return None
-    chosen = usable[np.unique(np.linspace(0, len(usable) - 1, most).astype(int))]
+    pieces = first.frame_of[usable] // PIECE * len(first.tracks) + track_a[usable]
+    number = np.unique(pieces, return_inverse=True)[1]
+    chosen = usable[GOLDEN_ANGLE * number % (2.0 * np.pi) <= 2.0 * np.pi * most / len(usable)]
     interval, passed = second.around(times[chosen])
     index = second.first[interval][:, None] + np.arange(width)
     present = index < second.first[interval + 1][:, None]
@@ -126,7 +130,7 @@ def partners(
     weight = passed[near][joined][:, None]
     places_b = (1.0 - weight) * motion[b].places[index] + weight * motion[b].places[following]
     # rolling shutters: from the times of frames to those of rows
-    delay = speed * (_delays(first.camera, pixels_a) - _delays(second.camera, pixels_b))[:, None]
+    delay = speed * (first.camera.row_delays(pixels_a[:, 1]) - second.camera.row_delays(pixels_b[:, 1]))[:, None]
     distance = signed_distances(first.camera, second.camera, pixels_a, pixels_b + delay)
     sides = (
         TrackMotion(motion[a].places[own], motion[a].velocity[own], track_a[own]),
@@ -156,12 +160,6 @@ def _nearest_of_frame(frames: Integers, others: Integers, distances: Array) -> N
     nearest = np.empty(len(frames), dtype=np.bool_)
     nearest[order] = ~repeated
     return nearest
-
-
-def _delays(camera: Camera, pixels: Array) -> Array:
-    """Return how long after its frame each detection (n,) was made, s."""
-    delays = camera.row_delays(pixels[:, 1])
-    return np.zeros(len(pixels)) if delays is None else delays
 
 
 def _joined(track_a: Integers, track_b: Integers) -> tuple[NDArray[np.bool_], Integers]:

@@ -124,8 +124,7 @@ def candidates(
         return None
     most = min(most, max(1, most_distances // ((1 + shifts) * max(1, int(np.diff(second.first).max())))))
     chosen = usable[np.unique(np.linspace(0, len(usable) - 1, min(most, len(usable))).astype(int))]
-    delays = first.camera.row_delays(first.pixels[chosen, 1])
-    at, length = times[chosen] if delays is None else times[chosen] + delays, high - low
+    at, length = times[chosen] + first.camera.row_delays(first.pixels[chosen, 1]), high - low
     shifted = [at] + [low + (at - low + length * (k + 1) / (shifts + 1)) % length for k in range(shifts)]
     there = (places or pixels_at)(second, np.concatenate(shifted)).reshape(1 + shifts, len(chosen), -1, 2)
     most_there = max(1, int(np.isfinite(there[..., 0]).sum(axis=2).max()))
@@ -154,8 +153,7 @@ def pixels_along(sample: CameraSample, times: Array, before: Integers, steps: in
     span = sample.times[before + steps] - sample.times[before]
     velocities = (end - start) / np.where(span > 0.0, span, np.inf)[:, None, None]
     moved = start + np.clip(times - sample.times[before], 0.0, span)[:, None, None] * velocities
-    delays = sample.camera.row_delays(moved[:, :, 1])
-    return np.asarray(moved if delays is None else moved - delays[:, :, None] * velocities)
+    return np.asarray(moved - sample.camera.row_delays(moved[:, :, 1])[:, :, None] * velocities)
 
 
 def _wide(table: Array, width: int) -> Array:
