@@ -9,7 +9,6 @@ from itertools import pairwise, product
 from statistics import NormalDist
 
 import numpy as np
-from scipy.optimize import least_squares
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import rotation_from_vector
@@ -242,6 +241,8 @@ def _pose_trial(geometry: Geometry, camera: int) -> Trial:
     turns = np.deg2rad(
         [(*turn, 0.0, 0.0, 0.0) for step in POSE_TURNS_DEG for turn in product((0.0, -step, step), repeat=3)]
     )
+    from scipy.optimize import least_squares  # costly to import, and seldom needed
+
     by = min(turns, key=lambda turn: float(np.log1p((misses(turn) / POSE_SCALES[0]) ** 2).sum()))
     for scale in POSE_SCALES:
         by = least_squares(misses, by, loss="cauchy", f_scale=scale, max_nfev=POSE_STEPS).x
