@@ -234,7 +234,7 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
         yield Finding(
             "settings.acceleration_std", "warning",
             f"the objects move at about {number(spread)} {unit}/s per axis, but motion.acceleration_std is {most:g}: "
-            "it seems to be in another unit",
+            "it seems to be far too large for them, or in another unit",
             most, round(spread, 6), None, "let track estimate it (motion.acceleration_std: estimate)",
             "acceleration_std", "motion.acceleration_std=estimate",
         )  # fmt: skip
