@@ -111,12 +111,14 @@ def check_errors(summary: Mapping[str, Any], before: tuple[Finding, ...], can_es
     detections of one camera agree against those of the others, these last, as the checks `before` the run may have
     found. `can_estimate` says whether `track` can estimate the acceleration, and has not.
     """
-    same, other = ((one["excess"] or 0.0, one["standard_errors"] or 0.0) for one in (
-        summary["track_errors"]["same_camera"], summary["track_errors"]["other_camera"]
-    ))  # fmt: skip
+    sums = [summary["track_errors"][key] for key in ("same_camera", "other_camera")]
+    same, other = ((one["excess"] or 0.0, one["standard_errors"] or 0.0) for one in sums)
     shown = [excess for excess, errors in (same, other) if excess > TOO_SURE and errors > TOO_SURE_ERRORS]
-    text = "successive residuals show no errors of tracks beyond those that they state"
+    if not any(one["pairs"] for one in sums):
+        yield Finding("tracking.errors", "not checked", "no successive detections show whether tracks err")
+        return
     if not shown:
+        text = "successive residuals show no errors of tracks beyond those that they state"
         yield Finding("tracking.errors", "ok", text, round(max(same[0], other[0]), 3), 0.0)
         return
     text = f"tracks err by about {np.sqrt(1.0 + max(shown)):.2g} times what they state: "

@@ -52,7 +52,7 @@ def lasting(rng: np.random.Generator) -> Array:
         (ACCELERATION, True, "errors_last"),
     ],
 )
-def test_tracks_that_are_too_sure_are_told(stated: float, lasts: bool, cause: str | None) -> None:
+def test_tracks_that_are_too_sure_are_named(stated: float, lasts: bool, cause: str | None) -> None:
     rng = np.random.default_rng(2002000)
     by_name: dict[str, Camera] = {camera.name: camera for camera in CAMERAS}
     errors = TrackErrors()
@@ -70,6 +70,6 @@ def test_tracks_that_are_too_sure_are_told(stated: float, lasts: bool, cause: st
     assert found.change is None
 
 
-def test_nothing_is_told_without_detections() -> None:
+def test_nothing_is_checked_without_detections() -> None:
     (found,) = check_errors({"track_errors": TrackErrors().report({})}, (), True)
-    assert found.status == "ok"
+    assert found.status == "not checked"
