@@ -101,8 +101,8 @@ def best_explanation(
     if not found:
         return None
     best = max(one.met.excess for one in found)
-    # the first of those that explain as much: the list begins with the likely ones
-    return next(one for one in found if one.met.excess >= best - 0.03)
+    # of those that explain as much the first that meets most sharply: the list begins with the likely ones
+    return min((one for one in found if one.met.excess >= best - 0.03), key=lambda one: one.met.tolerance)
 
 
 def _affordable(pair: Candidates, count: int, tables: int) -> int:
