@@ -109,7 +109,7 @@ def check_errors(summary: Mapping[str, Any], before: tuple[Finding, ...], can_es
 
     Tracks that lag behind their objects leave residuals that agree from frame to frame and between cameras. Where the
     detections of one camera agree against those of the others, these last, as the checks `before` the run may have
-    found. `can_estimate` says whether `track` can estimate the acceleration, and has not.
+    found. `can_estimate`: whether `track` can estimate the acceleration, and has not.
     """
     sums = [summary["track_errors"][key] for key in ("same_camera", "other_camera")]
     same, other = ((one["excess"] or 0.0, one["standard_errors"] or 0.0) for one in sums)

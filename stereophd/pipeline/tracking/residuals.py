@@ -1,11 +1,11 @@
-"""Residuals of tracks: what is expected of them, and what those of successive detections say together.
+"""Residuals of tracks: what is expected of them, and what those of successive detections show together.
 
 The residuals of a filter whose assumptions hold are white, as its innovations are (R. K. Mehra, "On the identification
 of variances and adaptive Kalman filtering", IEEE Trans. Automatic Control 15 (2), 1970). A detection with the residual
-e, noise R and derivatives H of its pixels says ``s = H' R^-1 e`` of the position, and ``I = H' R^-1 H`` of how well it
-knows it. For a successive detection of the same track, of covariance P, ``s' P t`` has the mean 0 and the variance
-``tr(P I P J)``. If the track errs by what lasts from one to the other, with a covariance of c P beyond what is stated,
-the mean is ``c tr(P I P J)``: this tells how far tracks err, along every axis that cameras see, depth too.
+e, noise R and derivatives H of its pixels has the score ``s = H' R^-1 e`` of the position, and the information ``I = H'
+R^-1 H`` about it. For a successive detection of the same track, of covariance P, ``s' P t`` has the mean 0 and the
+variance ``tr(P I P J)``. If the track errs by what lasts from one to the other, with a covariance of c P beyond what is
+stated, the mean is ``c tr(P I P J)``: this tells how far tracks err, along every axis that cameras see, depth too.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -26,14 +26,14 @@ PROBABLE = 0.5
 # Residuals computed at a time.
 BATCH = 2048
 # Residuals that exceed what is expected by this many times the median excess are those of wrong detections or of tracks
-# that are elsewhere. They say nothing about the noise, and a few of them would outweigh all others.
+# that are elsewhere. They show nothing about the noise, and a few of them would outweigh all others.
 OUTLIER = 8.0
 # An estimate that was little more than its detection has next to no residual, which shows neither noise nor outliers:
 # one is judged if at least this share of the variance of the noise is expected of it.
 LEAST_EXPECTED = 0.1
 # Step of the derivatives of a projection, over the standard deviation of the position.
 DERIVATIVE_STEP = 0.1
-# Of estimates that are little more than two detections these say nothing: most of the root of tr(P I P J).
+# Of estimates that are little more than two detections these show nothing: most of the root of tr(P I P J).
 MOST_SHARE = 0.7
 
 
@@ -140,7 +140,7 @@ class PairSums:
 
 @dataclass
 class TrackErrors:
-    """What successive detections say together of the errors of tracks: of one camera, and of one after another."""
+    """What successive detections show together of the errors of tracks: of one camera, and of one after another."""
 
     same_camera: PairSums = field(default_factory=PairSums)
     other_camera: PairSums = field(default_factory=PairSums)
@@ -179,8 +179,8 @@ class TrackErrors:
             pairs = (tracks[first] == tracks[second]) & ((names[first] == names[second]) == (len(keys) == 2))
             first, second = first[pairs], second[pairs]
             spread = covariances[second]
-            shares = spread @ informations[first] @ spread @ informations[second]
-            roots = np.sqrt(np.maximum(np.trace(shares, axis1=1, axis2=2), 1e-24))
+            shares = np.trace(spread @ informations[first] @ spread @ informations[second], axis1=1, axis2=2)
+            roots = np.sqrt(np.where(shares > 0.0, shares, np.nan))  # rounding may leave nothing
             products = np.einsum("ni,nij,nj->n", scores[first], spread, scores[second]) / roots
             sums.add(products[roots <= MOST_SHARE], roots[roots <= MOST_SHARE])
         self.waiting = []

@@ -1,4 +1,4 @@
-"""What successive detections say together of the errors of tracks."""
+"""What successive detections show together of the errors of tracks."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,8 @@ from stereophd.pipeline.tracking.residuals import SeenTrack, TrackErrors, residu
 from tests.scenes import build_camera
 
 CAMERAS = [build_camera("left", (-2.0, 0.0, -5.0)), build_camera("right", (2.0, 0.0, -5.0))]
-ACCELERATION, STEP_S, COUNT = 0.3, 0.02, 600
+# So many tracks, which end before their objects leave the view.
+ACCELERATION, STEP_S, COUNT, TRACKS = 0.3, 0.02, 200, 12
 
 
 def filtered(stated: float, errors: Array, rng: np.random.Generator) -> list[SeenTrack]:
@@ -36,11 +37,11 @@ def filtered(stated: float, errors: Array, rng: np.random.Generator) -> list[See
 
 
 def lasting(rng: np.random.Generator) -> Array:
-    """Errors (n, 2) of unit variance beside white ones, that last for some frames of a camera."""
+    """Errors (n, 2) of twice the variance of white ones beside them, that last for some frames of a camera."""
     white, out = rng.normal(size=(COUNT, 2)), np.zeros((COUNT, 2))
     for k in range(2, COUNT):
         out[k] = 0.9 * out[k - 2] + np.sqrt(1.0 - 0.9**2) * rng.normal(size=2)
-    return np.asarray(white + out)
+    return np.asarray(white + np.sqrt(2.0) * out)
 
 
 @pytest.mark.parametrize(
@@ -56,7 +57,7 @@ def test_tracks_that_are_too_sure_are_named(stated: float, lasts: bool, cause: s
     rng = np.random.default_rng(2002000)
     by_name: dict[str, Camera] = {camera.name: camera for camera in CAMERAS}
     errors = TrackErrors()
-    for track in range(4):
+    for track in range(TRACKS):
         noise = lasting(rng) if lasts else rng.normal(size=(COUNT, 2))
         errors.waiting += [one._replace(track_id=track) for one in filtered(stated, noise, rng)]
     summary = {"track_errors": errors.report(by_name)}
