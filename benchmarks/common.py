@@ -8,8 +8,10 @@ import os
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"):
     os.environ[_name] = "1"
 
+import json  # noqa: E402
 import math  # noqa: E402
-from collections.abc import Sequence  # noqa: E402
+import tempfile  # noqa: E402
+from collections.abc import Callable, Iterable, Sequence  # noqa: E402
 from itertools import islice  # noqa: E402
 from pathlib import Path  # noqa: E402
 from typing import Any  # noqa: E402
@@ -52,6 +54,20 @@ def write_log(folder: Path, rows: list[tuple[Any, ...]]) -> None:
         name: pa.array(np.array(values), mask=~np.isfinite(values)) for name, values in (("u_px", u), ("v_px", v))
     }
     pq.write_table(pa.table({"time_s": times, "camera": cameras, "frame": frames, **pixels}), folder / "log.parquet")
+
+
+def rows_of_seeds(
+    seeds: Iterable[int], keep: Path | None, one_run: Callable[[int, Path], dict[str, Any]]
+) -> list[dict[str, Any]]:
+    """Return a row for each seed, printed at once; a run has a folder of its own, in `keep` if it is to stay."""
+    rows = []
+    for seed in seeds:
+        with tempfile.TemporaryDirectory() as temporary:
+            folder = keep / str(seed) if keep else Path(temporary)
+            folder.mkdir(parents=True, exist_ok=True)
+            rows.append(one_run(seed, folder))
+        print(json.dumps(rows[-1]), flush=True)
+    return rows
 
 
 # Sizes of the images of drawn cameras.

@@ -1,4 +1,4 @@
-"""Two cameras over a drone, stated as their makers state them: is what `calibrate` finds as sure as it says?
+"""Two cameras over a drone, stated as their makers state them: is what `calibrate` finds as sure as it states?
 
     python benchmarks/flights.py --seeds 600 12              one line of JSON a flight, then a summary
     python benchmarks/flights.py --seeds 607 1 --keep DIR    keep configuration, log and results in DIR/607
@@ -22,13 +22,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from common import facing, measured_distance, write_log
+from common import facing, measured_distance, rows_of_seeds, write_log
 
 # isort: split
 import numpy as np
@@ -263,13 +262,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the files of every flight in DIR/SEED")
     parser.add_argument("--set", action="append", default=[], dest="changes", metavar="KEY=VALUE")
     options = parser.parse_args(arguments)
-    rows = []
-    for seed in range(options.seeds[0], sum(options.seeds)):
-        with tempfile.TemporaryDirectory() as temporary:
-            folder = options.keep / str(seed) if options.keep else Path(temporary)
-            folder.mkdir(parents=True, exist_ok=True)
-            rows.append(one_run(seed, options.starts, options.white, folder, options.changes))
-        print(json.dumps(rows[-1]), flush=True)
+    seeds = range(options.seeds[0], sum(options.seeds))
+    rows = rows_of_seeds(
+        seeds, options.keep,
+        lambda seed, folder: one_run(seed, options.starts, options.white, folder, options.changes),
+    )  # fmt: skip
     figures = summary(rows)
     print(json.dumps(figures, indent=2))
     return 1 if figures["wrong"] else 0

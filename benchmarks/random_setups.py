@@ -16,13 +16,12 @@ from __future__ import annotations
 import argparse
 import json
 import math
-import tempfile
 import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from common import DrawnScene, measured_distance
+from common import DrawnScene, measured_distance, rows_of_seeds
 
 # isort: split
 import numpy as np
@@ -196,15 +195,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--keep", type=Path, metavar="DIR", help="keep the files of every run in DIR/SEED")
     parser.add_argument("--most-objects", type=int, default=20, help="leave out runs of more objects: they take long")
     options = parser.parse_args(arguments)
-    rows = []
-    for seed in range(options.seed, options.seed + options.runs):
-        if draw(seed, options.misstated)[2]["objects"] > options.most_objects:
-            continue
-        with tempfile.TemporaryDirectory() as temporary:
-            folder = options.keep / str(seed) if options.keep else Path(temporary)
-            folder.mkdir(parents=True, exist_ok=True)
-            rows.append(one_run(seed, options.misstated, folder))
-        print(json.dumps(rows[-1]), flush=True)
+    seeds = range(options.seed, options.seed + options.runs)
+    few = [seed for seed in seeds if draw(seed, options.misstated)[2]["objects"] <= options.most_objects]
+    rows = rows_of_seeds(few, options.keep, lambda seed, folder: one_run(seed, options.misstated, folder))
     figures = summary(rows)
     print(json.dumps(figures, indent=2))
     return 1 if figures["silent_errors"] else 0

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -286,7 +285,7 @@ def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | 
 
 def tracked_frames(recording: Recording, most: int) -> NDArray[np.int64]:
     """Return every n-th frame of each camera, so that at most about `most` remain."""
-    return recording.every(max(math.ceil(len(recording.cameras) / most), 1))
+    return recording.every(len(recording.cameras) / most)
 
 
 def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: CalibrationProblem) -> Task:

@@ -89,17 +89,17 @@ class Recording:
         found = [camera.undistort_pixels(self.pixels[of_camera == k])[0] for k, camera in enumerate(cameras)]
         return sum(int((~np.isfinite(points).all(axis=1)).sum()) for points in found)
 
-    def every(self, n: int) -> Integers:
-        """Every n-th frame of each camera, in order."""
+    def every(self, n: float) -> Integers:
+        """Every n-th frame of each camera, in order; n is rounded up to a whole number, 1 at least."""
         place = np.empty(len(self.cameras), dtype=np.int64)
         for camera in np.unique(self.cameras):
             here = self.cameras == camera
             place[here] = np.arange(int(here.sum()))
-        return np.flatnonzero(place % n == 0)
+        return np.flatnonzero(place % max(math.ceil(n), 1) == 0)
 
     def thinned(self, most: int) -> Recording:
         """Return every n-th frame of each camera, so that at most about `most` detections remain."""
-        frames, counts = self.every(max(math.ceil(len(self.pixels) / most), 1)), np.diff(self.first)
+        frames, counts = self.every(len(self.pixels) / most), np.diff(self.first)
         rows = np.isin(self.frame_of, frames)
         return replace(
             self, cameras=self.cameras[frames], times=self.times[frames],
