@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import NamedTuple
@@ -24,7 +23,7 @@ from stereophd.core.calibration.adjustment.trajectories import (
     slopes,
 )
 from stereophd.core.calibration.unknowns.parameters import taken
-from stereophd.core.calibration.unknowns.quantities.base import TIMES, CameraView
+from stereophd.core.calibration.unknowns.quantities.base import TIMES
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import bent, look
 from stereophd.core.calibration.unknowns.scale import log_scale, predicted
 from stereophd.core.geometry.camera import Camera
@@ -72,6 +71,16 @@ class NormalEquations:
     value_vector: Array
     distances: Array
     by_noise: NoiseEquations | None = None
+
+
+class Seen(NamedTuple):
+    """What cameras see of the points of detections."""
+
+    errors: Array  # (n, 2): Residuals
+    visible: Booleans  # (n,)
+    by_point: Array  # (n, 2, 3): Derivatives of the pixels by the points
+    by_value: Array  # (n, 2, q): By the unknown values of the camera; q = 0 where they are not asked for
+    bends: Array  # (n, 2, 3, 3): Second derivatives by the points; (n, 0, 3, 3) where they are not asked for
 
 
 class Placement(NamedTuple):
@@ -148,10 +157,7 @@ class Linearisation:
     def summed(
         self,
         path: Interpolation,
-        errors: Array,
-        visible: Booleans,
-        by_point: Array,
-        by_value: Array,
+        seen: Seen,
         loss: Loss | None = None,
     ) -> NormalEquations:
         """Contributions of all detections, from what `residuals` returns; by default with the loss of the problem.
@@ -164,8 +170,8 @@ class Linearisation:
         bands, coupling, matrix = np.zeros((12, size)), np.zeros((size, count)), np.zeros((count, count))
         state_vector, value_vector, distances = np.zeros(size), np.zeros(count), np.zeros(len(observations))
         cost = normal_equations.accumulate(
-            observations.cameras, errors, visible, observations.precisions, counted, by_point, by_value, path.knot,
-            path.weights, self.columns[:, : by_value.shape[2]], loss.kind, loss.scale,
+            observations.cameras, seen.errors, seen.visible, observations.precisions, counted, seen.by_point,
+            seen.by_value, path.knot, path.weights, self.columns[:, : seen.by_value.shape[2]], loss.kind, loss.scale,
             bands, coupling, matrix, state_vector, value_vector, distances,
         )  # fmt: skip
         return NormalEquations(cost, bands, coupling, matrix, state_vector, value_vector, distances)
@@ -208,49 +214,50 @@ class Linearisation:
 
     def residuals(
         self, values: Array, states: Array, placement: Placement | None = None, by_values: bool = True
-    ) -> tuple[Interpolation, Array, Booleans, Array, Array]:
-        """Interpolation at the times of the values, residuals, visibility, and derivatives by points and values.
-
-        Without `by_values` the latter are empty, (n, 2, 0).
-        """
+    ) -> tuple[Interpolation, Seen]:
+        """Interpolation at the times of the values, and what is seen of its points, without second derivatives."""
         placement = placement or self.placed(values)
         world = positions(states, *placement.path)
         velocities = positions(states, *placement.rates) if by_values else np.zeros_like(world)
-        return placement.path, *self.seen(placement, values, world, velocities, by_values)
+        return placement.path, self.seen(placement, values, world, velocities, by_values)
 
     def seen(
-        self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True
-    ) -> tuple[Array, Booleans, Array, Array]:
-        """Residuals, visibility, and derivatives by points and values, of points and velocities (n, 3)."""
+        self,
+        placement: Placement,
+        values: Array,
+        world: Array,
+        velocities: Array,
+        by_values: bool = True,
+        with_bends: bool = False,
+    ) -> Seen:
+        """What is seen of points and velocities (n, 3)."""
         observations, parameters = self.problem.observations, self.problem.parameters
         count = len(observations)
         errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
         by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
-        for here, view in self._views(placement, world, velocities):
+        bends = np.empty((count, 2 if with_bends else 0, 3, 3))
+        for camera, here in zip(placement.cameras, self.members, strict=True):
+            at = placement.times[here], observations.log_times[here], observations.rows[here]
+            view = look(camera, world[here], velocities[here], *at)
             errors[here], visible[here] = observations.points[here] - view.pixels, view.ahead
             by_point[here] = view.by_world
+            if with_bends:
+                bends[here] = bent(view)
             unknown = parameters.unknown(view.camera.name) if by_values else ()
             parts = [quantity.derivative(view, taken(values, index))[:, :, index >= 0] for quantity, index in unknown]
             if parts:
                 by_camera = np.concatenate(parts, axis=2)
                 by_value[here, :, : by_camera.shape[2]] = by_camera
-        return errors, visible, by_point, by_value
+        return Seen(errors, visible, by_point, by_value, bends)
 
-    def _views(self, placement: Placement, world: Array, velocities: Array) -> Iterator[tuple[Integers, CameraView]]:
-        """Observations of each camera, and its view on their points."""
-        times, seen = placement.times, self.problem.observations
-        for camera, here in zip(placement.cameras, self.members, strict=True):
-            at = times[here], seen.log_times[here], seen.rows[here]
-            yield here, look(camera, world[here], velocities[here], *at)
-
-    def factor_of_knots(self, states: Array, placement: Placement, bands: Array) -> Array:
+    def factor_of_knots(self, path: Interpolation, seen: Seen, bands: Array) -> Array:
         """Cholesky factor (12, size) of the second derivatives of the cost by the knots, where there is no loss.
 
         To their matrix in the normal equations, `bands`, those of the pixels are added: what one camera alone sees
         lies in valleys that the normal equations do not tell. Those are taken where the sum is not positive definite.
         """
-        curved, bends = bands.copy(), self.bends(placement, positions(states, *placement.path))
-        normal_equations.add_points(placement.path.knot, placement.path.weights, bends, curved)
+        curved, pulls = bands.copy(), -(self.precisions @ seen.errors[:, :, None])[:, :, 0]
+        normal_equations.add_points(path.knot, path.weights, pulls, seen.bends, curved)
         with suppress(LinAlgError):
             return factor_knots(curved)
         return factor_knots(bands)
@@ -261,23 +268,9 @@ class Linearisation:
         precisions, weights = self.problem.observations.precisions, self.problem.observations.weights
         return precisions if weights is None else weights[:, None, None] * precisions
 
-    def bends(self, placement: Placement, world: Array, pulls: Array | None = None) -> Array:
-        """Second derivatives (n, 3, 3) of the pixels by their points (n, 3), summed with weights (n, 2).
-
-        By default those are the ones of the cost: the weighted errors.
-        """
-        out, precisions = np.empty((len(world), 3, 3)), self.precisions
-        for here, view in self._views(placement, world, np.zeros_like(world)):
-            errors = view.pixels - self.problem.observations.points[here]
-            out[here] = bent(view, (precisions[here] @ errors[:, :, None])[:, :, 0] if pulls is None else pulls[here])
-        return out
-
-    def pulled(self, values: Array, states: Array) -> tuple[Array, Array]:
-        """Return how the errors of detections pull at the values of their cameras (n, q) and at their points (n, 3)."""
-        _, errors, visible, by_point, by_value = self.residuals(values, states)
-        pulls = np.einsum("n,nij,nj->ni", visible, self.precisions, errors)
-        by_value, by_point = (np.where(visible[:, None, None], by, 0.0) for by in (by_value, by_point))
-        return np.einsum("nrq,nr->nq", by_value, pulls), np.einsum("nra,nr->na", by_point, pulls)
+    def pulls(self, seen: Seen) -> Array:
+        """Return how the errors of detections pull at their pixels (n, 2), by the weights that the detections have."""
+        return np.where(seen.visible[:, None], (self.precisions @ seen.errors[:, :, None])[:, :, 0], 0.0)
 
     def of_values(self, by_value: Array) -> Array:
         """Sums (m,) over detections of their contributions (n, q) to the values of their cameras."""

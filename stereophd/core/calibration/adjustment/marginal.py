@@ -318,13 +318,12 @@ class MarginalPosterior:
         slopes = self.slopes(at)
         path, rates = slopes.placement.path, slopes.placement.rates
         by_states = linearisation.of_states(path, slopes.by_point) + self._first_states(at.states)[1]
-        curved = linearisation.factor_of_knots(at.states, slopes.placement, equations.bands)
+        curved = linearisation.factor_of_knots(path, slopes.seen, equations.bands)
         across = cho_solve_banded((curved, True), by_states, check_finite=False).reshape(at.states.shape)
         # knots that follow move points and velocities, and with them what the errors pull at the values with
         moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(slopes.world)) for i in (path, rates))
-        _, errors, visible, by_point, _ = linearisation.residuals(values, at.states, slopes.placement, by_values=False)
-        pulls = np.where(visible[:, None], (linearisation.precisions @ errors[:, :, None])[:, :, 0], 0.0)
-        later = (pulls * (by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
+        pulls = linearisation.pulls(slopes.seen)
+        later = (pulls * (slopes.seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
         by_value = slopes.by_value(linearisation, pulls[:, :, None] * moved[:, None, :], later)
         products = linearisation.motion.pulls(at.states)[0].T @ across.reshape(-1, 3)
         by_products = linearisation.noise_at(values, noise).by_unknowns(products + products.T)

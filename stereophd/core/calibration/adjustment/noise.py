@@ -148,7 +148,7 @@ def estimate_noise(
     linearisation = Linearisation.of(problem.weighted(weights))
     values, states = adjustment.values, adjustment.states
     sigma = 1.0 / np.sqrt(observations.precisions[:, [0, 1], [0, 1]])
-    residuals = linearisation.residuals(values, states)[1] / sigma
+    residuals = linearisation.residuals(values, states)[1].errors / sigma
     cells = cells_of(observations, radius)
     own = rng.standard_normal((DRAWS, len(cells), 2))
     of_cells = rng.standard_normal((DRAWS, len(cells), 2))[:, cells]
@@ -194,22 +194,22 @@ def remaining_errors(
     The cameras take the step of a problem in which detections that share errors count less, and the trajectories
     follow all detections.
     """
-    seen = path, _, _, by_point, by_value = linearisation.residuals(values, states)
+    path, seen = linearisation.residuals(values, states)
     value_steps, steps = np.empty((0, 0)), np.empty((0, 0))
     for problem in (counted,) if counted is linearisation else (counted, linearisation):
         equations = problem.at(values, states)
         eliminated = Eliminated.of(equations, factor_knots(equations.bands, DAMPING))
-        sums = [problem.summed(path, one, *seen[2:]) for one in errors]
+        sums = [problem.summed(path, seen._replace(errors=one)) for one in errors]
         steps = eliminated.of_knots(np.stack([one.state_vector for one in sums], axis=1))
         if problem is counted:
             right = np.stack([one.value_vector for one in sums], axis=1) - equations.coupling.T @ steps
             value_steps = within_prior(eliminated.schur, problem.problem.parameters.prior_std) @ right
         steps = steps + eliminated.followed(value_steps)
-    left, still = errors.copy(), np.zeros((len(by_point), 3))
+    left, still = errors.copy(), np.zeros((len(errors[0]), 3))
     for out, step, value_step in zip(left, steps.T, value_steps.T, strict=True):
         moved = positions(step.reshape(states.shape), path.knot, path.weights, still)
-        out -= np.einsum("nij,nj->ni", by_point, moved)
+        out -= np.einsum("nij,nj->ni", seen.by_point, moved)
         for columns, here in zip(linearisation.columns, linearisation.members, strict=True):
             used = columns >= 0
-            out[here] -= by_value[here][:, :, used] @ value_step[columns[used]]
+            out[here] -= seen.by_value[here][:, :, used] @ value_step[columns[used]]
     return left

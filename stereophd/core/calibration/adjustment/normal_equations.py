@@ -46,8 +46,11 @@ def substitute_back(factor: Array, right: Array) -> None:
 
 
 @compiled
-def add_points(knots: Integers, weights: Array, matrices: Array, bands: Array) -> None:
-    """Add matrices (n, 3, 3) of points that knots interpolate with weights (n, 4) to that of the knots (12, 6 k)."""
+def add_points(knots: Integers, weights: Array, pulls: Array, matrices: Array, bands: Array) -> None:
+    """Add matrices of points that knots interpolate with weights (n, 4) to that of the knots (12, 6 k).
+
+    Those are the matrices (n, 2, 3, 3), summed with `pulls` (n, 2).
+    """
     for n in range(len(knots)):
         start = 6 * knots[n]
         for b in range(4):
@@ -59,7 +62,8 @@ def add_points(knots: Integers, weights: Array, matrices: Array, bands: Array) -
                     for a2 in range(3):
                         row, column = start + 3 * b + a, start + 3 * b2 + a2
                         if column <= row:
-                            bands[row - column, column] += weight * matrices[n, a, a2]
+                            pulled = pulls[n, 0] * matrices[n, 0, a, a2] + pulls[n, 1] * matrices[n, 1, a, a2]
+                            bands[row - column, column] += weight * pulled
 
 
 @compiled

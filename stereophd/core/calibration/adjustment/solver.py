@@ -31,7 +31,7 @@ from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, factor_knots
 from stereophd.core.calibration.adjustment.problem import Problem
-from stereophd.core.calibration.adjustment.trajectories import STATED
+from stereophd.core.calibration.adjustment.trajectories import STATED, positions
 from stereophd.core.calibration.time_limit import within
 
 # Most steps of the knots at given values, and the fall of the cost that is left; most of them that follow a step. Steps
@@ -139,7 +139,9 @@ def settled_knots(
         if (promised := float(vector @ step)) <= settled:
             break
         if promised <= KNOTS_NEAR:
-            step = cho_solve_banded((linearisation.factor_of_knots(states, placement, bands), True), vector)
+            at = positions(states, *placement.path)
+            seen = linearisation.seen(placement, values, at, np.zeros_like(at), by_values=False, with_bends=True)
+            step = cho_solve_banded((linearisation.factor_of_knots(placement.path, seen, bands), True), vector)
         share = 1.0
         while share >= LEAST_SHARE:
             moved = states + share * step.reshape(states.shape)

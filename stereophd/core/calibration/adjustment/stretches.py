@@ -71,8 +71,9 @@ def _scores(linearisation: Linearisation, point: Point, noise: Array, volume: Vo
     unknowns, states = len(point.unknowns), point.states
     values = point.unknowns[: problem.parameters.size]
     following = point.eliminated.following().reshape(len(states), 2, 3, unknowns)
-    path, (direct, of_point) = volume.placement.path, linearisation.pulled(values, states)
-    direct, of_point = direct - volume.by_value(linearisation), of_point - volume.by_point
+    path, seen, pulls = volume.placement.path, volume.seen, linearisation.pulls(volume.seen)
+    direct = np.einsum("nrq,nr->nq", seen.by_value, pulls) - volume.by_value(linearisation)
+    of_point = np.einsum("nra,nr->na", seen.by_point, pulls) - volume.by_point
     ends = np.quantile(observations.times, np.linspace(0.0, 1.0, STRETCHES + 1))[1:-1]
     scores, after = np.zeros((STRETCHES, unknowns)), np.minimum(path.knot + 1, len(states) - 1)
     rows_of = np.searchsorted(ends, observations.times)

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, Placement
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, Placement, Seen
 from stereophd.core.calibration.adjustment.trajectories import motion_links, positions
 from stereophd.core.numerics.compilation.compiled import compiled
 
@@ -64,6 +64,7 @@ class VolumeSlopes:
     placement: Placement
     world: Array  # (n, 3): the points of the detections
     velocities: Array  # (n, 3)
+    seen: Seen  # What is seen of them
     rows: Array  # (n, 2, 3): by the derivatives of the pixels of each detection by its point
     by_point: Array  # (n, 3): by the point of each detection
     by_time: Array  # (n,): by its time, through the weights of its knots
@@ -77,36 +78,33 @@ class VolumeSlopes:
         placement = linearisation.placed(values)
         path, rates = placement.path, placement.rates
         world, velocities = positions(states, *path), positions(states, *rates)
-        _, visible, by_point, _ = linearisation.seen(placement, values, world, velocities, by_values=False)
-        by_point = np.where(visible[:, None, None], by_point, 0.0)
+        seen = linearisation.seen(placement, values, world, velocities, with_bends=True)
+        by_point = np.where(seen.visible[:, None, None], seen.by_point, 0.0)
         spread = np.zeros((2, len(world), 3, 3))
         for of_points, weights in zip(spread, (path.weights, rates.weights), strict=True):
             summed_covariances(inverse, path.knot, path.weights[:, :, None] * weights[:, None, :], of_points)
         weighted = linearisation.precisions @ by_point
         rows = weighted @ spread[0]
         by_time = (by_point * (weighted @ spread[1].swapaxes(1, 2))).sum(axis=(1, 2))
-        of_point = np.zeros_like(world)
-        for r, only in enumerate(np.eye(2)):
-            bends = linearisation.bends(placement, world, np.broadcast_to(only, (len(world), 2)))
-            of_point += (bends @ rows[:, r, :, None])[:, :, 0]
+        of_point = np.einsum("nrab,nrb->na", seen.bends, rows)
         links = motion_links(linearisation.problem.knots)
         covariances = np.zeros((len(links.knot), 3, 3))
         summed_covariances(inverse, links.knot, links.precisions, covariances)
         by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
-        return VolumeSlopes(values, placement, world, velocities, rows, of_point, by_time, by_noise)
+        return VolumeSlopes(values, placement, world, velocities, seen, rows, of_point, by_time, by_noise)
 
     def by_value(self, linearisation: Linearisation, more: Array | float = 0.0, later: Array | float = 0.0) -> Array:
         """Return derivatives (n, q) by the values of the camera of each detection.
 
         `more` (n, 2, 3) and `later` (n,) add to those by the derivatives of the pixels and by the times.
         """
-        at = self.placement, self.values
-        _, visible, by_point, before = linearisation.seen(*at, self.world, self.velocities)
+        before = self.seen
         rows, out = self.rows + more, (self.by_time + later)[:, None] * linearisation.time_slopes(self.values)
-        steps = STEP_PX / np.maximum(np.linalg.norm(by_point, axis=(1, 2)), LEAST_NORM)
+        steps = STEP_PX / np.maximum(np.linalg.norm(before.by_point, axis=(1, 2)), LEAST_NORM)
         for r in (0, 1):
             size = np.linalg.norm(rows[:, r], axis=1)
             moved = rows[:, r] * (steps / np.maximum(size, LEAST_NORM))[:, None]
-            _, seen_after, _, after = linearisation.seen(*at, self.world + moved, self.velocities)
-            out += np.where(visible & seen_after, size / steps, 0.0)[:, None] * (after - before)[:, r]
+            after = linearisation.seen(self.placement, self.values, self.world + moved, self.velocities)
+            length = np.where(before.visible & after.visible, size / steps, 0.0)
+            out += length[:, None] * (after.by_value - before.by_value)[:, r]
         return out

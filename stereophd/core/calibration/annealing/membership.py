@@ -58,9 +58,7 @@ class Predictions:
         """
         knots = self.problem.knots
         linearisation = Linearisation.of(replace(self.problem, observations=seen))
-        path, errors, visible, by_point, by_value = linearisation.residuals(
-            self.adjustment.values, self.adjustment.states
-        )
+        path, now = linearisation.residuals(self.adjustment.values, self.adjustment.states)
         spread = np.zeros((len(seen), 3, 3))
         summed_covariances(self.inverse, path.knot, path.weights[:, :, None] * path.weights[:, None, :], spread)
         noise = linearisation.noise_at(self.adjustment.values).std
@@ -68,22 +66,22 @@ class Predictions:
         total = np.zeros((len(seen), 2, len(self.adjustment.values)))
         for place in range(12):
             rows = np.minimum(6 * path.knot + place, len(self.following) - 1)
-            part = path.weights[:, place // 3, None] * by_point[:, :, place % 3]
+            part = path.weights[:, place // 3, None] * now.by_point[:, :, place % 3]
             total += part[:, :, None] * self.following[rows][:, None, :]
         for columns, here in zip(linearisation.columns, linearisation.members, strict=True):
             used = columns >= 0
-            total[np.ix_(here, np.arange(2), columns[used])] += by_value[here][:, :, used]
-        predicted = by_point @ spread @ by_point.swapaxes(1, 2)
+            total[np.ix_(here, np.arange(2), columns[used])] += now.by_value[here][:, :, used]
+        predicted = now.by_point @ spread @ now.by_point.swapaxes(1, 2)
         predicted += total @ self.covariance @ total.swapaxes(1, 2)
         left = (1.0 + LEAST_LEFT) * np.eye(2) - weights[:, None, None] * (predicted @ seen.precisions)
         covariance = np.linalg.inv(seen.precisions) + np.linalg.solve(left, predicted)
-        covariance += by_point @ astray @ by_point.swapaxes(1, 2)
+        covariance += now.by_point @ astray @ now.by_point.swapaxes(1, 2)
         # rounding makes what is far too uncertain in one direction singular: it is taken to be so in both
         singular = np.linalg.det(covariance) == 0.0
         covariance[singular] = np.trace(covariance[singular], axis1=1, axis2=2)[:, None, None] * np.eye(2)
-        residual = np.linalg.solve(left, errors[:, :, None])
+        residual = np.linalg.solve(left, now.errors[:, :, None])
         distance = (residual * np.linalg.solve(covariance, residual)).sum(axis=(1, 2))
-        distance = np.where(visible & (distance >= 0.0), distance, np.inf)
+        distance = np.where(now.visible & (distance >= 0.0), distance, np.inf)
         determinant = np.maximum(np.linalg.det(2.0 * np.pi * covariance), 1e-300)
         return distance, -0.5 * (distance + np.log(determinant))
 
@@ -107,11 +105,11 @@ def chosen_detections(
         times = scans.detection_times
         near = np.flatnonzero((owner < 0) & (times >= start - padding) & (times <= end + padding))
         seen = recording.observations(cameras, np.full(len(near), j), scans.source[near])
-        _, errors, visible, _, _ = Linearisation.of(replace(problem, observations=seen)).residuals(
+        _, now = Linearisation.of(replace(problem, observations=seen)).residuals(
             adjustment.values, adjustment.states, by_values=False
         )
-        distance = np.einsum("ni,nij,nj->n", errors, seen.precisions, errors)
-        looked_at = np.flatnonzero(visible & (distance < WIDE_GATE))
+        distance = np.einsum("ni,nij,nj->n", now.errors, seen.precisions, now.errors)
+        looked_at = np.flatnonzero(now.visible & (distance < WIDE_GATE))
         near, seen = near[looked_at], seen.take(looked_at)
         weight = np.zeros(len(recording.pixels))
         weight[members[known == j]] = weights[known == j]

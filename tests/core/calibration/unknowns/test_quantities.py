@@ -104,7 +104,7 @@ def test_second_derivatives_by_the_point_are_those_of_first_ones(lens: str, movi
         return np.einsum("nr,nra->na", pulls, look(camera, points, 0.0 * points, when, when, when).by_world)
 
     numeric = np.stack([(slopes(world + step * e) - slopes(world - step * e)) / (2.0 * step) for e in np.eye(3)], 1)
-    found = bent(look(camera, world, 0.0 * world, when, when, when), pulls)
+    found = np.einsum("nr,nrab->nab", pulls, bent(look(camera, world, 0.0 * world, when, when, when)))
     np.testing.assert_allclose(found, numeric, atol=1e-5 * np.abs(numeric).max())
 
 

@@ -114,37 +114,46 @@ def project(
     return ahead, visible, undistorted, distorted, by_point, by_world
 
 
-def bent(view: CameraView, pulls: Array) -> Array:
-    """Second derivatives (n, 3, 3) of the raw pixels by the point in the world, summed with weights (n, 2)."""
-    axes = view.camera.pose.rotation[None] if view.turns is None else view.turns @ view.camera.pose.rotation
-    lens, pulls = view.camera.lens, pulls * [view.camera.fx, view.camera.fy]
-    by_point = _bends(view.points, view.ahead, pulls, lens.code, lens.coefficients, lens.max_radius)
-    return np.asarray(axes.swapaxes(1, 2) @ by_point @ axes)
+def bent(view: CameraView) -> Array:
+    """Second derivatives (n, 2, 3, 3) of the raw pixels by the point in the world."""
+    camera, lens = view.camera, view.camera.lens
+    axes = camera.pose.rotation[None] if view.turns is None else view.turns @ camera.pose.rotation
+    focal = np.array([camera.fx, camera.fy])
+    return np.asarray(_bends(view.points, view.ahead, axes, focal, lens.code, lens.coefficients, lens.max_radius))
 
 
 @compiled
-def _bends(points: Array, ahead: Booleans, pulls: Array, code: int, lens: Array, max_radius: float) -> Array:
-    """`bent` by the points in the camera's axes, of normalised coordinates; those of the lens are differences."""
-    out = np.zeros((len(points), 3, 3))
+def _bends(
+    points: Array, ahead: Booleans, axes: Array, focal: Array, code: int, lens: Array, max_radius: float
+) -> Array:
+    """`bent` by points (n, 3) and axes (1 or n, 3, 3) as those of `project`; those of the lens are differences."""
+    out, by_point, slope, second = np.zeros((len(points), 2, 3, 3)), np.empty((3, 3)), np.eye(2), np.zeros((2, 3))
+    half = 0.5 / LENS_STEP
     for n in np.flatnonzero(ahead):
+        turn = axes[n if axes.shape[0] > 1 else 0]
         i = 1.0 / points[n, 2]
-        x, y, p, q = points[n, 0] * i, points[n, 1] * i, pulls[n, 0], pulls[n, 1]
-        a, b, xx, xy, yy = p, q, 0.0, 0.0, 0.0
+        x, y = points[n, 0] * i, points[n, 1] * i
         if code != LENS_NONE:
-            _, _, _, j00, j01, j10, j11 = _imaged(code, lens, max_radius, x, y)
+            _, _, _, slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = _imaged(code, lens, max_radius, x, y)
             _, _, _, r00, r01, r10, r11 = _imaged(code, lens, max_radius, x + LENS_STEP, y)
             _, _, _, l00, l01, l10, l11 = _imaged(code, lens, max_radius, x - LENS_STEP, y)
             _, _, _, _, d01, _, d11 = _imaged(code, lens, max_radius, x, y + LENS_STEP)
             _, _, _, _, u01, _, u11 = _imaged(code, lens, max_radius, x, y - LENS_STEP)
-            a, b, half = p * j00 + q * j10, p * j01 + q * j11, 0.5 / LENS_STEP
-            xx, xy = half * (p * (r00 - l00) + q * (r10 - l10)), half * (p * (r01 - l01) + q * (r11 - l11))
-            yy = half * (p * (d01 - u01) + q * (d11 - u11))
-        s = i * i
-        out[n, 0, 0], out[n, 0, 1], out[n, 1, 1] = s * xx, s * xy, s * yy
-        out[n, 0, 2] = -s * (x * xx + y * xy + a)
-        out[n, 1, 2] = -s * (x * xy + y * yy + b)
-        out[n, 2, 2] = s * (x * x * xx + 2.0 * x * y * xy + y * y * yy + 2.0 * (a * x + b * y))
-        out[n, 1, 0], out[n, 2, 0], out[n, 2, 1] = out[n, 0, 1], out[n, 0, 2], out[n, 1, 2]
+            second[0, 0], second[0, 1], second[0, 2] = half * (r00 - l00), half * (r01 - l01), half * (d01 - u01)
+            second[1, 0], second[1, 1], second[1, 2] = half * (r10 - l10), half * (r11 - l11), half * (d11 - u11)
+        for r in range(2):
+            a, b, xx, xy, yy = slope[r, 0], slope[r, 1], second[r, 0], second[r, 1], second[r, 2]
+            s = i * i * focal[r]
+            by_point[0, 0], by_point[0, 1], by_point[1, 1] = s * xx, s * xy, s * yy
+            by_point[0, 2] = -s * (x * xx + y * xy + a)
+            by_point[1, 2] = -s * (x * xy + y * yy + b)
+            by_point[2, 2] = s * (x * x * xx + 2.0 * x * y * xy + y * y * yy + 2.0 * (a * x + b * y))
+            by_point[1, 0], by_point[2, 0], by_point[2, 1] = by_point[0, 1], by_point[0, 2], by_point[1, 2]
+            for j in range(3):
+                for k in range(3):
+                    part = by_point[j, 0] * turn[0, k] + by_point[j, 1] * turn[1, k] + by_point[j, 2] * turn[2, k]
+                    for m in range(3):
+                        out[n, r, m, k] += turn[j, m] * part
     return out
 
 
