@@ -183,6 +183,19 @@ def test_cameras_whose_rays_do_not_meet_are_calibrated_first(
         assert camera.detector.sigma_px == pytest.approx([1.0, 1.0], rel=0.3)
 
 
+@pytest.mark.parametrize("covered_after_s", [1.5, 2.5])
+def test_a_camera_that_something_covers_for_a_while_is_not_wrong(
+    scene: Path, tmp_path: Path, covered_after_s: float
+) -> None:
+    """Its empty frames are no misses of their own, each as improbable as the detector says."""
+    log, cameras = pd.read_parquet(scene / "detections.parquet"), scene / "cameras.yaml"
+    covered = (log["camera"] == log["camera"].iloc[0]) & (log["time_s"] > covered_after_s)
+    log.loc[covered, ["u_px", "v_px"]] = np.nan
+    log[~covered | ~log.duplicated(["camera", "time_s"])].to_parquet(tmp_path / "log.parquet", index=False)
+    report = init(tmp_path / "study", tmp_path / "log.parquet", cameras)
+    assert not report["must_be_calibrated"]
+
+
 def test_three_cameras_that_do_not_agree_are_listed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     values = yaml.safe_load((ROOT / "configs" / "quickstart.yaml").read_text())
     simulate(make_config({**values, "simulate": values["simulate"] | {"duration_s": 1.0}}), tmp_path / "out")

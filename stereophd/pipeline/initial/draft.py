@@ -116,9 +116,14 @@ def _with_tracks(
 
 
 def _log_likelihood(loaded: LoadedConfig, parts: list[list[Event]], group: Sequence[int]) -> float:
-    """Return the log-likelihood of what these cameras alone detect, given by their numbers."""
+    """Return the log-likelihood of what these cameras alone detect, given by their numbers.
+
+    Frames without any detection do not count: something may cover what the camera sees for a while, or nobody has
+    looked there. As misses of its own each, they outweighed all that a hundred frames of another camera show.
+    """
     cameras = loaded.build_cameras()
-    own = [[replace(one, camera=group.index(one.camera)) for one in part if one.camera in group] for part in parts]
+    seen = [[one for one in part if one.camera in group and len(one.points)] for part in parts]
+    own = [[replace(one, camera=group.index(one.camera)) for one in part] for part in seen]
     return float(log_likelihoods(loaded, own, tuple(cameras[k] for k in group)).sum())
 
 
