@@ -161,7 +161,8 @@ class _Outputs:
         findings += tuple(check_tracking(summary, counts, tracking.cameras))
         findings += tuple(check_detections(summary, tracking.cameras))
         of_many = tracking.motion.moves and not isinstance(tracking.estimator, SingleTracker)
-        findings += tuple(check_errors(summary, findings, of_many and self.motion is None))
+        if not (tracking.boxes or self.stream.has_noise):  # the residuals of bodies are their own, and so is each noise
+            findings += tuple(check_errors(summary, findings, of_many and self.motion is None))
         since = functools.partial(check_log, loaded, self.stream.source, False, tracking.cameras)
         findings += tuple(check_knocks(summary, findings, since))
         if not tracking.boxes:

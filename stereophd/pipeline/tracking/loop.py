@@ -6,7 +6,7 @@ depends on: with it and the events that follow, another process gives the record
 """
 
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Generic, Protocol, TypeVar
 
@@ -78,7 +78,7 @@ class Record:
     associations : detections that reported tracks claim: also earlier ones of tracks reported for the first time
     knock : a camera that the event shows to have been knocked
     outside : number of detections that see nothing of the region, or are of tracks beside it
-    filtered : estimates and associations of the filter, if those of the record are smoothed
+    filtered : the record of the filter, if this one is smoothed
     """
 
     time_s: float
@@ -95,7 +95,24 @@ class Record:
     associations: tuple[Associated, ...] = ()
     knock: Knock | None = None
     outside: int = 0
-    filtered: tuple[Estimates, tuple[Associated, ...]] | None = None
+    filtered: "Record | None" = None
+
+    def of_tracks(self, is_kept: Callable[[int], bool]) -> "Record":
+        """Return the record with some of its tracks only."""
+
+        def kept(of: Estimates | Associated) -> NDArray[np.bool_]:
+            return np.array([is_kept(track_id) for track_id in of.track_ids.tolist()], dtype=np.bool_)
+
+        estimates, tentative = self.estimates, self.estimates.tentative
+        mask = kept(estimates)
+        if tentative is not None:
+            tentative = tentative.take(kept(tentative))
+        if not mask.all() or tentative is not None:
+            estimates = replace(estimates.take(mask), tentative=tentative)
+        rows = [(one, kept(one)) for one in self.associations]
+        associations = tuple(one if mask.all() else one.take(mask) for one, mask in rows if mask.any())
+        filtered = None if self.filtered is None else self.filtered.of_tracks(is_kept)
+        return replace(self, estimates=estimates, associations=associations, filtered=filtered)
 
 
 class EstimatorState(Protocol):

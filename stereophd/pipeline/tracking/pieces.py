@@ -286,6 +286,7 @@ class JoinedPieces:
             return np.array([name(one) for one in track_ids.tolist()], dtype=np.int64)
 
         estimates = replace(record.estimates, track_ids=rename(record.estimates.track_ids))
+        filtered = record.filtered and self._renamed(record.filtered.of_tracks(names.__contains__), names, first)
         if (tentative := estimates.tentative) is not None:
             estimates = replace(estimates, tentative=replace(tentative, track_ids=rename(tentative.track_ids)))
         return replace(
@@ -293,6 +294,7 @@ class JoinedPieces:
             estimates=estimates,
             attributed={name(track_id): counts for track_id, counts in record.attributed.items()},
             associations=tuple(replace(one, track_ids=rename(one.track_ids)) for one in record.associations),
+            filtered=filtered,
         )
 
 

@@ -2,10 +2,12 @@
 
 The residuals of a filter whose assumptions hold are white, as its innovations are (R. K. Mehra, "On the identification
 of variances and adaptive Kalman filtering", IEEE Trans. Automatic Control 15 (2), 1970). A detection with the residual
-e, noise R and derivatives H of its pixels has the score ``s = H' R^-1 e`` of the position, and the information ``I = H'
-R^-1 H`` about it. For a successive detection of the same track, of covariance P, ``s' P t`` has the mean 0 and the
-variance ``tr(P I P J)``. If the track errs by what lasts from one to the other, with a covariance of c P beyond what is
-stated, the mean is ``c tr(P I P J)``: this tells how far tracks err, along every axis that cameras see, depth too.
+e, noise R and derivatives H of its pixels has the score ``s = H' R^-1 e`` of the position. That is ``H' S^-1`` times
+the innovation, of covariance S. Its own covariance is ``A = H' S^-1 H = I - I P I``, with the information ``I = H' R^-1
+H`` and the covariance P of the position that has taken in the detection. For a successive detection of the same track,
+with t, B and P, ``s' P t`` has the mean 0 and the variance ``tr(P A P B)``. If the track errs by what lasts from one to
+the other, with a covariance of c P beyond what is stated, the mean is ``c tr(P A P B)``: this tells how far tracks err,
+along every axis that cameras see, depth too.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -23,8 +25,8 @@ from stereophd.pipeline.tracking.loop import Record
 
 # A detection that belongs to a track more probably than not has a residual.
 PROBABLE = 0.5
-# Residuals computed at a time.
-BATCH = 2048
+# Residuals computed at a time, at least, and over those that wait for a successive one.
+BATCH, BATCH_OVER_WAITING = 2048, 3
 # Residuals that exceed what is expected by this many times the median excess are those of wrong detections or of tracks
 # that are elsewhere. They show nothing about the noise, and a few of them would outweigh all others.
 OUTLIER = 8.0
@@ -33,8 +35,6 @@ OUTLIER = 8.0
 LEAST_EXPECTED = 0.1
 # Step of the derivatives of a projection, over the standard deviation of the position.
 DERIVATIVE_STEP = 0.1
-# Of estimates that are little more than two detections these show nothing: most of the root of tr(P I P J).
-MOST_SHARE = 0.7
 
 
 class SeenTrack(NamedTuple):
@@ -118,22 +118,22 @@ class PairSums:
     """Sums over pairs of successive detections of tracks."""
 
     count: int = 0
-    products: float = 0.0  # Of s' P t over the root of tr(P I P J)
+    products: float = 0.0  # Of s' P t
     squares: float = 0.0  # Of the squares of these
-    roots: float = 0.0  # Of the roots
+    variances: float = 0.0  # Of tr(P A P B)
 
-    def add(self, products: Array, roots: Array) -> None:
+    def add(self, products: Array, variances: Array) -> None:
         """Take in pairs (n,)."""
         self.count += len(products)
         self.products += float(products.sum())
         self.squares += float((products**2).sum())
-        self.roots += float(roots.sum())
+        self.variances += float(variances.sum())
 
     def report(self) -> dict[str, Any]:
         """Return the figures for ``report.json``."""
         return {
             "pairs": self.count,
-            "excess": finite_or_none(self.products / self.roots) if self.roots > 0.0 else None,
+            "excess": finite_or_none(self.products / self.variances) if self.variances > 0.0 else None,
             "standard_errors": finite_or_none(self.products / self.squares**0.5) if self.squares > 0.0 else None,
         }
 
@@ -144,14 +144,16 @@ class TrackErrors:
 
     same_camera: PairSums = field(default_factory=PairSums)
     other_camera: PairSums = field(default_factory=PairSums)
+    # In order of time; the first ones are the last that the sums know of each camera and track.
     waiting: list[SeenTrack] = field(default_factory=list)
+    known: int = 0
 
     def add(self, record: Record, cameras: Mapping[str, Camera]) -> None:
         """Take in the detections of a record's event, by estimates of the filter; none of bodies."""
-        estimates, associated = record.filtered or (record.estimates, record.associations)
-        for one in associated if estimates.extents is None else ():
-            self.waiting += sightings_of(record, estimates, one)
-        if len(self.waiting) >= BATCH:
+        filtered = record.filtered or record
+        for one in filtered.associations if filtered.estimates.extents is None else ():
+            self.waiting += sightings_of(record, filtered.estimates, one)
+        if len(self.waiting) - self.known >= max(BATCH, BATCH_OVER_WAITING * self.known):
             self._compute(cameras)
 
     def report(self, cameras: Mapping[str, Camera]) -> dict[str, Any]:
@@ -160,27 +162,29 @@ class TrackErrors:
         return {"same_camera": self.same_camera.report(), "other_camera": self.other_camera.report()}
 
     def _compute(self, cameras: Mapping[str, Camera]) -> None:
-        """Take in the detections that wait, in order of time."""
+        """Take in the detections that wait."""
         if not self.waiting:
             return
         names, tracks, *_, covariances, _ = map(np.array, zip(*self.waiting, strict=True))
-        scores, informations = np.full((len(names), 3), np.nan), np.full((len(names), 3, 3), np.nan)
+        scores, spreads = np.full((len(names), 3), np.nan), np.full((len(names), 3, 3), np.nan)
         for name, camera in cameras.items():
             own = np.flatnonzero(names == name)
             found = residuals_of(camera, [self.waiting[row] for row in own.tolist()])
             kept, slopes = own[found.usual], found.jacobians[found.usual]
             weighted = slopes / np.asarray(camera.detector.sigma)[:, None] ** 2
             scores[kept] = np.einsum("nij,ni->nj", weighted, found.residuals[found.usual])
-            informations[kept] = np.einsum("nij,nik->njk", weighted, slopes)
+            information = np.einsum("nij,nik->njk", weighted, slopes)
+            spreads[kept] = information - information @ covariances[kept] @ information
         known = np.flatnonzero(np.isfinite(scores).all(axis=1))
         for sums, keys in ((self.other_camera, (tracks,)), (self.same_camera, (names, tracks))):
             order = known[np.lexsort([key[known] for key in keys])]
             first, second = order[:-1], order[1:]
             pairs = (tracks[first] == tracks[second]) & ((names[first] == names[second]) == (len(keys) == 2))
+            pairs &= second >= self.known
             first, second = first[pairs], second[pairs]
-            spread = covariances[second]
-            shares = np.trace(spread @ informations[first] @ spread @ informations[second], axis1=1, axis2=2)
-            roots = np.sqrt(np.where(shares > 0.0, shares, np.nan))  # rounding may leave nothing
-            products = np.einsum("ni,nij,nj->n", scores[first], spread, scores[second]) / roots
-            sums.add(products[roots <= MOST_SHARE], roots[roots <= MOST_SHARE])
-        self.waiting = []
+            stated = covariances[second]
+            products = np.einsum("ni,nij,nj->n", scores[first], stated, scores[second])
+            sums.add(products, np.trace(stated @ spreads[first] @ stated @ spreads[second], axis1=1, axis2=2))
+        last = {(names[row], tracks[row]): row for row in range(self.known, len(names))}
+        self.waiting = [self.waiting[row] for row in sorted(last.values())]
+        self.known = len(self.waiting)

@@ -6,12 +6,12 @@ Tracks that are too short are left out (``report.min_track_length``).
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Booleans
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.considered import CommonPart, moves_of_a_pixel
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
@@ -253,20 +253,4 @@ class LastingTracks:
 
     def _without_short(self, record: Record) -> Record:
         least = self.min_length_s - same_time(record.time_s)
-
-        def lasts(of: Estimates | Associated) -> Booleans:
-            ids = of.track_ids.tolist()
-            return np.array([i in self.first and self.last[i] - self.first[i] >= least for i in ids], dtype=bool)
-
-        estimates, tentative = record.estimates, record.estimates.tentative
-        kept = lasts(estimates)
-        if tentative is not None:
-            tentative = tentative.take(lasts(tentative))
-        rows = [(one, lasts(one)) for one in record.associations]
-        if not kept.all() or tentative is not None:
-            estimates = replace(estimates.take(kept), tentative=tentative)
-        return replace(
-            record,
-            estimates=estimates,
-            associations=tuple(one if mask.all() else one.take(mask) for one, mask in rows if mask.any()),
-        )
+        return record.of_tracks(lambda one: one in self.first and self.last[one] - self.first[one] >= least)

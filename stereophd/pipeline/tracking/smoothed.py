@@ -110,7 +110,7 @@ def smoothed_records(
         own.sort(key=lambda row: row[0])
         yield replace(
             record, estimates=_estimates(own, extents), attributed=attributed, associations=sightings,
-            filtered=(record.estimates, record.associations),
+            filtered=record,
         )  # fmt: skip
 
 

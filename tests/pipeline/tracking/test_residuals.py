@@ -6,12 +6,16 @@ import pytest
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.constant_velocity import ConstantVelocity
+from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.run_figures import check_errors
+from stereophd.pipeline.tracking.associations import Associated
+from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.residuals import SeenTrack, TrackErrors, residuals_of
 from tests.scenes import build_camera
 
-CAMERAS = [build_camera("left", (-2.0, 0.0, -5.0)), build_camera("right", (2.0, 0.0, -5.0))]
+NOISE = (2.0, 1.2)
+CAMERAS = [build_camera(name, (x, 0.0, -5.0), noise=NOISE) for name, x in (("left", -2.0), ("right", 2.0))]
 # So many tracks, which end before their objects leave the view.
 ACCELERATION, STEP_S, COUNT, TRACKS = 0.3, 0.02, 200, 12
 
@@ -61,6 +65,9 @@ def test_tracks_that_are_too_sure_are_named(stated: float, lasts: bool, cause: s
         noise = lasting(rng) if lasts else rng.normal(size=(COUNT, 2))
         errors.waiting += [one._replace(track_id=track) for one in filtered(stated, noise, rng)]
     summary = {"track_errors": errors.report(by_name)}
+    if stated == ACCELERATION and not lasts:  # the products have the variance that they should
+        for sums in (errors.same_camera, errors.other_camera):
+            assert sums.squares / sums.variances == pytest.approx(1.0, abs=0.25)
     (found,) = check_errors(summary, (), True)
     assert (found.status, found.cause) == ("ok" if cause is None else "warning", cause)
     assert found.change == ("motion.acceleration_std=estimate" if cause == "acceleration_std" else None)
@@ -69,6 +76,26 @@ def test_tracks_that_are_too_sure_are_named(stated: float, lasts: bool, cause: s
     assert found.status == ("ok" if cause is None else "not checked")
     (found,) = check_errors(summary, (), False)
     assert found.change is None
+
+
+@pytest.mark.parametrize("tracks", [10, 1300])
+def test_every_successive_detection_of_a_track_counts_once(tracks: int) -> None:
+    """Also where a frame has more tracks than residuals are computed at a time."""
+    events, ids, rng = 8, np.arange(tracks), np.random.default_rng(5)
+    states = np.column_stack([rng.uniform(-1.0, 1.0, (tracks, 3)), np.zeros((tracks, 3))])
+    estimates = Estimates(ids, states, np.tile(1e-4 * np.eye(6), (tracks, 1, 1)), np.ones(tracks), ids)
+    errors, by_name = TrackErrors(), {camera.name: camera for camera in CAMERAS}
+    for event in range(events):
+        camera = CAMERAS[event % 2]
+        pixels = camera.project(states[:, :3]) + rng.normal(size=(tracks, 2)) * NOISE
+        seen = Associated(float(event), camera.name, event, pixels, ids, ids, np.ones(tracks))
+        nothing = Info(0.0, 0.0, 0, np.empty(0, dtype=np.int64))
+        errors.add(
+            Record(float(event), camera.name, event, tracks, 0, nothing, estimates, associations=(seen,)), by_name
+        )
+    report = errors.report(by_name)
+    counts = [report[key]["pairs"] / tracks for key in ("other_camera", "same_camera")]
+    assert counts == pytest.approx([events - 1.0, events - 2.0], rel=0.01)  # but for outliers
 
 
 def test_nothing_is_checked_without_detections() -> None:

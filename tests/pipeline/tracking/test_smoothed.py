@@ -82,7 +82,8 @@ def test_a_track_that_leaps_is_smoothed_from_its_detections_alone(log: Path) -> 
     assert np.median(errors / stds) < 1.0
 
 
-def test_smoothing_leaves_what_successive_detections_say(log: Path) -> None:
+@pytest.mark.parametrize("length_s", [0.0, 3.0])
+def test_smoothing_leaves_what_successive_detections_say(length_s: float, log: Path) -> None:
     """Smoothed residuals are not white: what tells whether tracks are too sure are those of the filter."""
     loaded = load_config(log / "scene.yaml", ["filter.kind=pmb"])
     cameras = loaded.build_cameras()
@@ -91,7 +92,9 @@ def test_smoothing_leaves_what_successive_detections_say(log: Path) -> None:
     for smooth in (None, SmoothConfig()):
         stream = EventStream(cameras, LogReader(log / "log" / "detections.parquet", cameras))
         errors = TrackErrors()
-        for record in reported_records(tracker, tracker.motion, stream, ReportConfig(smooth=smooth)):
+        for record in reported_records(
+            tracker, tracker.motion, stream, ReportConfig(smooth=smooth, min_track_length=length_s)
+        ):
             assert (record.filtered is None) == (smooth is None)
             errors.add(record, by_name)
         found.append(errors.report(by_name))
