@@ -29,6 +29,8 @@ TOO_SURE, TOO_SURE_ERRORS, CONTRADICT = 0.25, 4.0, -0.75
 # Frames of a camera from which unexplained detections are judged: against this many times the stated clutter, so many
 # standard errors, and this share of all detections, which tracks need to begin and to end.
 LEAST_FRAMES, CLUTTER_FACTOR, CLUTTER_ERRORS, LEAST_UNEXPLAINED = 30, 2.0, 4.0, 0.3
+# Tracks in view from which their misses are judged: against this many times the stated ones, or fewer, and this more.
+LEAST_IN_VIEW, MISSES_FACTOR, LEAST_MISSES = 200, 2.0, 0.1
 # A track is one camera's if this share of its detections is; reported if most estimates belong to such tracks.
 ONE_CAMERA, MOST_ALONE = 0.95, 0.5
 
@@ -80,7 +82,7 @@ def check_tracking(
 
 
 def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) -> Iterator[Finding]:
-    """Yield a warning for every camera of whose detections tracks explain far more or fewer than the others.
+    """Yield a warning for every camera that detects far more false objects, or far fewer tracks, than it states.
 
     What no track explains counts as clutter: it is compared with the clutter that the detector states.
     """
@@ -101,6 +103,19 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
                 round(unexplained, 3), stated, name,
                 f"set cameras.{name}.detector.clutter_per_frame near {unexplained:.2g} if they are false; else look at "
                 "the births and at the other cameras", "unexplained_detections",
+            )  # fmt: skip
+        share, promised = figures["detected_share"], camera.detector.p_detect
+        if share is None or figures["in_view"] < LEAST_IN_VIEW or not detections:
+            continue
+        fewer, more = sorted((1.0 - promised, 1.0 - share))
+        if more > MISSES_FACTOR * fewer and more > fewer + LEAST_MISSES:
+            yield Finding(
+                "tracking.detections", "warning",
+                f"{name}: tracks in its view are detected in {percent(share)} of its frames, and p_detect is "
+                f"{promised:g}: tracks end too early if it is too large, and too late if it is too small",
+                round(share, 3), promised, name,
+                f"set cameras.{name}.detector.p_detect near {share:.2g}, or let track estimate it (detector: estimate)",
+                "p_detect", f"cameras.{name}.detector.p_detect={share:.2g}",
             )  # fmt: skip
 
 

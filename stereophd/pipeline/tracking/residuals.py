@@ -3,10 +3,10 @@
 The residuals of a filter whose assumptions hold are white, as its innovations are (R. K. Mehra, "On the identification
 of variances and adaptive Kalman filtering", IEEE Trans. Automatic Control 15 (2), 1970). A detection with the residual
 e, noise R and derivatives H of its pixels has the score ``s = H' R^-1 e`` of the position. That is ``H' S^-1`` times
-the innovation, of covariance S. Its own covariance is ``A = H' S^-1 H = I - I P I``, with the information ``I = H' R^-1
-H`` and the covariance P of the position that has taken in the detection. For a successive detection of the same track,
-with t, B and P, ``s' P t`` has the mean 0 and the variance ``tr(P A P B)``. If the track errs by what lasts from one to
-the other, with a covariance of c P beyond what is stated, the mean is ``c tr(P A P B)``: this tells how far tracks err,
+the innovation, of covariance S. Its own covariance is ``A = H' S^-1 H = H' R^-1 (R - H P H') R^-1 H``, with the
+covariance P of the position that has taken in the detection. For a successive detection of the same track, with t, B
+and P, ``s' P t`` has the mean 0 and the variance ``tr(P A P B)``. If the track errs by what lasts from one to the
+other, with a covariance of c P beyond what is stated, the mean is ``c tr(P A P B)``: this tells how far tracks err,
 along every axis that cameras see, depth too.
 """
 
@@ -118,9 +118,9 @@ class PairSums:
     """Sums over pairs of successive detections of tracks."""
 
     count: int = 0
-    products: float = 0.0  # Of s' P t
+    products: float = 0.0  # Of s' P t, over tr(P A P B) where that exceeds 1
     squares: float = 0.0  # Of the squares of these
-    variances: float = 0.0  # Of tr(P A P B)
+    variances: float = 0.0  # Of tr(P A P B), 1 at most
 
     def add(self, products: Array, variances: Array) -> None:
         """Take in pairs (n,)."""
@@ -168,13 +168,13 @@ class TrackErrors:
         names, tracks, *_, covariances, _ = map(np.array, zip(*self.waiting, strict=True))
         scores, spreads = np.full((len(names), 3), np.nan), np.full((len(names), 3, 3), np.nan)
         for name, camera in cameras.items():
-            own = np.flatnonzero(names == name)
+            own, variances = np.flatnonzero(names == name), np.asarray(camera.detector.sigma) ** 2
             found = residuals_of(camera, [self.waiting[row] for row in own.tolist()])
-            kept, slopes = own[found.usual], found.jacobians[found.usual]
-            weighted = slopes / np.asarray(camera.detector.sigma)[:, None] ** 2
-            scores[kept] = np.einsum("nij,ni->nj", weighted, found.residuals[found.usual])
-            information = np.einsum("nij,nik->njk", weighted, slopes)
-            spreads[kept] = information - information @ covariances[kept] @ information
+            left = np.diag(variances) - found.jacobians @ covariances[own] @ found.jacobians.swapaxes(1, 2)
+            kept = found.usual & (left[:, 0, 0] > 0.0) & (np.linalg.det(left) > 0.0)  # else it is not linear there
+            weighted = found.jacobians[kept] / variances[:, None]
+            scores[own[kept]] = np.einsum("nij,ni->nj", weighted, found.residuals[kept])
+            spreads[own[kept]] = weighted.swapaxes(1, 2) @ left[kept] @ weighted
         known = np.flatnonzero(np.isfinite(scores).all(axis=1))
         for sums, keys in ((self.other_camera, (tracks,)), (self.same_camera, (names, tracks))):
             order = known[np.lexsort([key[known] for key in keys])]
@@ -184,7 +184,9 @@ class TrackErrors:
             first, second = first[pairs], second[pairs]
             stated = covariances[second]
             products = np.einsum("ni,nij,nj->n", scores[first], stated, scores[second])
-            sums.add(products, np.trace(stated @ spreads[first] @ stated @ spreads[second], axis1=1, axis2=2))
+            variances = np.trace(stated @ spreads[first] @ stated @ spreads[second], axis1=1, axis2=2)
+            # no few pairs of tracks that are less certain than a detection count for more than all others
+            sums.add(products / np.maximum(variances, 1.0), np.minimum(variances, 1.0))
         last = {(names[row], tracks[row]): row for row in range(self.known, len(names))}
         self.waiting = [self.waiting[row] for row in sorted(last.values())]
         self.known = len(self.waiting)

@@ -7,11 +7,11 @@ Tracks that are too short are left out (``report.min_track_length``).
 import math
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.unknowns.considered import CommonPart, moves_of_a_pixel
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
@@ -21,6 +21,14 @@ from stereophd.pipeline.tracking.associations import Associated
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.residuals import BATCH, SeenTrack, TrackErrors, residuals_of, sightings_of
+
+
+class Reported(NamedTuple):
+    """What the last record reported."""
+
+    time_s: float
+    track_ids: Integers  # (k,)
+    states: Array  # (k, 6)
 
 
 @dataclass
@@ -40,6 +48,29 @@ class CameraSums:
     expected: float = 0.0
     of_points: bool = True
     waiting: list[SeenTrack] = field(default_factory=list)  # Whose residuals are still to be computed
+    # Events at which a track is in view, and those at which it is detected, of tracks that the record before reported:
+    # what an event shows does not decide whether it counts. Whether they are in view is still to be computed.
+    in_view: int = 0
+    detected: float = 0.0
+    placed: list[tuple[float, Array]] = field(default_factory=list)  # Times and positions (k, 3)
+
+    def expect(self, before: Reported, record: Record, camera: Camera) -> None:
+        """Take in which of the tracks reported before an event of this camera it detects."""
+        moved = (record.time_s - before.time_s) * before.states[:, 3:]
+        self.placed.append((record.time_s, before.states[:, :3] + moved))
+        for one in record.associations:
+            if (one.time_s, one.camera) == (record.time_s, record.camera):
+                self.detected += float(one.probabilities[np.isin(one.track_ids, before.track_ids)].sum())
+        if len(self.placed) >= BATCH:
+            self._look(camera)
+
+    def _look(self, camera: Camera) -> None:
+        """Find out which of the tracks that are placed are in view."""
+        if self.placed:
+            times, positions = zip(*self.placed, strict=True)
+            at = np.repeat(times, [len(one) for one in positions])
+            self.in_view += int(camera.contains(camera.project_at(np.concatenate(positions), at)).sum())
+            self.placed = []
 
     def add(self, record: Record, sightings: Associated, camera: Camera) -> None:
         """Take in detections of this camera that tracks claim; those of the record's event have residuals."""
@@ -63,6 +94,7 @@ class CameraSums:
     def report(self, camera: Camera) -> dict[str, Any]:
         """Return the figures for ``report.json``."""
         self._compute(camera)
+        self._look(camera)
         count, compared = self.residuals, self.of_points and self.expected > 0.0
         return {
             "frames": self.frames,
@@ -70,6 +102,8 @@ class CameraSums:
             "outside_region": self.outside,
             "explained_detections": self.explained,
             "explained_share": finite_or_none(self.explained / self.detections) if self.detections else None,
+            "in_view": self.in_view,
+            "detected_share": finite_or_none(self.detected / self.in_view) if self.in_view else None,
             "residuals": count,
             "outlier_share": self.outliers / (count + self.outliers) if count else None,
             # Root mean square of one axis.
@@ -136,6 +170,7 @@ class RunFigures:
     new_detections: int = 0
     new_log_likelihood: float = 0.0
     cameras_part: CommonPart | None = None  # Of what uncertain cameras add
+    reported: Reported | None = None  # By the last record
 
     def add(self, record: Record, cameras: Mapping[str, Camera]) -> None:
         """Count a record, reported or not, of a run of these cameras."""
@@ -149,6 +184,8 @@ class RunFigures:
             sums.frames += 1
             sums.detections += record.n_detections
             sums.outside += record.outside
+            if self.reported is not None:
+                sums.expect(self.reported, record, cameras[record.camera])
         self.log_likelihood += record.info.log_likelihood
         self.new_detections += record.n_detections
         self.new_log_likelihood += record.info.log_likelihood
@@ -160,12 +197,15 @@ class RunFigures:
             sums = self.cameras.setdefault(sightings.camera, CameraSums())
             sums.add(record, sightings, cameras[sightings.camera])
         self.errors.add(record, cameras)
+        self.reported = None
 
     def add_estimates(self, estimates: Estimates, time_s: float) -> None:
         """Count what is reported at a time, s."""
         self.confirmed += len(estimates.track_ids)
         if not len(estimates.track_ids):
             return
+        if estimates.extents is None:  # bodies hide one another
+            self.reported = Reported(time_s, estimates.track_ids, estimates.states)
         speeds = np.sqrt(np.einsum("ni,ni->n", estimates.states[:, 3:], estimates.states[:, 3:]))
         stds = np.sqrt(np.trace(estimates.covariances[:, :3, :3], axis1=1, axis2=2))
         columns = (estimates.track_ids, estimates.existence, speeds, stds)

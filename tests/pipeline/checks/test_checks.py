@@ -705,9 +705,23 @@ def test_detections_that_no_track_explains_are_compared_with_the_stated_clutter(
     clutter = CAMERAS[0].detector.clutter_per_frame
     for unexplained, warns in ((clutter, False), (2.0 + 4.0 * clutter, True)):
         figures = {"frames": 200, "detections": 1000, "explained_detections": 1000 - 200 * unexplained}
-        figures["outside_region"] = 0
+        figures |= {"outside_region": 0, "in_view": 0, "detected_share": None}
         summary = {"tracks": [{}], "cameras": {camera.name: figures for camera in CAMERAS}}
         assert bool(list(check_detections(summary, tuple(CAMERAS)))) == warns
+
+
+@pytest.mark.parametrize(
+    ("stated", "share", "in_view", "is_wrong"),
+    [(0.95, 0.5, 500, True), (0.3, 0.95, 500, True), (0.95, 0.9, 500, False), (0.95, 0.5, 50, False)],
+)
+def test_tracks_that_are_seen_less_often_or_more_often_than_stated_are_warned_of(
+    stated: float, share: float, in_view: int, is_wrong: bool
+) -> None:
+    (camera,) = (replace(one, detector=replace(one.detector, p_detect=stated)) for one in CAMERAS[:1])
+    figures = {"frames": 500, "detections": 500, "explained_detections": 500, "outside_region": 0}
+    figures |= {"in_view": in_view, "detected_share": share}
+    found = list(check_detections({"tracks": [{}], "cameras": {camera.name: figures}}, (camera,)))
+    assert [one.change for one in found] == [f"cameras.{camera.name}.detector.p_detect={share:g}"] * is_wrong
 
 
 def test_a_dead_pixel_is_named_and_a_resting_board_is_not() -> None:

@@ -83,7 +83,7 @@ def test_every_successive_detection_of_a_track_counts_once(tracks: int) -> None:
     """Also where a frame has more tracks than residuals are computed at a time."""
     events, ids, rng = 8, np.arange(tracks), np.random.default_rng(5)
     states = np.column_stack([rng.uniform(-1.0, 1.0, (tracks, 3)), np.zeros((tracks, 3))])
-    estimates = Estimates(ids, states, np.tile(1e-4 * np.eye(6), (tracks, 1, 1)), np.ones(tracks), ids)
+    estimates = Estimates(ids, states, np.tile(1e-5 * np.eye(6), (tracks, 1, 1)), np.ones(tracks), ids)
     errors, by_name = TrackErrors(), {camera.name: camera for camera in CAMERAS}
     for event in range(events):
         camera = CAMERAS[event % 2]

@@ -1,12 +1,20 @@
 """Figures of a run: which residuals they leave out, and what an error of a camera would do to its estimates."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import yaml
 
+from stereophd.commands.simulate import simulate
+from stereophd.commands.track import track
+from stereophd.config.loading import make_config
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.pipeline.tracking.residuals import SeenTrack, are_usual
 from stereophd.pipeline.tracking.run_figures import CameraSums, RunFigures
 from tests.scenes import build_camera
+
+ROOT = Path(__file__).parents[3]
 
 
 def test_outliers_are_judged_by_what_is_expected_of_each() -> None:
@@ -71,3 +79,24 @@ def test_an_error_of_a_pixel_moves_tracks_in_depth() -> None:
         moves.append(error["stds_per_px"])
     assert moves[1] == pytest.approx(3.0 * moves[0], rel=0.01)
     assert RunFigures().report({}, 0, 0)["camera_error"] == {"move_per_px": None, "stds_per_px": None}
+
+
+@pytest.mark.parametrize("kind", ["pmb", "phd"])
+@pytest.mark.parametrize(("true", "stated"), [(0.5, 0.95), (0.95, 0.6)])
+def test_how_often_tracks_are_detected_does_not_follow_what_is_stated(
+    kind: str, true: float, stated: float, tmp_path: Path
+) -> None:
+    """Tracks that end at their second miss in a row are counted until then, and so are those that never end."""
+    values = yaml.safe_load((ROOT / "configs" / "quickstart.yaml").read_text())
+    values["filter"]["kind"], values["simulate"]["duration_s"] = kind, 5.0
+    for camera in values["cameras"].values():
+        camera["detector"]["p_detect"] = true
+    simulate(make_config(values), tmp_path / "log")
+    for camera in values["cameras"].values():
+        camera["detector"]["p_detect"] = stated
+    report = track(make_config(values), tmp_path / "log" / "detections.parquet", tmp_path / "tracks")
+    for name, figures in report["cameras"].items():
+        assert figures["in_view"] > 100
+        assert figures["detected_share"] == pytest.approx(true, abs=0.1)
+        warned = {one["camera"] for one in report["checks"] if one["cause"] == "p_detect"}
+        assert (name in warned) == (figures["in_view"] >= 200)
