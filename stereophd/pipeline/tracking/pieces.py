@@ -31,7 +31,7 @@ from stereophd.pipeline.tracking.run import build_tracking
 from stereophd.pipeline.tracking.run_figures import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.tracking.smoothed import trajectories_of
-from stereophd.pipeline.tracking.unfinished import KeptRecords, read_records
+from stereophd.pipeline.tracking.unfinished import keep_record, read_records
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 from stereophd.wording import instant
 
@@ -168,10 +168,10 @@ def track_piece(work: PieceWork, piece: LogPiece, tick: Progress = ignore) -> in
     tracking = replace(tracking, report=config.report.model_copy(update={"min_track_length": 0.0}))
     # what is left out in the overlaps is counted by the pieces whose they are
     stream = EventStream(work.cameras, reader, tick, piece.begin_s, piece.end_s, (piece.from_s, piece.to_s))
-    count, kept = 0, KeptRecords(work.unfinished.parts(_name(piece)))
+    count, kept = 0, work.unfinished.parts(_name(piece))
     run = RunState(_numbered(tracking.estimator.init(), piece.events_before))
     for record in tracking.records(stream, run=run):
-        kept.add(record)
+        keep_record(kept, record)
         count += 1
     work.unfinished.write(_name(piece), PieceDone(kept.flush(), stream.not_invertible))
     return count
