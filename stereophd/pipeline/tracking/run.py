@@ -18,12 +18,13 @@ from stereophd.core.arrays import Array
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty, CommonPart
 from stereophd.core.disparity.events import Event
-from stereophd.core.geometry.camera import BOX_NOISE, Camera
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
-from stereophd.io.cameras.models import CameraConfig, DetectorConfig
+from stereophd.io.cameras.models import CameraConfig
+from stereophd.io.cameras.writing import camera_config
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.tables.schemas import ASSOCIATIONS, CAMERAS_PART, CONFIRMED, EXTENTS, SCANS, STD, TENTATIVE, TRACKS
@@ -199,17 +200,9 @@ def _check_reassociation(loaded: LoadedConfig) -> None:
 
 def with_detectors(described: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:
     """Return the descriptions of cameras with the detectors of others, as given and no longer to be estimated."""
-    out = {}
-    for camera in cameras:
-        found = camera.detector
-        detector = DetectorConfig(
-            sigma_px=(float(found.sigma[0]), float(found.sigma[1])),
-            p_detect=float(found.p_detect),
-            clutter_per_frame=float(found.clutter_per_frame),
-            box_noise=None if found.box_noise == BOX_NOISE else found.box_noise,
-        )
-        out[camera.name] = described[camera.name].model_copy(update={"detector": detector})
-    return out
+    return {
+        one.name: described[one.name].model_copy(update={"detector": camera_config(one).detector}) for one in cameras
+    }
 
 
 def with_boxes(stream: EventStream) -> Iterator[Event]:
