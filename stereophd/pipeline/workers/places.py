@@ -32,27 +32,15 @@ CONNECT_S = 10
 ATTEMPTS = 3
 
 
-class ThisProcess:
-    """One call after the other."""
-
-    count = 1  # of workers that there are now
-    remote = False  # whether the calls are made in other processes
-
-    def __call__(self, function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> Iterator[Result]:
-        """Do the calls; yield the results in any order, until all are done or workers are lost."""
-        return map(function, arguments)
-
-
-class Cores:
-    """A number of processes of this machine."""
-
-    remote = True
+class ThisMachine:
+    """A number of processes of this machine; one is this process itself."""
 
     def __init__(self, count: int) -> None:
         self.count = count
+        self.remote = count != 1  # whether the calls are made in other processes
 
     def __call__(self, function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> Iterator[Result]:
-        """Do the calls."""
+        """Do the calls; yield the results in any order, until all are done or workers are lost."""
         return on_processes(function, arguments, self.count, ordered=False)
 
 
@@ -71,10 +59,13 @@ def on_processes(
 ) -> Generator[Result]:  # fmt: skip
     """Call a function of a module for each argument, on several processes (-1: as many as cores); yield the results.
 
-    They come in the order of the arguments, or as they are ready. A thread for each process waits for its calls: what
-    is not needed any more, when the iterator is closed, is not begun. The progress of the calls goes to `tell`. Raises
-    WorkersLostError when a process died.
+    One is this process, which does a call when its result is asked for. Results come in the order of the arguments, or
+    as they are ready. A thread for each process waits for its calls: what is not needed any more, when the iterator is
+    closed, is not begun. The progress of the calls goes to `tell`. Raises WorkersLostError when a process died.
     """
+    if jobs == 1:
+        yield from map(function, arguments)
+        return
     from joblib import cpu_count
 
     calls = list(arguments)
@@ -166,7 +157,7 @@ class DaskWorkers:
         self._client.close()
 
 
-Workers = ThisProcess | Cores | DaskWorkers
+Workers = ThisMachine | DaskWorkers
 
 
 @contextmanager
@@ -176,7 +167,7 @@ def open_workers(jobs: int, dask: str | None) -> Iterator[Workers]:
     Errors are those of `DaskWorkers`.
     """
     if dask is None:
-        yield ThisProcess() if jobs == 1 else Cores(jobs)
+        yield ThisMachine(jobs)
         return
     with closing(DaskWorkers(dask)) as cluster:
         yield cluster

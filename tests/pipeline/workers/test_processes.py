@@ -79,8 +79,9 @@ def test_workers_use_no_shared_memory() -> None:
 
 
 @pytest.mark.parametrize("ordered", [True, False])
-def test_results_of_all_calls(ordered: bool) -> None:
-    found = list(on_processes(_square, range(5), 2, ordered))
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_results_of_all_calls(jobs: int, ordered: bool) -> None:
+    found = list(on_processes(_square, range(5), jobs, ordered))
     assert (found if ordered else sorted(found)) == [0, 1, 4, 9, 16]
 
 
