@@ -41,8 +41,7 @@ from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.runs import unfinished
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
-from stereophd.pipeline.tracking.run import TrackingRun
-from stereophd.pipeline.tracking.unfinished import KeptRecords, UnfinishedTracking
+from stereophd.pipeline.tracking import unfinished as tracking
 
 SCENE = ("simulate.frame_rate_hz=30", "simulate.objects.velocity_std=0.001", "simulate.objects.box.z=[80,200]")
 MOST_SHARE = 0.01
@@ -94,12 +93,9 @@ def measured(kind: str, loaded: LoadedConfig, log: Path, out: Path, pairs: int) 
     return mean
 
 
-_OPEN = TrackingRun.keep_in
-
-
-def _keep_in(tracking: TrackingRun, unfinished: Any) -> UnfinishedTracking | None:
+def _kept(*arguments: Any) -> tracking.UnfinishedTracking | None:
     """Keep nothing of the run without checkpoints: Arrow alone writes its tables."""
-    return _OPEN(tracking, unfinished) if threading.current_thread().name == str(True) else None
+    return tracking.UnfinishedTracking(*arguments) if threading.current_thread().name == str(True) else None
 
 
 class Pair:
@@ -135,9 +131,9 @@ class Pair:
         """Run both; `first` says whether the one with checkpoints begins."""
         threads = [threading.Thread(target=self._track, args=(kept,)) for kept in (True, False)]
         with ExitStack() as stack:
-            stack.enter_context(patch.object(TrackingRun, "keep_in", _keep_in))
+            stack.enter_context(patch.object(command, "UnfinishedTracking", _kept))
             stack.enter_context(patch.object(UnfinishedRun, "save", self._timed(UnfinishedRun.save, state=True)))
-            stack.enter_context(patch.object(KeptRecords, "add", self._timed(KeptRecords.add)))
+            stack.enter_context(patch.object(tracking, "keep_record", self._timed(tracking.keep_record)))
             stack.enter_context(patch.object(TableWriter, "_flush", self._timed(TableWriter._flush)))
             for thread in threads:
                 thread.start()

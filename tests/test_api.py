@@ -204,7 +204,7 @@ class TestOutputs:
 def moving_camera() -> Camera:
     rotation = np.array([[0.0, 0.0, -1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0]])
     pose = Pose(rotation=rotation, center=[1.0, 2.0, 3.0], velocity=[0.1, 0.0, 0.0], time_s=2.5)
-    detector = Detector([0.7, 1.3], 0.9, 0.25)
+    detector = Detector([0.7, 1.3], 0.9, 0.25, (0.1, 0.2, 0.3, 0.4))
     lens = Lens("fisheye", k1=0.01, k2=-0.002)
     return Camera("turning", 640, 480, 500.0, 510.0, 320.0, 240.0, pose, lens, detector, 25.0, 0.01, Clock(0.5, 1.001))
 

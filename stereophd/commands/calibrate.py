@@ -43,7 +43,7 @@ from stereophd.pipeline.calibration.unknowns import calibration_section, with_qu
 from stereophd.pipeline.cameras_covariance import in_world as uncertainty_in_world
 from stereophd.pipeline.cameras_covariance import rows_of
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
+from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.run_figures import check_losses, check_noise, check_tracking
 from stereophd.pipeline.control import points_report
 from stereophd.pipeline.runs.progress import Progress, ignore
@@ -107,15 +107,14 @@ def calibrate(
     )
     drawn = whether_to_draw(options.plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
-    findings = report_findings(check_log_alone(stated, log_path))
+    findings = report_findings(check_log(stated, log_path, thorough=False, alone=True))
     with contextlib.ExitStack() as held:
         held.enter_context(output_lock(out_dir))
         held.enter_context(unfinished.held(options.resume, options.force))
         out = held.enter_context(OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists))
-        outcome = unknown.outcome_of_none(problem) if unknown is not None else None
-        outcome = outcome or _outcome(
-            CalibrationRun(loaded, problem, unfinished, jobs, progress, limit, is_searched=unknown is not None)
-        )
+        run = CalibrationRun(loaded, problem, unfinished, jobs, progress, limit, is_searched=unknown is not None)
+        reason = "" if unknown is None else unknown.reason
+        outcome = Outcome.of_none(problem.parameters, reason) if reason else _outcome(run)
         outcome = outcome if unknown is None else unknown.judged(problem, outcome)
         report = build_report(section, problem, outcome, loaded.config.units.length)
         _write_posterior(out, outcome, to_metadata(record))

@@ -17,7 +17,7 @@ from stereophd.io.outputs.json_text import REPORT_VERSION
 from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
 from stereophd.pipeline.checks.finding import is_mistake
-from stereophd.pipeline.checks.run import check_log, check_log_alone, report_findings
+from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.initial.draft import STEPS, begin, draft_from_log, loaded_draft
 from stereophd.pipeline.initial.template import MARK, Draft, Kind, config_text, template
 from stereophd.pipeline.inspection.log import summarise_log
@@ -54,8 +54,8 @@ def init(
         refuse_search(loaded_draft(draft, str(cameras_file)))
     if log_path is not None and draft.cameras:
         begin(STEPS, "the log is checked")
-        loaded, alone = loaded_draft(draft, str(target)), draft.is_unplaced
-        checked = check_log_alone(loaded, log_path) if alone else check_log(loaded, log_path, thorough=False)
+        loaded = loaded_draft(draft, str(target))
+        checked = check_log(loaded, log_path, thorough=False, alone=draft.is_unplaced)
         # a mistake by which the values are chosen is named once, one in the log of all cameras
         named = {found.name for found in draft.findings} & {"geometry.cause", "geometry.boxes"}
         before = (found for found in draft.findings if found.name in named or not is_mistake(found))

@@ -107,7 +107,7 @@ def _simulate_runs(
     from stereophd.pipeline.workers.places import on_processes
 
     counts = []
-    for count in map(_simulate_run, tasks) if jobs == 1 else on_processes(_simulate_run, tasks, jobs):
+    for count in on_processes(_simulate_run, tasks, jobs):
         counts.append(count)
         progress(len(counts), len(paths))
     return counts

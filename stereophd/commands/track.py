@@ -109,7 +109,7 @@ def track(
             plots = options.plots and whether_to_draw(options.plots)
             run = _Outputs(tracking, stream, record, unfinished, motion, plots)
             if options.pieces_s is None:
-                kept = tracking.keep_in(unfinished)
+                kept = UnfinishedTracking(unfinished, tracking.estimator, tracking.report.smooth is not None)
                 report = run.write(tracking.records(stream, kept), findings, out, kept=kept)
             else:
                 joined = run.in_pieces(options, progress)

@@ -40,9 +40,9 @@ def build_filter(config: Config, cameras: tuple[Camera, ...], path: Path | str, 
     """Return the filter for many objects of a configuration, read from `path`; raises InputError if it has none."""
     settings = config.filter
     if settings is None:
-        raise InputError(f"{path}: filter: expected a filter section for track, found none")
+        raise InputError(f"{path}: filter: expected a filter section, found none")
     if isinstance(settings, SingleSettings):
-        raise InputError(f"{path}: filter.kind: expected a filter for many objects, found single")
+        raise InputError(f"{path}: filter.kind: expected a filter for many objects (pmb or phd), found single")
     if config.object.shape != "point":
         raise InputError(f"{path}: object.shape: expected point (only track takes boxes), found {config.object.shape}")
     motion = build_motion(config, path)
@@ -87,13 +87,20 @@ def build_labelled_filter(
     config: Config, cameras: tuple[Camera, ...], path: Path | str, threads: int
 ) -> Estimator[Any]:
     """Return a filter with labelled tracks for any kind of filter in the configuration."""
-    settings = config.filter
     if isinstance(config.object, EllipsoidSettings):
         return build_bodies(config, cameras, path)
-    if isinstance(settings, PhdSettings):
-        labelled = PmbSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
-        config = config.model_copy(update={"filter": labelled})
+    if isinstance(config.filter, PhdSettings):
+        config = with_filter(config, PmbSettings)
     return build_filter(config, cameras, path, threads)
+
+
+def with_filter(config: Config, kind: type[FilterSettings], **others: Any) -> Config:
+    """Return a configuration whose filter for many objects is of a kind, with its births and survival."""
+    settings = config.filter
+    if not isinstance(settings, FilterSettings) or isinstance(settings, kind):
+        return config
+    made = kind(survival_per_s=settings.survival_per_s, birth=settings.birth, **others)
+    return config.model_copy(update={"filter": made})
 
 
 def _check_birth_rate(settings: FilterSettings, cameras: tuple[Camera, ...], path: Path | str) -> None:

@@ -290,7 +290,7 @@ def cut(scene: Path, out: Path, keep: Callable[[dict[str, np.ndarray]], np.ndarr
             ("calibration.scale={kind: baseline, cameras: [left, left], distance: 40, std: 1}",),
             "two cameras, found left twice",
         ),
-        (("filter=null",), "expected a filter section"),
+        (("filter=null",), "filter: expected a filter section, found none"),
     ],
 )
 def test_configurations_that_cannot_be_calibrated(

@@ -39,7 +39,7 @@ def test_what_is_complete_passes(command: str | None, name: str) -> None:
 @pytest.mark.parametrize(
     ("command", "override", "expected"),
     [
-        ("track", "filter=null", "filter: expected a filter section for track"),
+        ("track", "filter=null", "filter: expected a filter section, found none"),
         ("track", "cameras=null", "cameras: expected cameras"),
         ("track", "filter.birth.per_s=1e-12", "expected births that outlive prune_weight"),
         ("track", "motion={}", "motion.acceleration_std: expected by how much the velocity of objects changes"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from stereophd.cli.app import run
 from stereophd.commands import compile
 from stereophd.core.multi import build as compiling
+from stereophd.errors import InputError
 from stereophd.pipeline.workers import compile_ahead
 
 
@@ -34,21 +36,21 @@ def test_compile_needs_a_folder(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert "NUMBA_CACHE_DIR" in capsys.readouterr().err
 
 
-class _Process:
+class _Second:
     """In the place of a second process."""
 
-    def __init__(self, command: list[str], **_: Any) -> None:
-        self.command, self.ended = command, False
-        _STARTED.append(self)
+    def __init__(self, nicer: int) -> None:
+        self.is_begun = self.is_ended = False
+        _SECOND.append(self)
 
-    def terminate(self) -> None:
-        self.ended = True
+    def start(self, work: Any) -> None:
+        self.is_begun = True
 
-    def wait(self, timeout: float) -> None:
-        pass
+    def stop(self) -> None:
+        self.is_ended = True
 
 
-_STARTED: list[_Process] = []
+_SECOND: list[_Second] = []
 
 
 @pytest.mark.parametrize(
@@ -59,14 +61,26 @@ _STARTED: list[_Process] = []
 def test_a_second_process_compiles_where_nothing_is_kept(
     monkeypatch: pytest.MonkeyPatch, kind: str, kept: bool, cores: int, begun: bool
 ) -> None:
-    _STARTED.clear()
-    monkeypatch.setattr(compile_ahead.subprocess, "Popen", _Process)
+    _SECOND.clear()
+    monkeypatch.setattr(compile_ahead, "Aside", _Second)
     monkeypatch.setattr(compile_ahead, "is_kept", lambda kernel: kept)
-    monkeypatch.setattr(compile_ahead, "_cores", lambda: cores)
+    monkeypatch.setattr(compile_ahead, "processes", lambda jobs: cores)
     with compile_ahead.compiling_ahead(kind) as running:
-        assert running is begun
-        assert not any(process.ended for process in _STARTED)
-    assert [process.ended for process in _STARTED] == [True] * begun
+        (second,) = _SECOND
+        assert running is second.is_begun is begun
+        assert not second.is_ended
+    assert second.is_ended
+
+
+def test_what_the_second_process_compiles(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """One process a filter and folder: the lock refuses another."""
+    prepared: list[tuple[str, bool]] = []
+    monkeypatch.setattr(compile_ahead, "place_to_keep", lambda: tmp_path)
+    monkeypatch.setattr(compiling, "prepare", lambda kind, last_first: prepared.append((kind, last_first)))
+    compile_ahead.compile_from_the_end("pmb")
+    assert prepared == [("pmb", True)]
+    with pytest.raises(InputError, match="another run"):
+        compile_ahead.compile_from_the_end("pmb")
 
 
 def test_what_both_processes_compile_is_the_same(monkeypatch: pytest.MonkeyPatch) -> None:

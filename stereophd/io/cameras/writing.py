@@ -9,7 +9,7 @@ import numpy as np
 import yaml
 from pydantic import ValidationError
 
-from stereophd.core.geometry.camera import Camera
+from stereophd.core.geometry.camera import BOX_NOISE, Camera
 from stereophd.core.geometry.lens import PARAMETERS
 from stereophd.core.geometry.pose import Pose
 from stereophd.errors import InputError
@@ -83,6 +83,7 @@ def camera_config(camera: Camera) -> CameraConfig:
             "sigma_px": camera.detector.sigma.tolist(),
             "p_detect": camera.detector.p_detect,
             "clutter_per_frame": camera.detector.clutter_per_frame,
+            "box_noise": None if camera.detector.box_noise == BOX_NOISE else camera.detector.box_noise,
         },
         "distortion": {"model": camera.lens.model, **lens},
         "frame_rate_hz": camera.frame_rate_hz,

@@ -1,6 +1,5 @@
 """Method annealed of `calibrate`: its starts, kept while the run is unfinished, on processes, and its `Outcome`."""
 
-from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 from operator import call
@@ -137,7 +136,8 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
         return starts
     jobs = min(run.jobs, len(new))
     run.limit.begin(f"up to {count} starts begin")
-    for start in _each((partial(run_start, task, place, values[place], seeds[place]) for place in new), jobs):
+    calls = (partial(run_start, task, place, values[place], seeds[place]) for place in new)
+    for start in on_processes(call, calls, jobs, tell=PROGRESS.debug):
         starts.append(start)
         if not run.limit.is_over:  # one that the time has cut short is done again
             run.unfinished.keep(kept, list(starts))
@@ -145,11 +145,6 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
         if is_done():
             break
     return starts
-
-
-def _each(calls: Iterable[Callable[[], Start]], jobs: int) -> Iterator[Start]:
-    """Starts that calls return, in order; what is not needed is not begun beyond as many as there are workers."""
-    return map(call, calls) if jobs == 1 else on_processes(call, calls, jobs, tell=PROGRESS.debug)
 
 
 def _clock_report(task: Task) -> dict[str, Any]:

@@ -57,7 +57,7 @@ class FoundCameras:
     rig: FoundRig | None  # not adjusted where it is doubted
     reason: str  # why nothing was found that is believed; empty if something was
     has_scale: bool
-    intervals: dict[str, float]  # of each camera, s
+    intervals: dict[str, float]  # median one of each camera, s; 0 with fewer than two frames
 
     def report(self) -> dict[str, Any]:
         """Return the search's part of ``report.json``."""
@@ -79,10 +79,6 @@ class FoundCameras:
         out["doubts"] = list(self.rig.doubts)
         out["start"] = _values_of(self.rig)
         return out
-
-    def outcome_of_none(self, problem: CalibrationProblem) -> Outcome | None:
-        """Return the outcome where no cameras were found that are believed; None where some were."""
-        return Outcome.of_none(problem.parameters, self.reason) if self.reason else None
 
     def judged(self, problem: CalibrationProblem, outcome: Outcome) -> Outcome:
         """Return an outcome with the report of the search, and what is known too badly to be called determined."""
@@ -115,7 +111,7 @@ class FoundCameras:
             camera, _, component = key.rpartition(".")
             if component == "focal" and not std <= MOST_FOCAL:
                 out.append(f"the focal length of {camera} is known to {100.0 * std:.0f} %")
-            frames = max(self.intervals.get(name, 0.0) for name in (camera, cameras[problem.reference].name))
+            frames = max(self.intervals[name] for name in (camera, cameras[problem.reference].name))
             if component == "clock_offset" and not std <= MOST_FRAMES * frames:
                 out.append(f"the clock of {camera} is known to {std:.2g} s")
         return out
@@ -152,18 +148,17 @@ def with_found_cameras(
         for number, (name, config) in enumerate(loaded.cameras.items())
     )
     limit.begin("one-camera tracks are made")
-    recording = _read(loaded, cameras, log_path)
+    stream = open_stream(loaded.config, cameras, log_path)
+    frames = covered(cameras, stream.frames, stream.source)
+    recording = Recording.of(cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
     scans = Scans.of(recording, cameras, tracked_frames(recording, MOST_SEARCHED))
     tracks = one_camera_tracks(pmb_filter(_placed(loaded, cameras), cameras), scans, section.annealed)
     views = [_view(loaded, section, camera) for camera in cameras]
     reference = [camera.name for camera in cameras].index(section.reference)
     rng = np.random.default_rng(CAMERA_DISCOVERY.seed(loaded.config.seed))
     discovery = discover(views, raw_tracks(recording, tracks), reference, rng, limit)
-    intervals = {
-        camera.name: float(np.median(np.diff(np.unique(recording.times[recording.cameras == number]))))
-        for number, camera in enumerate(cameras)
-        if np.count_nonzero(recording.cameras == number) > 1
-    }
+    periods = recording.periods(len(cameras)).tolist()
+    intervals = {camera.name: period for camera, period in zip(cameras, periods, strict=True)}
     rig = None if discovery.rig is None else _in_frame(loaded, section, discovery.rig)
     found = FoundCameras(names, rig, discovery.reason, not isinstance(section.scale, NoScale), intervals)
     if rig is None or discovery.reason:
@@ -209,12 +204,6 @@ def refuse_search(loaded: LoadedConfig) -> CalibrationConfig:
 
 
 POSE_PRIORS = ("center_std", "rotation_std_deg", "velocity_std", "rotation_rate_std_deg_s", "clock_offset_std_s")
-
-
-def _read(loaded: LoadedConfig, cameras: tuple[Camera, ...], log_path: Path | str) -> Recording:
-    stream = open_stream(loaded.config, cameras, log_path)
-    frames = covered(cameras, stream.frames, stream.source)
-    return Recording.of(cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
 
 
 def _stated(section: CalibrationConfig, name: str, key: str, default: float) -> float:

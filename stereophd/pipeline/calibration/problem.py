@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig
 from stereophd.config.loading import LoadedConfig
-from stereophd.config.model import Config
 from stereophd.core.alignment.to_points import ControlPoints
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
@@ -26,15 +25,13 @@ from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.calibration.unknowns.unknown_sets import UnknownSet, default_stages, stages_named
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.phd import PhdSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.phd.filter import PhdFilter
 from stereophd.core.multi.pmb.filter import PmbFilter
 from stereophd.core.numerics.samples import MomentsSettings
-from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError, unknown_camera
-from stereophd.pipeline.build import build_filter
+from stereophd.pipeline.build import build_filter, with_filter
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run import QUICK_FRAMES
@@ -225,40 +222,22 @@ def _check_method(loaded: LoadedConfig, parameters: ParameterSet) -> None:
 
 def pmb_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...]) -> PmbFilter:
     """Return the PMB filter of a configuration; of a PHD configuration, one with the same births and survival."""
-    config = loaded.config
-    settings = _filter_section(loaded)
-    if not isinstance(settings, PmbSettings):
-        settings = PmbSettings(survival_per_s=settings.survival_per_s, birth=settings.birth)
-    built = build_filter(config.model_copy(update={"filter": settings}), cameras, loaded.path)
+    built = build_filter(with_filter(loaded.config, PmbSettings), cameras, loaded.path)
     assert isinstance(built, PmbFilter)
     return built
 
 
-def phd_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...], samples: int | None = None) -> PhdFilter:
-    """Return the PHD filter of a configuration, with `samples` pseudo-random samples (default: the configuration's).
+def phd_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...], samples: int | None) -> PhdFilter:
+    """Return the PHD filter of a configuration, with `samples` pseudo-random samples (None: the configuration's).
 
     For a PMB configuration it is the paper's filter, with the same births and survival.
     """
-    config: Config = loaded.config
-    settings = _filter_section(loaded)
-    if not isinstance(settings, PhdSettings):
-        settings = PhdSettings(survival_per_s=settings.survival_per_s, birth=settings.birth, merge_moments="intensity")
-    update: dict[str, object] = {"filter": settings}
+    config = with_filter(loaded.config, PhdSettings, merge_moments="intensity")
     if samples is not None:
-        update["moments"] = MomentsSettings(method="particle", samples=samples)
-    built = build_filter(config.model_copy(update=update), cameras, loaded.path)
+        config = config.model_copy(update={"moments": MomentsSettings(method="particle", samples=samples)})
+    built = build_filter(config, cameras, loaded.path)
     assert isinstance(built, PhdFilter)
     return built
-
-
-def _filter_section(loaded: LoadedConfig) -> FilterSettings:
-    if loaded.config.filter is None:
-        raise InputError(f"{loaded.path}: filter: expected a filter section for calibrate, found none")
-    if isinstance(loaded.config.filter, SingleSettings):
-        raise InputError(
-            f"{loaded.path}: filter.kind: expected phd or pmb for calibrate, found {loaded.config.filter.kind}"
-        )
-    return loaded.config.filter
 
 
 def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | str) -> None:

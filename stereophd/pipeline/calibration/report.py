@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.config.calibration import CalibrationConfig
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.observability import (
     DETERMINED,
     HARMLESS_MOVE,
@@ -17,6 +18,7 @@ from stereophd.core.calibration.unknowns.observability import (
     pose_spread,
     posed_cameras,
 )
+from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome
 from stereophd.wording import percent
@@ -60,7 +62,9 @@ def build_report(
     if found is not None:
         report["scale"] = _scale(section, found, "scale_warning" not in outcome.details)
         if status != UNDETERMINED:
-            report["cameras"] = _cameras(problem, outcome)
+            report["cameras"] = pose_stds(
+                outcome.parameters, problem.reference, outcome.values, outcome.covariance, "_std"
+            )
         report["parameters"] = _parameters(outcome, found, status, length_unit)
         report["observability"] = _observability(outcome, found)
     return {**report, **outcome.details}
@@ -79,16 +83,21 @@ def _scale(section: CalibrationConfig, found: Observability, used: bool) -> dict
     }
 
 
-def _cameras(problem: CalibrationProblem, outcome: Outcome) -> dict[str, Any]:
-    """Standard deviations of rotation, direction of translation, scale and centre of every unknown camera."""
+def pose_stds(
+    parameters: ParameterSet, reference: int, values: Array, covariance: Array, suffix: str
+) -> dict[str, dict[str, float | None]]:
+    """Standard deviations of rotation, direction of translation, scale and centre of every unknown camera.
+
+    Keys are these words with a suffix, before the unit.
+    """
     out = {}
-    for name in posed_cameras(outcome.parameters):
-        spread = pose_spread(outcome.parameters, problem.reference, outcome.values, outcome.covariance, name)
+    for name in posed_cameras(parameters):
+        spread = pose_spread(parameters, reference, values, covariance, name)
         out[name] = {
-            "rotation_std_deg": math.degrees(spread.rotation),
-            "direction_std_deg": finite_or_none(math.degrees(spread.direction)),
-            "scale_std": finite_or_none(spread.scale),
-            "center_std": spread.center,
+            f"rotation{suffix}_deg": finite_or_none(math.degrees(spread.rotation)),
+            f"direction{suffix}_deg": finite_or_none(math.degrees(spread.direction)),
+            f"scale{suffix}": finite_or_none(spread.scale),
+            f"center{suffix}": finite_or_none(spread.center),
         }
     return out
 

@@ -44,7 +44,8 @@ def is_mistake(found: Finding) -> bool:
     """
     if found.name == "log.frame_rate":
         return found.status == "warning" and found.cause != "frame_rate"
-    names_one = found.name in ("geometry.cause", "geometry.boxes") or found.cause == "pixels_normalised"
+    names_one = found.name in ("geometry.cause", "geometry.boxes", "camera.focal_length")
+    names_one = names_one or found.cause == "pixels_normalised"
     return names_one and found.status == "warning" and found.cause != DO_NOT_MEET
 
 

@@ -28,16 +28,20 @@ QUICK_FRAMES = 400
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def check_log(
     loaded: LoadedConfig, log_path: Path | str, thorough: bool = True, cameras: tuple[Camera, ...] | None = None,
-    from_s: float = -math.inf,
+    from_s: float = -math.inf, alone: bool = False,
 ) -> tuple[Finding, ...]:  # fmt: skip
     """Check whether a log fits the cameras and the settings of a configuration.
 
     Other cameras, such as calibrated ones, can take the place of those of the configuration. If `thorough`, more of the
     log is read, and clock offsets are tried even where nothing is suspicious. Nothing before the time `from_s` is read.
-    Returns findings about the log alone, about the geometry and about the settings, in this order. Raises InputError if
-    the configuration has no cameras, the log is not usable, or the known trajectory of a camera does not cover it.
+    Returns findings about the log alone (with `alone` only these: poses may be unknown), about the geometry and about
+    the settings, in this order. Raises InputError if the configuration has no cameras, the log is not usable, or the
+    known trajectory of a camera does not cover it.
     """
-    config, cameras = loaded.config, loaded.build_cameras() if cameras is None else cameras
+    config = loaded.config
+    if cameras is None:
+        own = loaded.cameras.items()
+        cameras = tuple(one.build(name) for name, one in own) if alone else loaded.build_cameras()
     reader = LogReader(log_path, cameras, "drop", float("inf"), from_s, config.input.leave_out)
     most = MOST_FRAMES if thorough else QUICK_FRAMES
     frames = (frame for frame in covered(cameras, reader, str(log_path)) if frame.time_s >= from_s)
@@ -51,12 +55,14 @@ def check_log(
     # a quick check precedes a run, which states what it drops
     rows = (*check_rows(reader.counts), *check_rows(looked_at)) if thorough else ()
     findings = [*rows, *_of_files(loaded, samples, whole)]
+    if alone:
+        return tuple(findings)
     # a noise that is not stated, or contradicted, is what it is about one-camera tracks, whatever poses and clocks are
     doubted = any(found.name == "detector.sigma" for found in warnings_of(tuple(findings)))
     unstated = [one.camera.name for one in samples] if doubted else loaded.estimated_cameras
     samples = [one.with_measured_noise(only_less=one.camera.name not in unstated) for one in samples]
     if any(is_mistake(found) for found in findings):
-        why = "rays are compared once times and pixels are corrected"
+        why = "rays are compared once times, pixels and focal lengths are corrected"
         return (*findings, Finding("geometry.rays", "not checked", why))
     if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
         why = f"geometry and settings are checked only for cameras that stand still; moving: {', '.join(moving)}"
@@ -85,14 +91,6 @@ def check_log(
     if not {"geometry.cause", "log.frame_rate"} & {found.name for found in warnings_of((*findings, *rays))}:
         rays += check_settings(config, measure_scene(geometry), samples, whole)
     return (*findings, *rays)
-
-
-def check_log_alone(loaded: LoadedConfig, log_path: Path | str) -> tuple[Finding, ...]:
-    """Check a log alone: frames, times, pixels and detectors, but neither poses nor settings (see `check_log`)."""
-    cameras = tuple(camera.build(name) for name, camera in loaded.cameras.items())
-    reader = LogReader(log_path, cameras, "drop", float("inf"), leave_out=loaded.config.input.leave_out)
-    samples = sample_log(reader, cameras, QUICK_FRAMES)
-    return _of_files(loaded, samples, sum(len(sample.times) for sample in samples) < QUICK_FRAMES * len(cameras))
 
 
 def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) -> tuple[Finding, ...]:

@@ -14,13 +14,11 @@ from stereophd.core.arrays import Array
 from stereophd.core.motion.settings import ESTIMATE
 from stereophd.core.single.settings import SingleSettings
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.geometry.rays import TOLERANCES, Geometry, distances
+from stereophd.pipeline.checks.geometry.rays import LEAST_SCORE, TOLERANCES, Geometry, distances
 from stereophd.pipeline.checks.log.sample import MOST_BY_CHANCE, CameraSample
 from stereophd.validated import METRES
 from stereophd.wording import number
 
-# Score of a pair whose depths count.
-LEAST_SCORE = 6.0
 # Share of the depths that the region must cover, and the births, be it those of this first share of the time alone:
 # objects move away from where they appear.
 LEAST_COVERED, LEAST_BORN, BEGINNING = 0.6, 0.25, 0.25

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from stereophd.core.arrays import Integers
-from stereophd.core.bodies.boxes import box_variances, boxes_of, share_in_image, with_noise_of_middles
+from stereophd.core.bodies.boxes import box_variances, boxes_of, share_in_image
 from stereophd.core.bodies.filter import LEAST_HIDDEN, BodyState
 from stereophd.core.bodies.occlusion import hidden_shares
 from stereophd.core.bodies.outline import BOTTOM, TOP, outline_boxes
@@ -37,18 +37,6 @@ def starting_box_detectors(
         for camera, detector in zip(cameras, usual, strict=True)
     )
     return started, {name: NoisePrior(np.array(BOX_NOISE), SPREAD) for name in estimated}
-
-
-def point_noise(cameras: Sequence[Camera], parts: Sequence[Sequence[Event]]) -> tuple[Camera, ...]:
-    """Return cameras with the noise of the middles of boxes, px, for what takes boxes for points."""
-    out = []
-    for number, camera in enumerate(cameras):
-        sizes = [
-            event.sizes[:, 1] for part in parts for event in part if event.camera == number and event.sizes is not None
-        ]
-        height = float(np.median(np.concatenate(sizes))) if sum(map(len, sizes)) else 0.0
-        out.append(with_noise_of_middles(camera, height))
-    return tuple(out)
 
 
 def observe_bodies(

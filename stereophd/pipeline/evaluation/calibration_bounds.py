@@ -1,18 +1,16 @@
 """Cramer-Rao bounds of a simulated calibration, as figures of a report."""
 
-import math
 from typing import Any
 
 import numpy as np
 
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.bounds.calibration import TruePositions, calibration_bound
-from stereophd.core.calibration.unknowns.observability import pose_spread, posed_cameras
 from stereophd.core.numerics.random_streams import RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene
 from stereophd.errors import InputError
-from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.calibration.problem import build_scale
+from stereophd.pipeline.calibration.report import pose_stds
 from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.simulation import build_scene
 
@@ -29,15 +27,7 @@ def bound_figures(loaded: LoadedConfig) -> dict[str, Any]:
     scene = build_scene(loaded.config, truth.cameras, RUN_OBJECTS.seed(loaded.config.seed, 0))
     values, positions = np.zeros(truth.size), scene_positions(scene)
     covariance = calibration_bound(truth, values, reference, scene.motion, positions, build_scale(loaded, truth))
-    cameras = {}
-    for name in posed_cameras(truth):
-        spread = pose_spread(truth, reference, values, covariance, name)
-        cameras[name] = {
-            "rotation_deg": finite_or_none(math.degrees(spread.rotation)),
-            "direction_deg": finite_or_none(math.degrees(spread.direction)),
-            "scale": finite_or_none(spread.scale),
-            "center": finite_or_none(spread.center),
-        }
+    cameras = pose_stds(truth, reference, values, covariance, "")
     std = np.sqrt(np.diag(covariance))
     return {"cameras": cameras, "parameters": dict(zip(truth.names, std.tolist(), strict=True))}
 

@@ -66,7 +66,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     samples = sample_log(reader, cameras, SAMPLE_FRAMES)
     draft, unknown = _with_known_detectors(draft, samples)
     only_boxes, is_placed = all(sample.box_height_px is not None for sample in samples), not draft.is_unplaced
-    bodies = _with_bodies(draft, cameras, unknown, log_path) if only_boxes and is_placed else None
+    bodies = _with_bodies(draft, samples, unknown, log_path) if only_boxes and is_placed else None
     if bodies is not None:
         return bodies
     cause = "poses or focal lengths are unknown"
@@ -144,18 +144,18 @@ def _mistake(samples: list[CameraSample]) -> Finding | None:
 
 
 def _with_bodies(
-    draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str], log_path: Path | str
+    draft: Draft, samples: list[CameraSample], unknown: Collection[str], log_path: Path | str
 ) -> Draft | None:
     """Return the draft for objects whose boxes the log has; None if the user states points, or it shows no size."""
     # imported here: what it needs of SciPy is costly to import
-    from stereophd.pipeline.detectors.bodies import point_noise, starting_box_detectors
+    from stereophd.pipeline.detectors.bodies import starting_box_detectors
     from stereophd.pipeline.initial.bodies import measure_bodies, refine_bodies
 
     stated, values = any(key.split(".")[0] == "object" for key in draft.given), draft.values()
     points = values["filter"]["kind"] != "pmb" or values.get("object") == {"shape": "point"}
-    if points or not all(camera.pose.is_static for camera in cameras):
+    if points or not all(sample.camera.pose.is_static for sample in samples):
         return None
-    cameras, priors = starting_box_detectors(cameras, unknown)
+    cameras, priors = starting_box_detectors([sample.camera for sample in samples], unknown)
     name = str(log_path)
     parts = stretches(open_stream(loaded_draft(draft, name).config, cameras, log_path))
     events = [list(part) for part in parts]
@@ -173,7 +173,9 @@ def _with_bodies(
         draft = _with_note(draft, unknown, "detector: what is usual, because the boxes of the cameras do not agree")
     elif priors:
         draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
-        noisy = point_noise(loaded_draft(draft, name).build_cameras(), events)
+        estimated = zip(samples, loaded_draft(draft, name).build_cameras(), strict=True)
+        # sigma_px is for what takes boxes for points
+        noisy = tuple(sample.with_camera(camera).with_noise_of_middles.camera for sample, camera in estimated)
         draft = _with_cameras(draft, noisy, unknown)
         events = [list(part.with_cameras(noisy)) for part in parts]
     draft = _with_acceleration(replace(draft, findings=(*draft.findings, *strangers)), events, name, 4)

@@ -8,8 +8,6 @@ import pyarrow as pa
 
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import stable_order
 from stereophd.core.settings import LARGEST_TIME_S
 from stereophd.errors import InputError
 from stereophd.io.logs.checks import KINDS, duplicate_fault, point_faults, raise_first
@@ -38,7 +36,7 @@ class FrameChecks:
         self._cameras = tuple(cameras)
         self._index = {camera.name: i for i, camera in enumerate(cameras)}
         self._sizes = np.array([(c.width, c.height) for c in cameras], dtype=float)
-        self._limits = (self._sizes - 0.5 + image_margin_px).tolist()
+        self._limits = self._sizes - 0.5 + image_margin_px
         self._drop, self._margin = on_bad_row == "drop", image_margin_px
         self._first: list[list[Frame]] = [[] for _ in cameras]
         self._recent: list[dict[int, None]] = [{} for _ in cameras]
@@ -54,8 +52,9 @@ class FrameChecks:
         sizes = _pairs(message, "width_px", "height_px")
         pixels = message.pixels
         # a short answer for nearly all frames of points, by the rules of `_good`
-        is_faultless = camera >= 0 and abs(message.time_s) <= LARGEST_TIME_S
-        is_faultless = is_faultless and are_faultless(pixels, -0.5 - self._margin, *self._limits[camera])
+        is_inside = ((pixels >= -0.5 - self._margin) & (pixels <= self._limits[camera])).all()
+        is_faultless = is_inside and camera >= 0 and abs(message.time_s) <= LARGEST_TIME_S
+        is_faultless = is_faultless and len(set(map(tuple, pixels.tolist()))) == len(pixels)
         if not is_faultless or sigma is not None or sizes is not None:
             good = self._good(message, camera, sigma, sizes, where)
             if not good.any():
@@ -119,24 +118,6 @@ class FrameChecks:
         if not self._drop:
             raise InputError(reason)
         self.counts[kind] += 1
-
-
-@compiled
-def are_faultless(pixels: Array, least: float, most_u: float, most_v: float) -> bool:
-    """Whether detections (m, 2) are all within these limits, and none is there twice."""
-    first = np.empty(len(pixels))
-    for i in range(len(pixels)):
-        first[i] = pixels[i, 0]
-        if not (least <= pixels[i, 0] <= most_u and least <= pixels[i, 1] <= most_v):
-            return False
-    order = stable_order(first)
-    for i in range(len(order)):
-        k = i + 1
-        while k < len(order) and first[order[k]] == first[order[i]]:
-            if pixels[order[k], 1] == pixels[order[i], 1]:
-                return False
-            k += 1
-    return True
 
 
 def _rows(values: Array | None, kept: Booleans) -> Array | None:

@@ -31,7 +31,7 @@ from stereophd.pipeline.tracking.run import build_tracking
 from stereophd.pipeline.tracking.run_figures import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.tracking.smoothed import trajectories_of
-from stereophd.pipeline.tracking.unfinished import KeptRecords, read_records
+from stereophd.pipeline.tracking.unfinished import keep_record, read_records
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 from stereophd.wording import instant
 
@@ -126,6 +126,10 @@ class PieceWork:
     unfinished: UnfinishedRun  # Absolute; holds the records of a piece, and that it is done
     threads: int
 
+    def done(self, piece: LogPiece) -> Any:
+        """Return the `PieceDone` of a piece; None if it is not finished."""
+        return self.unfinished.read(_name(piece), PieceDone)
+
 
 @dataclass(frozen=True)
 class PieceDone:
@@ -141,7 +145,7 @@ def track_pieces(work: PieceWork, pieces: Sequence[LogPiece], jobs: int, dask: s
     Raises InputError if the log is at fault, or no scheduler answers; StereophdError if the worker of a piece dies
     again and again, and finished pieces stay.
     """
-    todo = [piece for piece in pieces if _done(work, piece) is None]
+    todo = [piece for piece in pieces if work.done(piece) is None]
     finished = len(pieces) - len(todo)
 
     def tick(done: float = 0, of: float = 0) -> None:
@@ -168,10 +172,10 @@ def track_piece(work: PieceWork, piece: LogPiece, tick: Progress = ignore) -> in
     tracking = replace(tracking, report=config.report.model_copy(update={"min_track_length": 0.0}))
     # what is left out in the overlaps is counted by the pieces whose they are
     stream = EventStream(work.cameras, reader, tick, piece.begin_s, piece.end_s, (piece.from_s, piece.to_s))
-    count, kept = 0, KeptRecords(work.unfinished.parts(_name(piece)))
+    count, kept = 0, work.unfinished.parts(_name(piece))
     run = RunState(_numbered(tracking.estimator.init(), piece.events_before))
     for record in tracking.records(stream, run=run):
-        kept.add(record)
+        keep_record(kept, record)
         count += 1
     work.unfinished.write(_name(piece), PieceDone(kept.flush(), stream.not_invertible))
     return count
@@ -187,12 +191,6 @@ def _numbered(state: Any, events: int) -> Any:
         return replace(state, estimator=replace(state.estimator, n_events=events))
     # a filter that draws no samples counts no events
     return replace(state, n_events=events) if hasattr(state, "n_events") else state
-
-
-def _done(work: PieceWork, piece: LogPiece) -> PieceDone | None:
-    """Return what a piece gave; None if it is not finished."""
-    done: PieceDone | None = work.unfinished.read(_name(piece), PieceDone)
-    return done
 
 
 @dataclass
@@ -225,7 +223,7 @@ class JoinedPieces:
     @property
     def not_invertible(self) -> int:
         """Number of detections that were left out."""
-        return sum(self._read_done(piece).not_invertible for piece in self.pieces)
+        return sum(self.work.done(piece).not_invertible for piece in self.pieces)
 
     def report(self) -> dict[str, Any]:
         """Return the figures of the joins, for ``report.json``."""
@@ -237,14 +235,8 @@ class JoinedPieces:
             "uncertain_joins": self._uncertain,
         }
 
-    def _read_done(self, piece: LogPiece) -> PieceDone:
-        done = _done(self.work, piece)
-        assert done is not None
-        return done
-
     def _records(self, piece: LogPiece, from_s: float, until_s: float) -> Iterator[Record]:
-        done = self._read_done(piece)
-        return read_records(self.work.unfinished.parts(_name(piece), done.count), from_s, until_s)
+        return read_records(self.work.unfinished.parts(_name(piece), self.work.done(piece).count), from_s, until_s)
 
     def _names(self, earlier: LogPiece, later: LogPiece, names: Mapping[int, int]) -> dict[int, int]:
         """Return track of the later piece -> track of the run, for those that continue one."""

@@ -18,12 +18,13 @@ from stereophd.core.arrays import Array
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty, CommonPart
 from stereophd.core.disparity.events import Event
-from stereophd.core.geometry.camera import BOX_NOISE, Camera
+from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.single.settings import SingleSettings
 from stereophd.errors import InputError
-from stereophd.io.cameras.models import CameraConfig, DetectorConfig
+from stereophd.io.cameras.models import CameraConfig
+from stereophd.io.cameras.writing import camera_config
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
 from stereophd.io.tables.schemas import ASSOCIATIONS, CAMERAS_PART, CONFIRMED, EXTENTS, SCANS, STD, TENTATIVE, TRACKS
@@ -32,7 +33,6 @@ from stereophd.pipeline.build import build_bodies, build_filter, build_labelled_
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
-from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.run_figures import LastingTracks, RunFigures
@@ -71,13 +71,6 @@ class TrackingRun:
             events = at_most_one(stream)
         region, points = self.loaded.config.region, not (single or self.boxes)
         return reported_records(self.estimator, self.motion, events, self.report, points, kept, run, region)
-
-    def keep_in(self, unfinished: UnfinishedRun) -> UnfinishedTracking:
-        """Return what keeps an unfinished run of a log: its tables, or its records if they are smoothed at the end.
-
-        Raises InputError if what an earlier process kept is damaged.
-        """
-        return UnfinishedTracking(unfinished, self.estimator, keeps_records=self.report.smooth is not None)
 
     def with_estimated_detectors(self, stream: EventStream) -> TrackingRun:
         """Return the run with detectors estimated from the log; the same where the configuration gives them all."""
@@ -121,10 +114,12 @@ class TrackingRun:
                 )
                 for name, schema in schemas.items()
             }
-            writer = RecordWriter(tables, self.cameras, self.report, figures, uncertainty is not None)
+            cameras = {camera.name: camera for camera in self.cameras}
+            later = {} if uncertainty is None else {CAMERAS_PART.name: None}
             for record in records:
-                writer.add(record)
-        return writer.summary()
+                figures.add(record, cameras)
+                _write_record(record, tables, self.report, figures, later)
+        return figures.report(cameras, tables[SCANS_FILE].rows, tables[TRACKS_FILE].rows)
 
 
 def reported_records(
@@ -205,17 +200,9 @@ def _check_reassociation(loaded: LoadedConfig) -> None:
 
 def with_detectors(described: Mapping[str, CameraConfig], cameras: Sequence[Camera]) -> dict[str, CameraConfig]:
     """Return the descriptions of cameras with the detectors of others, as given and no longer to be estimated."""
-    out = {}
-    for camera in cameras:
-        found = camera.detector
-        detector = DetectorConfig(
-            sigma_px=(float(found.sigma[0]), float(found.sigma[1])),
-            p_detect=float(found.p_detect),
-            clutter_per_frame=float(found.clutter_per_frame),
-            box_noise=None if found.box_noise == BOX_NOISE else found.box_noise,
-        )
-        out[camera.name] = described[camera.name].model_copy(update={"detector": detector})
-    return out
+    return {
+        one.name: described[one.name].model_copy(update={"detector": camera_config(one).detector}) for one in cameras
+    }
 
 
 def with_boxes(stream: EventStream) -> Iterator[Event]:
@@ -237,55 +224,39 @@ def with_boxes(stream: EventStream) -> Iterator[Event]:
 STATE_COLUMNS = ("x", "y", "z", "vx", "vy", "vz")
 
 
-class RecordWriter:
-    """Writes what is to be reported as it comes, and counts the figures of the run.
+def _write_record(
+    record: Record, tables: Mapping[str, TableWriter], report: ReportConfig, figures: RunFigures,
+    later: Mapping[str, None],
+) -> None:  # fmt: skip
+    """Write what is to be reported of a record that `figures` have counted, into tables by the names of their files.
 
-    Tables, by the names of their files, have a row for each estimate, for each event and, if it is there, for each
-    association. The cameras are in order, for the figures of each. `report` says which estimates are written, and which
-    columns; `figures` are where the run begins, and are kept up to date. Whether the table of tracks has a part of
-    uncertain cameras is in `has_cameras_part`; `with_cameras_part` fills it in.
+    They have a row for each estimate, for each event and, if it is there, for each association. `report` says which
+    estimates are written, and which columns; those of the estimates that are filled in `later` are empty.
     """
-
-    def __init__(
-        self, tables: Mapping[str, TableWriter], cameras: Sequence[Camera], report: ReportConfig, figures: RunFigures,
-        has_cameras_part: bool,
-    ) -> None:  # fmt: skip
-        self._tables, self._report, self._figures = tables, report, figures
-        self._cameras = {camera.name: camera for camera in cameras}
-        self._later = {CAMERAS_PART.name: None} if has_cameras_part else {}
-
-    def add(self, record: Record) -> None:
-        """Write a record."""
-        tables, report, figures = self._tables, self._report, self._figures
-        figures.add(record, self._cameras)
-        for sightings in record.associations if ASSOCIATIONS_FILE in tables else ():
-            tables[ASSOCIATIONS_FILE].append(sightings.columns())
-        if not record.reported:
-            return
-        estimates = record.estimates
-        if report.max_position_std is not None:
-            estimates = estimates.certain(report.max_position_std)
-        key = {"time_s": record.time_s, "camera": record.camera, "frame": record.frame}
-        tables[SCANS_FILE].append(
-            {
-                **key,
-                "n_detections": np.array([figures.new_detections]),
-                "cardinality_mean": record.info.cardinality_mean,
-                "cardinality_estimate": len(estimates.track_ids),
-                "log_likelihood": figures.new_log_likelihood,
-                "n_components": record.info.n_components,
-            }
-        )
-        figures.new_detections, figures.new_log_likelihood = 0, 0.0
-        figures.add_estimates(estimates, record.time_s)
-        for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
-            if level is not None and len(level.track_ids):
-                columns = _columns(level, report.std_columns)
-                tables[TRACKS_FILE].append({**key, **columns, **self._later, "status": status})
-
-    def summary(self) -> dict[str, Any]:
-        """Return the figures of the run for ``report.json``."""
-        return self._figures.report(self._cameras, self._tables[SCANS_FILE].rows, self._tables[TRACKS_FILE].rows)
+    for sightings in record.associations if ASSOCIATIONS_FILE in tables else ():
+        tables[ASSOCIATIONS_FILE].append(sightings.columns())
+    if not record.reported:
+        return
+    estimates = record.estimates
+    if report.max_position_std is not None:
+        estimates = estimates.certain(report.max_position_std)
+    key = {"time_s": record.time_s, "camera": record.camera, "frame": record.frame}
+    tables[SCANS_FILE].append(
+        {
+            **key,
+            "n_detections": np.array([figures.new_detections]),
+            "cardinality_mean": record.info.cardinality_mean,
+            "cardinality_estimate": len(estimates.track_ids),
+            "log_likelihood": figures.new_log_likelihood,
+            "n_components": record.info.n_components,
+        }
+    )
+    figures.new_detections, figures.new_log_likelihood = 0, 0.0
+    figures.add_estimates(estimates, record.time_s)
+    for level, status in ((estimates, CONFIRMED), (estimates.tentative, TENTATIVE)):
+        if level is not None and len(level.track_ids):
+            columns = _columns(level, report.std_columns)
+            tables[TRACKS_FILE].append({**key, **columns, **later, "status": status})
 
 
 def with_cameras_part(uncertainty: CameraUncertainty, figures: RunFigures, pieces: Sequence[Piece]) -> list[Piece]:

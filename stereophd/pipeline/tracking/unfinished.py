@@ -25,9 +25,6 @@ from stereophd.pipeline.tracking.single import SingleTrackerState
 
 STATE, RECORDS = "state", "records"
 
-# Records that are kept together: few enough that a reader of a span of time decodes little beside it.
-RECORDS_AT_ONCE = 256
-
 
 @dataclass
 class TrackingState(Generic[State]):
@@ -53,41 +50,18 @@ def bare(record: Record) -> dict[str, Any]:
     return {**record.__dict__, "info": info, "event": None}
 
 
-class KeptRecords:
-    """Records in parts of an unfinished run, in order of time."""
-
-    def __init__(self, parts: KeptParts) -> None:
-        self._parts = parts
-        self._waiting: list[dict[str, Any]] = []
-
-    def add(self, record: Record) -> None:
-        """Keep a record."""
-        self._waiting.append(bare(record))
-        if len(self._waiting) >= RECORDS_AT_ONCE:
-            self._write()
-
-    def _write(self) -> None:
-        if self._waiting:
-            first_s, last_s = self._waiting[0]["time_s"], self._waiting[-1]["time_s"]
-            self._parts.append(encode((first_s, last_s, encode(self._waiting))))
-            self._waiting = []
-
-    def flush(self) -> int:
-        """Bring all records to the disk; return the number of parts that count then."""
-        self._write()
-        return self._parts.flush()
+def keep_record(parts: KeptParts, record: Record) -> None:
+    """Keep a record after those that are in parts of an unfinished run, in order of time."""
+    parts.append(encode((record.time_s, encode(bare(record)))))
 
 
 def read_records(parts: KeptParts, from_s: float = -math.inf, until_s: float = math.inf) -> Iterator[Record]:
-    """Yield the records in parts, from one time to before another, s; most others are not decoded."""
-    read, read_span = decoder(tuple[float, float, bytes]), decoder(list[Record])
+    """Yield the records in parts, from one time to before another, s; the others are not decoded."""
+    read, read_record = decoder(tuple[float, bytes]), decoder(Record)
     for content in parts:
-        first_s, last_s, records = decode(content, read, parts.path)
-        if last_s < from_s or first_s >= until_s:
-            continue
-        for record in decode(records, read_span, parts.path):
-            if from_s <= record.time_s < until_s:
-                yield record
+        time_s, record = decode(content, read, parts.path)
+        if from_s <= time_s < until_s:
+            yield decode(record, read_record, parts.path)
 
 
 class UnfinishedTracking:
@@ -102,7 +76,7 @@ class UnfinishedTracking:
         self._unfinished = unfinished
         self._estimator = estimator
         self._tables: dict[str, KeptTable] = {}
-        self._records: KeptRecords | None = None
+        self._records: KeptParts | None = None
         self._lasting: LastingTracks | None = None
         kind: Any = TrackingState
         self._saved: TrackingState[Any] | None = unfinished.read(STATE, kind[state_type(estimator.init())])
@@ -138,7 +112,7 @@ class UnfinishedTracking:
                 next(rest)
         for record in run_estimator(self._estimator, rest, times, keep_events, run):
             if self._records is not None:
-                self._records.add(record)
+                keep_record(self._records, record)
             yield record
             self._unfinished.keep(STATE, lambda: self._state(run))
 
@@ -147,7 +121,7 @@ class UnfinishedTracking:
         for record in read_records(parts):
             event = next(events) if record.is_event else None
             yield replace(record, event=event if keep_events else None)
-        self._records = KeptRecords(parts)
+        self._records = parts
 
     def lasting(self, records: Iterable[Record], min_length_s: float) -> Iterator[Record]:
         """Yield records without short tracks, as `LastingTracks` does."""

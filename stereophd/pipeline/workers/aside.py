@@ -52,8 +52,12 @@ class Aside:
         self._thread = None
 
     def _do(self, work: Callable[[WorkerProcess], Any]) -> None:
-        # started by this thread: the system ends a worker with the thread that started it
-        self._worker = worker = WorkerProcess(1)
+        try:
+            # started by this thread: the system ends a worker with the thread that started it
+            self._worker = worker = WorkerProcess(1)
+        except OSError as error:  # no more processes, or no memory for one
+            self._outcome = error
+            return
         try:
             worker.call(logging.disable, logging.CRITICAL)  # what it finds is for the outcome to tell
             if hasattr(os, "nice"):

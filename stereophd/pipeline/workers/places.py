@@ -11,16 +11,15 @@ them, such as shared memory or a semaphore: whoever is killed, and at whatever m
 import signal
 import threading
 from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor, as_completed
 from contextlib import closing, contextmanager
 from functools import partial
-from itertools import islice
 from queue import SimpleQueue
 from typing import Any, TypeVar
 
 import stereophd
 from stereophd.errors import InputError
-from stereophd.pipeline.workers.worker_process import WorkerProcess
+from stereophd.pipeline.workers.worker_process import WorkerProcess, WorkersLostError
 from stereophd.wording import LOGGER
 
 Argument = TypeVar("Argument")
@@ -33,37 +32,16 @@ CONNECT_S = 10
 ATTEMPTS = 3
 
 
-class WorkersLostError(Exception):
-    """Worker processes died; the arguments without a result are to be done again."""
-
-
-class ThisProcess:
-    """One call after the other."""
-
-    count = 1  # of workers that there are now
-    remote = False  # whether the calls are made in other processes
-
-    def __call__(self, function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> Iterator[Result]:
-        """Do the calls; yield the results in any order, until all are done or workers are lost."""
-        return map(function, arguments)
-
-
-class Cores:
-    """A number of processes of this machine."""
-
-    remote = True
+class ThisMachine:
+    """A number of processes of this machine; one is this process itself."""
 
     def __init__(self, count: int) -> None:
         self.count = count
+        self.remote = count != 1  # whether the calls are made in other processes
 
     def __call__(self, function: Callable[[Argument], Result], arguments: Sequence[Argument]) -> Iterator[Result]:
-        """Do the calls."""
-        from concurrent.futures.process import BrokenProcessPool  # costly to import
-
-        try:
-            yield from on_processes(function, arguments, self.count, ordered=False)
-        except BrokenProcessPool as error:
-            raise WorkersLostError(str(error).split("\n")[0]) from error
+        """Do the calls; yield the results in any order, until all are done or workers are lost."""
+        return on_processes(function, arguments, self.count, ordered=False)
 
 
 def processes(jobs: int) -> int:
@@ -81,16 +59,19 @@ def on_processes(
 ) -> Generator[Result]:  # fmt: skip
     """Call a function of a module for each argument, on several processes (-1: as many as cores); yield the results.
 
-    They come in the order of the arguments, or as they are ready. A thread for each process waits for its call, and
-    only as many calls are taken ahead: what is not needed any more, when the iterator is closed, is not begun. The
-    progress of the calls goes to `tell`. Raises BrokenProcessPool when a process died.
+    One is this process, which does a call when its result is asked for. Results come in the order of the arguments, or
+    as they are ready. A thread for each process waits for its calls: what is not needed any more, when the iterator is
+    closed, is not begun. The progress of the calls goes to `tell`. Raises WorkersLostError when a process died.
     """
+    if jobs == 1:
+        yield from map(function, arguments)
+        return
     from joblib import cpu_count
 
-    numbered = enumerate(arguments)
-    first = list(islice(numbered, processes(jobs)))
-    if not first:
+    calls = list(arguments)
+    if not calls:
         return
+    count = min(processes(jobs), len(calls))
     workers: list[WorkerProcess] = []
     idle: SimpleQueue[WorkerProcess] = SimpleQueue()
 
@@ -101,27 +82,20 @@ def on_processes(
         finally:
             idle.put(worker)
 
-    pool = ThreadPoolExecutor(len(first))
+    pool = ThreadPoolExecutor(count)
     try:
         with _without_interrupts():
-            workers.extend(WorkerProcess(max(cpu_count() // len(first), 1)) for _ in first)
+            workers.extend(WorkerProcess(max(cpu_count() // count, 1)) for _ in range(count))
         for worker in workers:
             idle.put(worker)
-        # one call more for each worker waits for it
-        pending = {pool.submit(call, one): number for number, one in [*first, *islice(numbered, len(first))]}
-        ready: dict[int, Result] = {}
-        following = 0
-        while pending:
-            for future in wait(pending, return_when=FIRST_COMPLETED).done:
-                ready[pending.pop(future)] = future.result()
-                pending |= {pool.submit(call, one): number for number, one in islice(numbered, 1)}
-            while ready and (following in ready or not ordered):
-                yield ready.pop(following if ordered else next(iter(ready)))
-                following += 1
+        results = [pool.submit(call, argument) for argument in calls]
+        for result in results if ordered else as_completed(results):
+            yield result.result()
     finally:
+        pool.shutdown(wait=False, cancel_futures=True)
         for worker in workers:
             worker.kill()
-        pool.shutdown(cancel_futures=True)
+        pool.shutdown()
         for worker in workers:
             worker.close()
 
@@ -183,7 +157,7 @@ class DaskWorkers:
         self._client.close()
 
 
-Workers = ThisProcess | Cores | DaskWorkers
+Workers = ThisMachine | DaskWorkers
 
 
 @contextmanager
@@ -193,7 +167,7 @@ def open_workers(jobs: int, dask: str | None) -> Iterator[Workers]:
     Errors are those of `DaskWorkers`.
     """
     if dask is None:
-        yield ThisProcess() if jobs == 1 else Cores(jobs)
+        yield ThisMachine(jobs)
         return
     with closing(DaskWorkers(dask)) as cluster:
         yield cluster

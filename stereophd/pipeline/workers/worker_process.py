@@ -16,6 +16,7 @@ from contextlib import suppress
 from typing import IO, Any
 
 from stereophd.core.numerics.threads import OF_ALL, OF_LINEAR_ALGEBRA
+from stereophd.errors import StereophdError
 from stereophd.wording import PROGRESS, Stages
 
 # How often a worker looks for the process that started it where the system does not end it, s; the call for that.
@@ -31,6 +32,10 @@ PROGRAM = (
 
 # Bytes of the length before a message.
 HEADER = 8
+
+
+class WorkersLostError(StereophdError):
+    """Worker processes died; the arguments without a result are to be done again."""
 
 
 class WorkerProcess:
@@ -50,12 +55,10 @@ class WorkerProcess:
         self._calls, self._results = self._process.stdin, self._process.stdout
 
     def call(self, function: Callable[[Any], Any], argument: Any, tell: Callable[[str], None] | None = None) -> Any:
-        """Return the result of a call of a function of a module; BrokenProcessPool if the worker died.
+        """Return the result of a call of a function of a module; WorkersLostError if the worker died.
 
         What the call logs of its progress goes to `tell` meanwhile.
         """
-        from concurrent.futures.process import BrokenProcessPool
-
         call = pickle.dumps((function, argument), pickle.HIGHEST_PROTOCOL)
         try:
             _send(self._calls, call)
@@ -65,7 +68,7 @@ class WorkerProcess:
         except OSError:
             received = None
         if received is None:
-            raise BrokenProcessPool(f"a worker process ended with exit code {self._process.wait()}")
+            raise WorkersLostError(f"a worker process ended with exit code {self._process.wait()}")
         result, error, where = told
         if error is not None:
             raise error from RuntimeError(f"in a worker process:\n{where}")

@@ -11,6 +11,7 @@ import pytest
 
 from stereophd.config.loading import load_config, make_config
 from stereophd.core.geometry.camera import Camera, Clock, Detector
+from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import LogWriter
@@ -154,6 +155,18 @@ def test_an_image_whose_width_and_height_are_exchanged_is_named(
     wrong = _with(samples[:1], replace(samples[0].camera, width=size[0], height=size[1]))
     causes = {found.cause for found in check_files(wrong) if found.status == "warning"}
     assert ("width_height_exchanged" in causes) == warned
+
+
+@pytest.mark.parametrize("model", ["none", "fisheye"])
+def test_a_focal_length_in_millimetres_is_a_mistake(samples: list[CameraSample], model: str) -> None:
+    """It is told from the camera alone: rays are not compared before it is corrected."""
+    camera = samples[0].camera
+    wrong = _with(samples[:1], replace(camera, fx=50.0, fy=50.0, lens=Lens(model)))
+    (named,) = (found for found in check_files(wrong) if found.name == "camera.focal_length")
+    assert named.cause == "focal_length_millimetres"
+    assert is_mistake(named)
+    wide = _with(samples[:1], replace(camera, fx=0.25 * camera.width, fy=0.25 * camera.width, lens=Lens(model)))
+    assert "camera.focal_length" not in {found.name for found in check_files(wide)}
 
 
 MISTAKES = {

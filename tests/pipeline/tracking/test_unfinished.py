@@ -24,7 +24,6 @@ from stereophd.io.outputs.saved import decoder, encode
 from stereophd.io.tables import writing
 from stereophd.pipeline.runs import unfinished
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
-from stereophd.pipeline.tracking import unfinished as checkpoint
 from stereophd.pipeline.tracking.associations import Associated, Associations
 from stereophd.pipeline.tracking.loop import RunState
 
@@ -53,10 +52,9 @@ class Killed(BaseException):
 
 @pytest.fixture
 def often(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Keep the state after every record, and two records in a part at most."""
+    """Keep the state after every record, in small parts."""
     monkeypatch.setattr(unfinished, "KEEP_EVERY_S", 0.0)
     monkeypatch.setattr(unfinished, "MOST_SHARE", 1e9)
-    monkeypatch.setattr(checkpoint, "RECORDS_AT_ONCE", 2)
     monkeypatch.setattr(writing, "ROW_GROUP_ROWS", 7)
     monkeypatch.setattr(saved, "PART_BYTES", 5000)
 

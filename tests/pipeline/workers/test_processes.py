@@ -8,8 +8,6 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing
 from pathlib import Path
 
@@ -19,6 +17,7 @@ import pytest
 
 from stereophd.core.calibration.time_limit import ENDLESS, within
 from stereophd.pipeline.workers.places import on_processes
+from stereophd.pipeline.workers.worker_process import WorkersLostError
 
 GIVE_UP_S = 20
 
@@ -80,8 +79,9 @@ def test_workers_use_no_shared_memory() -> None:
 
 
 @pytest.mark.parametrize("ordered", [True, False])
-def test_results_of_all_calls(ordered: bool) -> None:
-    found = list(on_processes(_square, range(5), 2, ordered))
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_results_of_all_calls(jobs: int, ordered: bool) -> None:
+    found = list(on_processes(_square, range(5), jobs, ordered))
     assert (found if ordered else sorted(found)) == [0, 1, 4, 9, 16]
 
 
@@ -113,7 +113,7 @@ def _odd(number: int) -> int:
     [
         (3, ValueError, "3 is refused"),
         (4, RuntimeError, "UnsendableError"),
-        (5, BrokenProcessPool, "exit code -9"),
+        (5, WorkersLostError, "exit code -9"),
     ],
 )
 def test_a_call_that_fails_ends_all(number: int, error: type[Exception], message: str) -> None:
@@ -124,23 +124,20 @@ def test_a_call_that_fails_ends_all(number: int, error: type[Exception], message
 
 
 def _wait(number: int) -> int:
+    ENDLESS.begin(f"call {number}")
     time.sleep(0.1)
     return number
 
 
-def test_a_closed_iterator_begins_nothing_more() -> None:
+@pytest.mark.parametrize("ordered", [True, False])
+def test_a_closed_iterator_begins_nothing_more(ordered: bool) -> None:
     before = children()
-    taken = []
-
-    def numbers() -> Iterator[int]:
-        for number in range(GIVE_UP_S * 10):
-            taken.append(number)
-            yield number
-
-    with closing(on_processes(_wait, numbers(), 2)) as results:
-        assert next(results) == 0
+    begun: list[str] = []
+    calls = range(GIVE_UP_S * 10)
+    with closing(on_processes(_wait, calls, 2, ordered, begun.append)) as results:
+        assert next(results) in (0, 1)
     assert children() <= before
-    assert len(taken) < GIVE_UP_S * 10
+    assert 1 <= len(begun) < len(calls)
 
 
 @pytest.mark.skipif(not Path("/proc").is_dir(), reason="looks for processes in /proc")

@@ -18,9 +18,6 @@ from stereophd.pipeline.checks.geometry.rays import Reading, unchanged
 OPENGL = np.diag([1.0, -1.0, -1.0])
 UNIT_FACTORS = (0.001, 0.01, 0.0254, 0.1, 0.3048, 3.2808, 10.0, 39.37, 100.0, 1000.0)
 RESOLUTION_FACTORS = (0.25, 1 / 3, 0.5, 2 / 3, 0.75, 4 / 3, 1.5, 2.0, 3.0, 4.0)
-# Focal lengths over the image width that lenses have, tried where the stated one is far smaller (millimetres).
-USUAL_FOCAL = (0.5, 0.6, 0.7, 0.8, 0.9, 1.0, 1.1, 1.25, 1.4, 1.6, 1.9, 2.3)
-MILLIMETRES_BELOW = 0.2
 
 
 @dataclass(frozen=True)
@@ -104,13 +101,6 @@ def _scaled(camera: Camera, focal: float, point: float) -> Camera:
     return replace(camera, fx=camera.fx * focal, fy=camera.fy * focal, cx=camera.cx * point, cy=camera.cy * point)
 
 
-def _in_pixels(camera: Camera, over_width: float) -> Camera | None:
-    """Return the camera whose focal length was in millimetres."""
-    if camera.fx > MILLIMETRES_BELOW * camera.width:
-        return None
-    return _scaled(camera, over_width * camera.width / camera.fx, 1.0)
-
-
 def alternatives() -> Iterator[Alternative]:
     """Yield all alternatives, the likely ones first."""
     for cause, text, remedy, true_pose in POSES:
@@ -139,12 +129,6 @@ def alternatives() -> Iterator[Alternative]:
         yield Alternative(
             "focal_length", f"the focal length seems to be {factor:.3g} times the stated one",
             "state the focal length in pixels of this image size", partial(_scaled, focal=factor, point=1.0),
-        )  # fmt: skip
-    for ratio in USUAL_FOCAL:
-        yield Alternative(
-            "focal_length_millimetres", "the focal length seems to be in millimetres",
-            "divide it by the pixel pitch: focal length [px] = focal length [mm] * image width [px] / sensor width "
-            "[mm]", partial(_in_pixels, over_width=ratio),
         )  # fmt: skip
     for factor in UNIT_FACTORS:
         yield Alternative(

@@ -35,8 +35,8 @@ MOST_SHOWN, PLACE_RADIUS_PX = 5, 2.0
 SCALED_ALIKE = 0.2
 # Parts of the image within which a principal point is in its middle, and from which on it is not.
 NEAR_CENTRE, FAR_FROM_CENTRE = 0.1, 0.25
-# Field of view of a lens, degrees.
-WIDEST_VIEW_DEG = 150.0
+# Focal lengths over the image width are larger, of fisheyes too.
+SHORTEST_FOCAL = 0.2
 
 
 def check_files(
@@ -189,13 +189,14 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             "detector.sigma", "warning", f"{camera.name}: a noise of {sigma:g} px is implausible",
             sigma, None, camera.name, "state the standard deviation of a detection in pixels", "sigma",
         )  # fmt: skip
-    view = 2.0 * np.rad2deg(np.arctan(0.5 * camera.width / camera.fx))
-    if view > WIDEST_VIEW_DEG and camera.lens.model != "fisheye":
+    if camera.fx < SHORTEST_FOCAL * camera.width:
         yield Finding(
             "camera.focal_length", "warning",
-            f"{camera.name}: fx = {camera.fx:g} px means a field of view of {view:.0f} degrees: the focal length seems "
-            "to be in millimetres",
-            camera.fx, None, camera.name, "state the focal length in pixels", "focal_length_millimetres",
+            f"{camera.name}: fx = {camera.fx:g} px is less than {percent(SHORTEST_FOCAL)} of the width of the image, "
+            "as of no lens: the focal length seems to be in millimetres",
+            camera.fx, SHORTEST_FOCAL * camera.width, camera.name,
+            "divide it by the pixel pitch: focal length [px] = focal length [mm] * image width [px] / sensor width "
+            "[mm]", "focal_length_millimetres",
         )  # fmt: skip
     # another resolution scales both alike; a cut image, or a long lens, has its principal point anywhere
     size, middle = np.array([camera.width, camera.height]), np.array([camera.cx, camera.cy])
