@@ -19,7 +19,7 @@ import numpy as np
 from stereophd.errors import InputError
 from stereophd.io.outputs.atomic import atomic_write
 
-MARK = b"stereophd unfinished run 6\n"
+MARK = b"stereophd unfinished run 7\n"
 
 # Ending of the files of `KeptParts`, and bytes of contents of which one is made.
 PART, PART_BYTES = ".part", 8_000_000
