@@ -30,6 +30,9 @@ terminal.PACE_S = 1e6
 hypothesis.settings.register_profile("stereophd", deadline=None)
 hypothesis.settings.load_profile("stereophd")
 
+# No test cuts the power: nothing is gained by waiting for the disk.
+os.fsync = lambda descriptor: None
+
 # Processes that tests start keep their bytecode, beside which kernels lie already: they need not compile the sources.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
