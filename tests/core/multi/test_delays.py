@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
@@ -15,6 +16,7 @@ from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.prior import DisparityPrior
 from stereophd.core.disparity.rolling import NO_READINGS
 from stereophd.core.multi.association.likelihoods import ALL_PAIRS, REACH_SIGMAS, kalman_updates, pair_likelihoods
+from stereophd.core.multi.build import small_filter
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from tests.core.disparity.cases import LENSES, birth_moments, make_camera, make_space
 from tests.core.multi.association.test_likelihoods import pairs_of
@@ -92,6 +94,15 @@ def test_no_delay_is_no_delay_to_the_last_bit(size: int) -> None:
     )
     np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(spreads[rows], other_spreads[other_rows])
+
+
+def test_kernels_have_no_form_of_their_own_for_rolling_shutters() -> None:
+    """Each would be compiled for them, for up to a minute."""
+    multi_filter, pixels = small_filter("pmb"), np.array([[700.0, 599.5], [10.0, 0.0]])
+    cameras = [replace(multi_filter.rig.cameras[0], readout_s=readout_s) for readout_s in (0.0, 0.03)]
+    detections = [multi_filter.detections(make_event(camera, 0, 5.0, pixels))[0] for camera in cameras]
+    assert [len(one.readings) for one in detections] == [0, 2]
+    assert numba.typeof(detections[0]) == numba.typeof(detections[1])
 
 
 @pytest.mark.parametrize("lens", ["none", "fisheye"])
