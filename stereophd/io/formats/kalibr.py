@@ -44,12 +44,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 
 
 def _document(path: Path) -> dict[str, dict[str, Any]] | None:
-    import yaml
-
-    try:
-        document = load_yaml(read_bytes(path).decode("utf-8-sig"), str(path))
-    except (InputError, UnicodeDecodeError, yaml.YAMLError):
-        return None
+    document = load_yaml(read_bytes(path).decode("utf-8-sig"), str(path))
     if not isinstance(document, dict):
         return None
     cameras = {
