@@ -52,3 +52,9 @@ def instant(time_s: float, digits: int = 6) -> str:
 def percent(share: float) -> str:
     """Return a share in per cent, with a space before the sign."""
     return f"{100.0 * share:.0f} %"
+
+
+def shown_unit(unit: str, length: str = "length") -> tuple[float, str]:
+    """Return the factor from a unit of an unknown to the one that readers see, degrees for angles, and its name."""
+    name = unit.replace("length", length)
+    return (math.degrees(1.0), f"deg{name[3:]}") if unit.startswith("rad") else (1.0, name)

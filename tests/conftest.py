@@ -30,6 +30,9 @@ terminal.PACE_S = 1e6
 hypothesis.settings.register_profile("stereophd", deadline=None)
 hypothesis.settings.load_profile("stereophd")
 
+# No test cuts the power: nothing is gained by waiting for the disk.
+os.fsync = lambda descriptor: None
+
 # Processes that tests start keep their bytecode, beside which kernels lie already: they need not compile the sources.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
@@ -47,8 +50,12 @@ HANDLED_SIGNALS = tuple(
 # The process that compiles the kernels of the filters, which each of several workers would compile by itself.
 LONGEST_COMPILATION_S = 300.0
 COMPILING = pytest.StashKey["subprocess.Popen[bytes]"]()
-# Tests that need few kernels: they run meanwhile.
-LIGHT = ("tests/config/", "tests/io/", "tests/test_documents.py", "tests/test_house.py")
+# Tests that need no kernel of a filter: they run meanwhile, about as long as the process compiles.
+LIGHT = (
+    *(f"tests/core/{room}/" for room in ("geometry", "metrics", "numerics", "simulation")),
+    *(f"tests/core/calibration/{room}/" for room in ("adjustment", "discovery", "unknowns")),
+    *("tests/config/", "tests/io/", "tests/test_documents.py", "tests/test_house.py"),
+)
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -72,12 +79,15 @@ def pytest_configure_node(node: Any) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Begin both halves of the tests, which two workers take, with tests that need few kernels."""
+    """Begin both halves of the tests, which two workers take, with files of tests that need no kernels of filters."""
     if "compiling" in getattr(config, "workerinput", {}):
         light = [item for item in items if item.nodeid.startswith(LIGHT)]
         others = [item for item in items if not item.nodeid.startswith(LIGHT)]
+        # whole files: each worker makes the fixtures of a module anew
+        files = {path: number for number, path in enumerate(dict.fromkeys(item.path for item in light))}
+        first, second = ([item for item in light if files[item.path] % 2 == half] for half in (0, 1))
         middle = len(others) // 2
-        items[:] = [*light[::2], *others[:middle], *light[1::2], *others[middle:]]
+        items[:] = [*first, *others[:middle], *second, *others[middle:]]
 
 
 def pytest_collection_finish() -> None:

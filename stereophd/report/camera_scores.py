@@ -3,11 +3,10 @@
 from collections.abc import Mapping
 from typing import Any
 
-from stereophd.core.calibration.unknowns.quantities.base import RADIANS, SUFFIXES, Quantity
 from stereophd.core.calibration.unknowns.quantities.registry import quantities, quantity_of
 from stereophd.report.summaries import share
 from stereophd.report.tables import SummaryTable, table_text
-from stereophd.wording import number
+from stereophd.wording import number, shown_unit
 
 # Errors up to this are rounding of the files of cameras, in any unit.
 ROUNDING = 1e-12
@@ -54,13 +53,9 @@ def _others(report: Mapping[str, Any]) -> SummaryTable:
         errors = [figures.get(key, 0.0) for figures in by_camera.values()]
         if any(error is None or abs(error) > ROUNDING for error in errors):
             cells = (number(figures.get(key)) for figures in by_camera.values())
-            rows.append((component, _unit(quantity, report["length_unit"]), *cells))
+            rows.append((component, shown_unit(quantity.unit, report["length_unit"])[1], *cells))
     notes = () if rows else ("none: intrinsics, lenses, clocks and movements are the true ones",)
     return SummaryTable("Other errors, estimated less true", ("value", "unit", *by_camera), tuple(rows), notes)
-
-
-def _unit(quantity: Quantity, length_unit: str) -> str:
-    return quantity.unit.replace(RADIANS, "deg").replace("length", length_unit)
 
 
 def _parameters(report: Mapping[str, Any]) -> SummaryTable:
@@ -71,9 +66,8 @@ def _parameters(report: Mapping[str, Any]) -> SummaryTable:
     header += ["bound of std"] if bounds else []
     rows = []
     for name in dict.fromkeys((*errors, *bounds)):
-        quantity = quantity_of(name.rpartition(".")[2])
-        factor = SUFFIXES[quantity.unit][1]
-        row = [name, _unit(quantity, report["length_unit"])]
+        factor, unit = shown_unit(quantity_of(name.rpartition(".")[2]).unit, report["length_unit"])
+        row = [name, unit]
         if errors:
             score = errors.get(name)
             row += ["-"] * 3 if score is None else [

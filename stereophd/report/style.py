@@ -8,6 +8,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.transforms import Bbox
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.scans import PointSets
@@ -22,6 +23,8 @@ WRONG = "#cf222e"
 TRACK_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 TRACK_DASHES: tuple[Any, ...] = ("solid", (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
 CAMERA_COLOUR = "#6e40c9"
+# Empty margin around a picture, inches.
+MARGIN_IN = 0.15
 
 STYLE: dict[Any, Any] = {
     "svg.hashsalt": "stereophd",
@@ -61,12 +64,19 @@ def plots_named(paths: Mapping[str, Path]) -> list[str]:
 
 def save_figures(figures: Mapping[str, Figure], paths: Mapping[str, Path], **options: Any) -> None:
     """Write figures, by plot, as the files that `paths` names: png or svg; to be called in the style they have."""
+    boxes = {plot: _lay_out(figure) for plot, figure in figures.items()}
     for name, path in paths.items():
         plot, kind = name.rsplit(".", 1)
         # Metadata of the files (date, program) would differ between runs.
         metadata: dict[str, Any] = {"Date": None} if kind == "svg" else {"Software": None}
-        how = {"pad_inches": 0.15, **options}
-        figures[plot].savefig(path, format=kind, metadata=metadata, bbox_inches="tight", **how)
+        figures[plot].savefig(path, format=kind, metadata=metadata, bbox_inches=boxes[plot], **options)
+
+
+def _lay_out(figure: Figure) -> Bbox:
+    """Arrange a figure once, for all its files, each of which would do so again; return its extent, inches."""
+    figure.draw_without_rendering()
+    figure.set_layout_engine(None)
+    return figure.get_tightbbox().padded(MARGIN_IN)
 
 
 def colour_of(number: int) -> str:

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from stereophd.pipeline.checks.run_figures import MOST_OUTLIERS
 from stereophd.report.tables import CHECKS, SummaryTable, table_text
-from stereophd.wording import counted, number, percent
+from stereophd.wording import counted, number, percent, shown_unit
 
 # Tracks that the terminal lists.
 TRACKS_SHOWN = 20
@@ -27,11 +27,6 @@ SCALES = {
     "speed": "the stated speed of the objects",
     "length": "the stated distance of two objects",
 }
-
-
-def shown_unit(unit: str) -> tuple[float, str]:
-    """Return the factor from a unit to the one that readers see, degrees for angles, and its name."""
-    return (math.degrees(1.0), f"deg{unit[3:]}") if unit.startswith("rad") else (1.0, unit)
 
 
 def share(value: float | None) -> str:

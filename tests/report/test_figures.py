@@ -264,3 +264,17 @@ def test_false_and_missed_tracks_are_marked_and_colours_have_marks():
     assert {"false tracks", "missed objects"} <= set(labels)
     looks = {(TRACK_COLOURS[k % 7], marker_of(k), str(dash_of(k))) for k in range(56)}
     assert len(looks) == 56
+
+
+def test_a_figure_is_arranged_once_for_all_its_files(tmp_path, monkeypatch):
+    pytest.importorskip("matplotlib")
+    from matplotlib.layout_engine import ConstrainedLayoutEngine
+
+    from stereophd.report.style import new_figure, save_figures
+
+    arranged, plain = [], ConstrainedLayoutEngine.execute
+    monkeypatch.setattr(ConstrainedLayoutEngine, "execute", lambda *words: arranged.append(plain(*words)))
+    figure = new_figure(3.0, 2.0)
+    figure.subplots()
+    save_figures({"one": figure}, {f"one.{kind}": tmp_path / f"one.{kind}" for kind in ("png", "svg")})
+    assert len(arranged) == 1

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.disparity.rolling import readings, travels, turned_to_frame
+from stereophd.core.disparity.rolling import NO_READINGS, readings, travels, turned_to_frame
 from stereophd.core.disparity.space import PACKED_SIZE, DisparitySpace
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.region import rays_meet
@@ -72,12 +72,12 @@ class Event(ArrayRows):
                 return self
         return replace(self.take(kept), outside=int(len(kept) - kept.sum()))
 
-    def readings(self, space: Array) -> Array | None:
+    def readings(self, space: Array) -> Array:
         """Return when and from where the detections were read (m, 3): `stereophd.core.disparity.rolling.readings`.
 
-        `space` (30,) is the packed space of the camera at `time_s`. None without a rolling shutter.
+        `space` (30,) is the packed space of the camera at `time_s`. (0, 3) without a rolling shutter.
         """
-        return None if self.delays is None else readings(self.delays, self.travels, self.points, space)
+        return NO_READINGS if self.delays is None else readings(self.delays, self.travels, self.points, space)
 
 
 @dataclass(frozen=True)

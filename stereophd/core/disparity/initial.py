@@ -34,16 +34,15 @@ class FirstSight(NamedTuple):
 
 
 @compiled
-def initial_moments(
-    points: Array, noises: Array, prior: FirstSight, size: int, readings: Array | None = None
-) -> tuple[Array, Array]:
+def initial_moments(points: Array, noises: Array, prior: FirstSight, size: int, readings: Array) -> tuple[Array, Array]:
     """Return the Gaussians (m, d), (m, d, d) of objects of which only one detection each is known.
 
     They are in the disparity space of the camera of the prior, given undistorted pixels (m, 2) and their covariances
     (m, 2, 2), px^2; the size d is 6, or 3 for static objects. Readings (m, 3) have the time of each detection after
-    that of the Gaussian, s, and the change of its u and v with the disparity (`stereophd.core.disparity.events`).
+    that of the Gaussian, s, and the change of its u and v with the disparity (`stereophd.core.disparity.rolling`);
+    (0, 3): nothing of it.
     """
-    count = len(points)
+    count, rolling = len(points), len(readings) > 0
     means = np.zeros((count, size))
     covariances = np.zeros((count, size, size))
     space, velocity_std = prior.space, prior.velocity_std
@@ -65,7 +64,7 @@ def initial_moments(
         means[j, 2] = mean
         covariances[j, 2, 2] = std**2
         if size == 3:
-            if readings is not None:
+            if rolling:
                 _seen_from_frame(readings[j], means[j], covariances[j])
             continue
         rows[0, 2] = (space[CX] - points[j, 0]) / scale
@@ -76,13 +75,13 @@ def initial_moments(
                 product = rows[a, 0] * rows[b, 0] + rows[a, 1] * rows[b, 1] + rows[a, 2] * rows[b, 2]
                 variance = product * velocity_std**2 * power
                 covariances[j, 3 + a, 3 + b] = variance
-                if readings is not None:
+                if rolling:
                     # back from the time of the row to that of the frame: y - delay (du, dv, dd), velocities of mean 0
                     delay = readings[j, 0]
                     covariances[j, a, b] += delay**2 * variance
                     covariances[j, a, 3 + b] = -delay * variance
                     covariances[j, 3 + a, b] = -delay * variance
-        if readings is not None:
+        if rolling:
             _seen_from_frame(readings[j], means[j], covariances[j])
     return means, covariances
 

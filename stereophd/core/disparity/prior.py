@@ -79,10 +79,11 @@ class InitialPrior:
         """Means (m, d) and covariances (m, d, d) of objects first seen at `points`: see `initial_moments`."""
         # imported here: the settings are read without a compiler
         from stereophd.core.disparity.initial import FirstSight, initial_moments
+        from stereophd.core.disparity.rolling import NO_READINGS
 
         mean, std = self.disparity_moments(space)
         prior = FirstSight(space, float(mean), float(std), self.velocity_spread, np.empty(0))
-        means, covariances = initial_moments(points, noises, prior, size)
+        means, covariances = initial_moments(points, noises, prior, size, NO_READINGS)
         if size == 6 and self.disparity_velocity_std_px_s is not None:
             covariances[:, 3:, 3:] = np.diag(np.square(self.disparity_velocity_std_px_s))
         return means, covariances

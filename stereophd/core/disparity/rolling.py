@@ -22,6 +22,8 @@ from stereophd.core.geometry.pose import Pose
 
 # Columns of the readings of detections: delay, and change of u and of v with the disparity.
 READING_COLUMNS = 3
+#: Those of the detections of a camera that reads all its rows at the time of the frame.
+NO_READINGS = np.empty((0, READING_COLUMNS))
 
 
 def travels(pose: Pose, times: Array, delays: Array) -> Array:

@@ -106,7 +106,8 @@ def join_probabilities(
         squared = _squared(states, others, pairs[0], pairs[1], LARGEST).reshape(len(i), len(j))
         near[np.ix_(i, j)] |= squared < LARGEST
         distance[np.ix_(i, j)] += weight * squared
-    first, second = np.nonzero(near & (common > 0.0))
+    # a copy: kernels have a form of their own for what NumPy returns, every second number of an array
+    first, second = np.array(np.nonzero(near & (common > 0.0)))
     alone = either - common
     mean = (distance + STITCH_DISTANCE * alone)[first, second] / either[first, second]
     return _paired(first, second, mean, shape)

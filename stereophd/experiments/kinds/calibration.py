@@ -21,7 +21,6 @@ from stereophd.core.calibration.adjustment.recording import Recording
 from stereophd.core.calibration.annealing.fits import HistoryRow
 from stereophd.core.calibration.unknowns.observability import UNDETERMINED, observability, pose_spread, posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.calibration.unknowns.quantities.base import LENGTH, RADIANS, SUFFIXES
 from stereophd.core.metrics.calibration import normalised_error_squared, pose_errors
 from stereophd.core.numerics.random_streams import RUN_FRAMES, RUN_GUESS, RUN_METHOD, RUN_OBJECTS
 from stereophd.core.numerics.times import SAME_TIME_S
@@ -43,6 +42,7 @@ from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.runs.sizes import counts_of_scene
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.simulation import build_scene, simulate_section
+from stereophd.wording import shown_unit
 
 # Half of the interval that holds 90 % of a Gaussian, in standard deviations.
 INTERVAL_90 = 1.6448536269514722
@@ -196,9 +196,8 @@ def _spreads(parameters: ParameterSet, reference: int, values: Array, covariance
 
 def _unknowns(parameters: ParameterSet, length: str) -> list[tuple[str, str, float]]:
     """Return name and unit of every unknown, angles in degrees, and the factor to that unit."""
-    named = zip(parameters.names, (parameter.unit for parameter in parameters.parameters), strict=True)
-    shown = [(name, unit.replace(RADIANS, "deg").replace(LENGTH, length), SUFFIXES[unit][1]) for name, unit in named]
-    return [(name.replace(".", "_"), unit, factor) for name, unit, factor in shown]
+    shown = (shown_unit(parameter.unit, length)[::-1] for parameter in parameters.parameters)
+    return [(name.replace(".", "_"), *unit) for name, unit in zip(parameters.names, shown, strict=True)]
 
 
 def _units(parameters: ParameterSet, length: str) -> dict[str, str]:

@@ -134,7 +134,7 @@ def _views(tables: _Sources, options: ImportOptions, recording: ForeignRecording
     for number in range(1, count + 1):
         name = options.name(f"cam{number}")
         stated = None if tables.profile is None else tables.profile[number - 1]
-        size = image_size(name, None if stated is None else (int(stated[2]), int(stated[3])), options, where)
+        size = image_size(name, None if stated is None else stated[2:4], options, where)
         view = _View(name, size, shift, from_bottom)
         if stated is not None:
             view = _with_lens(view, stated)

@@ -44,12 +44,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 
 
 def _document(path: Path) -> dict[str, dict[str, Any]] | None:
-    import yaml
-
-    try:
-        document = load_yaml(read_bytes(path).decode("utf-8-sig"), str(path))
-    except (InputError, UnicodeDecodeError, yaml.YAMLError):
-        return None
+    document = load_yaml(read_bytes(path).decode("utf-8-sig"), str(path))
     if not isinstance(document, dict):
         return None
     cameras = {
@@ -65,8 +60,7 @@ def _camera(name: str, values: Mapping[str, Any], transform: Array, options: Imp
     fx, fy, cx, cy = map(float, values["intrinsics"])
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     coefficients = np.array(values.get("distortion_coeffs") or [0.0], dtype=np.float64)
-    stated = values.get("resolution")
-    size = image_size(name, None if stated is None else (int(stated[0]), int(stated[1])), options, where)
+    size = image_size(name, values.get("resolution"), options, where)
     rotation = transform[:3, :3]
     parts = Parts(matrix, coefficients, LENSES[lens], rotation, -rotation.T @ transform[:3, 3], size)
     shift = float(values.get("timeshift_cam_imu", 0.0))

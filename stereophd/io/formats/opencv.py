@@ -19,6 +19,7 @@ from typing import Any
 
 import numpy as np
 
+from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import CameraConfig
@@ -163,32 +164,24 @@ def _camera(
     translation = _array(values["translation"], (3,), f"{where}: {name}: translation")
     coefficients = np.asarray(values.get("coefficients", np.zeros(5)), dtype=np.float64).ravel()
     fisheye = str(values.get("fisheye", 0)).strip().lower() in ("1", "1.0", "true")
-    size = image_size(name, _size(values), options, where)
+    sides = [values[side] for side in ("width", "height") if side in values]
+    size = image_size(name, values.get("size", sides if len(sides) == 2 else None), options, where)
     parts = Parts(matrix, coefficients, fisheye, rotation, -rotation.T @ translation, size)
     return put_together(name, parts, options, where, **more)
 
 
-def _rotation(value: Any, where: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _rotation(value: Any, where: str) -> Array:
     array = np.asarray(value, dtype=np.float64)
     if array.size == 3:
         return rotation_from_vector(array.ravel())
     return _array(array, (3, 3), f"{where}: rotation")
 
 
-def _array(value: Any, shape: tuple[int, ...], where: str) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _array(value: Any, shape: tuple[int, ...], where: str) -> Array:
     array = np.asarray(value, dtype=np.float64)
     if array.size != np.prod(shape):
         raise InputError(f"{where}: expected {' x '.join(map(str, shape))} numbers, found shape {array.shape}")
     return array.reshape(shape)
-
-
-def _size(values: Mapping[str, Any]) -> tuple[int, int] | None:
-    if "size" in values:
-        width, height = np.asarray(values["size"], dtype=np.float64).ravel()[:2]
-        return int(width), int(height)
-    if "width" in values and "height" in values:
-        return int(values["width"]), int(values["height"])
-    return None
 
 
 def recognises_cameras(path: Path) -> bool:
@@ -337,31 +330,16 @@ def _matrix(value: dict[str, Any]) -> Any:
 
 def write_yaml(document: dict[str, Any]) -> str:
     """Return the text of a document as OpenCV writes YAML; arrays become matrices of doubles, exactly."""
-    return "%YAML:1.0\n---\n" + "".join(_yaml_lines(document, 0))
+    import yaml
 
+    class Dumper(yaml.SafeDumper):
+        """SafeDumper with a point in every number that is no integer, as OpenCV needs it."""
 
-def _yaml_lines(document: dict[str, Any], depth: int) -> list[str]:
-    indent = "   " * depth
-    lines = []
-    for key, value in document.items():
-        if isinstance(value, dict):
-            lines += [f"{indent}{key}:\n", *_yaml_lines(value, depth + 1)]
-        elif isinstance(value, np.ndarray):
-            matrix = np.atleast_2d(value) if value.ndim > 1 else value.reshape(-1, 1)
-            numbers = ", ".join(_yaml_number(x) for x in matrix.ravel().tolist())
-            rows, cols = matrix.shape
-            entries = (f"rows: {rows}", f"cols: {cols}", "dt: d", f"data: [ {numbers} ]")
-            lines.append(f"{indent}{key}: !!opencv-matrix\n")
-            lines += [f"{indent}   {entry}\n" for entry in entries]
-        else:
-            lines.append(f"{indent}{key}: {value}\n")
-    return lines
+    def represent(dumper: Any, array: Array) -> Any:
+        rows, cols = array.shape if array.ndim > 1 else (array.size, 1)
+        parts = {"rows": rows, "cols": cols, "dt": "d", "data": array.ravel().tolist()}
+        return dumper.represent_mapping("tag:yaml.org,2002:opencv-matrix", parts)
 
-
-def _yaml_number(value: float) -> str:
-    """Return a number with all its digits, and a point in it: OpenCV takes one without for an integer."""
-    text = repr(value)
-    mantissa, _, exponent = text.partition("e")
-    if "." not in mantissa:
-        mantissa += "."
-    return f"{mantissa}e{exponent}" if exponent else mantissa
+    Dumper.add_representer(np.ndarray, represent)
+    text = yaml.dump(document, Dumper=Dumper, sort_keys=False, default_flow_style=None, indent=3, width=1 << 30)
+    return f"%YAML:1.0\n---\n{text}"

@@ -122,14 +122,15 @@ def nearest_rotation(matrix: Array) -> Array:
     return np.asarray(left @ right, dtype=np.float64)
 
 
-def image_size(name: str, stated: tuple[int, int] | None, options: ImportOptions, where: str) -> tuple[int, int]:
+def image_size(name: str, stated: ArrayLike | None, options: ImportOptions, where: str) -> tuple[int, int]:
     """Return the image size of a camera: the user's, else the source's; InputError if neither states it."""
-    size = options.image_sizes.get(name) or stated
-    if size is None:
+    given = [np.ravel(size)[:2] for size in (options.image_sizes.get(name), stated) if size is not None]
+    sizes = [(int(width), int(height)) for width, height in given]
+    if not sizes:
         raise InputError(
             f"{where}: {name}: expected the size of the images, found none in the file; state it by `image_sizes`"
         )
-    return size
+    return sizes[0]
 
 
 def unit(options: ImportOptions, recording: ForeignRecording, of: str) -> str:

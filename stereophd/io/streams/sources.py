@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Literal, cast
 
 from stereophd.errors import InputError
-from stereophd.io.documents import need_package
+from stereophd.io.documents import expecting, need_package
 from stereophd.io.streams.mcap import MARK, read_mcap
 from stereophd.io.streams.messages import Message, messages_of_rows, parse_line
 
@@ -94,10 +94,8 @@ def follow(path: Path) -> Arrivals:
     """
     if path.is_dir():
         return _parts(path)
-    try:
+    with expecting("frames", path):
         stream = open(path, "rb")  # noqa: SIM115 (open as long as it is followed)
-    except OSError as error:
-        raise InputError(f"{path}: cannot be read: {error.strerror or error}") from error
     head = stream.read(4)
     stream.seek(0)
     if head == MARK[:4]:

@@ -10,6 +10,7 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.trajectory import COLUMNS, BodyTrajectory
 from stereophd.errors import InputError
+from stereophd.io.documents import expecting
 
 # Poses become part of the configuration, and so of the metadata of every output.
 MOST_POSES = 50_000
@@ -25,11 +26,8 @@ def read_trajectory(path: Path | str, unit: str | None = None) -> BodyTrajectory
     InputError when the file cannot be read, a column is missing, or a pose is not valid; the message names its row.
     """
     file = Path(path)
-    try:
-        with open(file, "rb") as stream:
-            table = stream.read(4) == b"PAR1"
-    except OSError as error:
-        raise InputError(f"{file}: cannot be read: {error.strerror or error}; expected a trajectory") from error
+    with expecting("a trajectory", file), open(file, "rb") as stream:
+        table = stream.read(4) == b"PAR1"
     rows = _read_table(file, unit) if table else _read_text(file)
     if len(rows) > MOST_POSES:
         raise InputError(
@@ -56,10 +54,8 @@ def _read_table(file: Path, unit: str | None) -> Array:
 
 def _read_text(file: Path) -> Array:
     rows = []
-    try:
+    with expecting("a trajectory (Parquet, or TUM text)", file):
         text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{file}: expected a trajectory (Parquet, or TUM text), found {error}") from None
     for number, line in enumerate(text.splitlines(), 1):
         words = line.partition("#")[0].split()
         if not words:

@@ -44,7 +44,7 @@ from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.geometry.camera import BOX_NOISE, Camera, Detector
 from stereophd.core.multi.association.exact_association import association_marginals
-from stereophd.core.multi.association.likelihoods import pair_likelihoods
+from stereophd.core.multi.association.likelihoods import ALL_PAIRS, pair_likelihoods
 from stereophd.core.multi.base import Prediction
 
 # A track whose alternatives are still undecided (the heaviest has less than this share) is not counted yet.
@@ -232,7 +232,7 @@ def observe(
     readings = event.readings(space)
     owners, targets, densities = pair_likelihoods(
         means, covariances, np.ones(len(chosen), dtype=np.bool_), event.points, event.covariances, event.areas,
-        readings,
+        readings, ALL_PAIRS,
     )  # fmt: skip
     detector = camera.detector
     expected = detector.p_detect * existence
@@ -242,7 +242,7 @@ def observe(
     share, untouched, _, _ = association_marginals(owners, targets, odds, len(chosen), len(event.points))
     labels = prediction.mixture.labels[chosen]
     if with_noise and len(owners):
-        read = None if readings is None else readings[targets]
+        read = readings[targets] if len(readings) else readings
         _add_residuals(
             sums, means[owners], covariances[owners], event.points[targets], read, share, camera, labels[owners]
         )
@@ -265,7 +265,7 @@ def _add_residuals(
     means: Array,
     covariances: Array,
     points: Array,
-    readings: Array | None,
+    readings: Array,
     share: Array,
     camera: Camera,
     labels: Integers,
@@ -273,7 +273,7 @@ def _add_residuals(
     """Add pairs of components (p, d) and detections (p, 2), of these probabilities, in distorted pixels."""
     observation = np.zeros((len(points), 2, means.shape[1]))
     observation[:, 0, 0] = observation[:, 1, 1] = 1.0
-    if readings is not None:
+    if len(readings):
         observation[:, :, 2] = readings[:, 1:]
         if means.shape[1] == 6:
             observation[:, 0, 3] = observation[:, 1, 4] = readings[:, 0]

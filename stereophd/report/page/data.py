@@ -11,7 +11,8 @@ from stereophd.pipeline.inspection.runs import Evaluation, Run
 from stereophd.report.page.columns import Paths, binned, chosen, packed, paths_of, thinned
 from stereophd.report.page.frames import camera_frames, paths_of_run, residuals
 from stereophd.report.plots.views import down_axis
-from stereophd.report.summaries import shown_unit, verdict
+from stereophd.report.summaries import verdict
+from stereophd.wording import shown_unit
 
 # Numbers of rows of all runs together: with the script of plotly the page stays below 10 MB.
 TRACK_ROWS = 50_000

@@ -26,7 +26,7 @@ from stereophd.report.style import (
     plots_named,
     save_figures,
 )
-from stereophd.report.summaries import shown_unit
+from stereophd.wording import shown_unit
 
 # Half-width of a 90 % band in standard deviations.
 NINETY = 1.645
@@ -45,11 +45,8 @@ def write_calibration_plots(outcome: Outcome, length_unit: str, paths: Mapping[s
 
 def _drawn(parameters: ParameterSet, length_unit: str) -> list[tuple[float, str]]:
     """Return the factor from the unit of each parameter to the one drawn (degrees for angles), and its label."""
-    shown = [shown_unit(parameter.unit) for parameter in parameters.parameters]
-    return [
-        (factor, f"{name} [{unit.replace('length', length_unit)}]")
-        for name, (factor, unit) in zip(parameters.names, shown, strict=True)
-    ]
+    shown = [shown_unit(parameter.unit, length_unit) for parameter in parameters.parameters]
+    return [(factor, f"{name} [{unit}]") for name, (factor, unit) in zip(parameters.names, shown, strict=True)]
 
 
 def _grid(rows: int, columns: int, width: float, height: float) -> tuple[Figure, NDArray[Any]]:

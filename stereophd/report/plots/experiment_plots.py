@@ -75,7 +75,7 @@ def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
         if title := results.config.figure.title:
             text = f"{title}: {counted(results.config.runs, 'run')}{'' if moved else ', 95 % intervals'}"
             figure.suptitle(text, x=0.01, ha="left", fontsize=11.5, fontweight="bold", color=INK)
-        save_figures(dict.fromkeys(plots_named(paths), figure), paths, pad_inches=0.12, dpi=DPI)
+        save_figures(dict.fromkeys(plots_named(paths), figure), paths, dpi=DPI)
 
 
 def _draw(results: Results) -> Figure:

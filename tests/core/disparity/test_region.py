@@ -265,10 +265,14 @@ def corner(share: float, side: int) -> Case:
     return Case(np.array([u, 300.0, mean]), np.diag([0.1, 1.0, std]) ** 2, home, destination, 0.0, Static())
 
 
+# Of 3 % an error of 0.03 standard deviations; that of a reserve is 0.08 to 0.1, of which the test allows five.
+TAIL_SAMPLES = 40_000
+
+
 @cache
 def tail_of(share: float, side: int) -> tuple[float, np.ndarray, np.ndarray]:
     """Share in view, mean and covariance there of a large sample: one for all methods."""
-    points, seen = corner(share, side).trip(np.random.default_rng(4).standard_normal((3, 400_000)))
+    points, seen = corner(share, side).trip(np.random.default_rng(4).standard_normal((3, TAIL_SAMPLES)))
     return seen.mean(), *weighted(points, seen.astype(float))
 
 
@@ -288,7 +292,7 @@ def test_a_corner_of_the_view(method: str, share: float, side: int) -> None:
     # the point of the wide reserve: more effective samples than 1024 plain ones have there
     assert effective > 1.2 * share * RESERVE_SAMPLES
     seen_share, tail, spread = tail_of(share, side)
-    assert seen_share == pytest.approx(share, abs=5.0 * np.sqrt(share / 400_000))
+    assert seen_share == pytest.approx(share, abs=5.0 * np.sqrt(share / TAIL_SAMPLES))
     assert moved.fraction[0] == pytest.approx(share, rel=5.0 / np.sqrt(effective))
     assert in_deviations(moved.means[0] - tail, spread).max() < 5.0 / np.sqrt(effective)
     # by hand: the mean of a standard normal beyond a point is its density there over the tail's mass

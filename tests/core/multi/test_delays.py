@@ -7,13 +7,16 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numba
 import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
 from stereophd.core.disparity.events import make_event
 from stereophd.core.disparity.prior import DisparityPrior
-from stereophd.core.multi.association.likelihoods import REACH_SIGMAS, kalman_updates, pair_likelihoods
+from stereophd.core.disparity.rolling import NO_READINGS
+from stereophd.core.multi.association.likelihoods import ALL_PAIRS, REACH_SIGMAS, kalman_updates, pair_likelihoods
+from stereophd.core.multi.build import small_filter
 from stereophd.core.multi.filter_settings.common import BirthPrior
 from tests.core.disparity.cases import LENSES, birth_moments, make_camera, make_space
 from tests.core.multi.association.test_likelihoods import pairs_of
@@ -37,7 +40,9 @@ def test_pair_likelihoods(seed: int, size: int) -> None:
     means, covariances, seen, points, noises, areas = pairs_of(rng, size)
     means[:, 3:] -= 50.0
     readings = random_readings(rng, len(points))
-    components, detections, densities = pair_likelihoods(means, covariances, seen, points, noises, areas, readings)
+    components, detections, densities = pair_likelihoods(
+        means, covariances, seen, points, noises, areas, readings, ALL_PAIRS
+    )
     found = np.zeros((len(means), len(points)))
     found[components, detections] = densities
     for k in range(len(means)):
@@ -76,19 +81,28 @@ def test_kalman_updates(size: int) -> None:
 def test_no_delay_is_no_delay_to_the_last_bit(size: int) -> None:
     rng = np.random.default_rng(6)
     arrays = pairs_of(rng, size)
-    without = pair_likelihoods(*arrays)
+    without = pair_likelihoods(*arrays, NO_READINGS, ALL_PAIRS)
     # static objects have not moved, whatever the delay
     readings = np.zeros((30, 3))
     readings[:, 0] = 0.0 if size == 6 else rng.uniform(0.0, 0.1, 30)
-    for a, b in zip(without, pair_likelihoods(*arrays, readings), strict=True):
+    for a, b in zip(without, pair_likelihoods(*arrays, readings, ALL_PAIRS), strict=True):
         np.testing.assert_array_equal(a, b)
     means, covariances, _, points, noises, _ = arrays
     pairs = rng.integers(0, 20, 50), rng.integers(0, 30, 50)
     (one, spreads, rows), (other, other_spreads, other_rows) = (
-        kalman_updates(means, covariances, *pairs, points, noises, *read) for read in ((), (readings,))
+        kalman_updates(means, covariances, *pairs, points, noises, read) for read in (NO_READINGS, readings)
     )
     np.testing.assert_array_equal(one, other)
     np.testing.assert_array_equal(spreads[rows], other_spreads[other_rows])
+
+
+def test_kernels_have_no_form_of_their_own_for_rolling_shutters() -> None:
+    """Each would be compiled for them, for up to a minute."""
+    multi_filter, pixels = small_filter("pmb"), np.array([[700.0, 599.5], [10.0, 0.0]])
+    cameras = [replace(multi_filter.rig.cameras[0], readout_s=readout_s) for readout_s in (0.0, 0.03)]
+    detections = [multi_filter.detections(make_event(camera, 0, 5.0, pixels))[0] for camera in cameras]
+    assert [len(one.readings) for one in detections] == [0, 2]
+    assert numba.typeof(detections[0]) == numba.typeof(detections[1])
 
 
 @pytest.mark.parametrize("lens", ["none", "fisheye"])

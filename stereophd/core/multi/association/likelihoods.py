@@ -12,7 +12,7 @@ tau v_z / z of the correction (v_z / z is the relative speed towards the camera)
 its time, (readout time of one row) dv of the noise. Both are far below a hundredth of a pixel for readouts of some 30
 ms. Static objects (d = 3) have not moved. Where the camera itself has moved meanwhile, the pixel has also changed by
 s_j d with a vector s_j that follows from the detection (`stereophd.core.disparity.events`), and H_j = [I_2 s_j | tau_j
-I_2 0]. Delays and the vectors s_j are the readings (m, 3) of the detections.
+I_2 0]. Delays and the vectors s_j are the readings of the detections: (m, 3), or (0, 3) without a rolling shutter.
 """
 
 import math
@@ -46,14 +46,14 @@ def pair_likelihoods(
     points: Array,
     noises: Array,
     areas: Array,
-    readings: Array | None = None,
-    most: int = ALL_PAIRS,
+    readings: Array,
+    most: int,
 ) -> tuple[Integers, Integers, Array]:
     """Predicted density N(z; H m, H P H^T + R) of every pair within reach, eq. (4) and (5).
 
     Components (n, d), (n, d, d) are in the disparity space of the camera; those `seen` (n,) are considered. Points,
-    noises and areas are those of an `Event`, ordered by u, and readings (m, 3) theirs. Of one component, the pairs of
-    the largest densities are kept, at most so many. Returns components and detections (p,) of the pairs, ordered by
+    noises and areas are those of an `Event`, ordered by u, and readings theirs. Of one component, the pairs of the
+    largest densities are kept, at most so many. Returns components and detections (p,) of the pairs, ordered by
     component and then by detection, and their densities (p,) per distorted pixel area.
     """
     # the second factor: some more for rounding
@@ -73,13 +73,14 @@ def pair_likelihoods(
         same[j] = _are_equal(noises[j], noises[j - 1])
     # bounds of the delays, and of the change of u with the disparity
     smallest, greatest = np.zeros(2), np.zeros(2)
-    if readings is not None and len(readings) > 0:
+    rolling = len(readings) > 0
+    if rolling:
         for a in range(2):
             smallest[a], greatest[a] = readings[:, a].min(), readings[:, a].max()
     for k in range(count):
         if seen[k]:
             from_u, to_u, variance = means[k, 0], means[k, 0], covariances[k, 0, 0]
-            if readings is not None:
+            if rolling:
                 from_u, to_u, variance = _reach_of_u(means[k], covariances[k], smallest, greatest)
             reach = sigmas * math.sqrt(variance + largest)
             low[k] = np.searchsorted(column, from_u - reach)
@@ -98,11 +99,11 @@ def pair_likelihoods(
         s00, s01, s11, determinant, norm = 0.0, 0.0, 0.0, 1.0, 1.0
         for j in range(low[k], high[k]):
             # mostly all detections of a camera have one noise
-            if readings is not None or j == low[k] or not same[j]:
+            if rolling or j == low[k] or not same[j]:
                 s00 = covariances[k, 0, 0] + noises[j, 0, 0]
                 s01 = covariances[k, 0, 1] + noises[j, 0, 1]
                 s11 = covariances[k, 1, 1] + noises[j, 1, 1]
-                if readings is not None:
+                if rolling:
                     s00 = _spread(covariances[k], 0, 0, readings[j]) + noises[j, 0, 0]
                     s01 = _spread(covariances[k], 0, 1, readings[j]) + noises[j, 0, 1]
                     s11 = _spread(covariances[k], 1, 1, readings[j]) + noises[j, 1, 1]
@@ -110,7 +111,7 @@ def pair_likelihoods(
                 norm = 2.0 * math.pi * math.sqrt(determinant)
             du = column[j] - means[k, 0]
             dv = row[j] - means[k, 1]
-            if readings is not None:
+            if rolling:
                 du -= _shift(means[k], 0, readings[j])
                 dv -= _shift(means[k], 1, readings[j])
             # a squared Mahalanobis distance is at least that of each coordinate alone
@@ -204,7 +205,7 @@ def kalman_updates(
     detections: Integers,
     points: Array,
     noises: Array,
-    readings: Array | None = None,
+    readings: Array,
 ) -> tuple[Array, Array, Integers]:
     """Kalman update of each pair with H = [I_2 0] (eq. 4), or with readings (see above).
 
@@ -212,9 +213,9 @@ def kalman_updates(
     made hundreds of detections takes little memory. Returns means (p, d), covariances (q, d, d), and which of these
     (p,) each pair has.
     """
-    rows, found = np.empty(len(components), dtype=np.int64), 0
+    rows, found, rolling = np.empty(len(components), dtype=np.int64), 0, len(readings) > 0
     for i in range(len(components)):
-        again = i > 0 and readings is None and components[i] == components[i - 1]
+        again = i > 0 and not rolling and components[i] == components[i - 1]
         found += 0 if again and _are_equal(noises[detections[i]], noises[detections[i - 1]]) else 1
         rows[i] = found - 1
     size = means.shape[1]
@@ -227,7 +228,7 @@ def kalman_updates(
         covariance = covariances[k]
         du = points[j, 0] - means[k, 0]
         dv = points[j, 1] - means[k, 1]
-        if readings is not None:
+        if rolling:
             du -= _shift(means[k], 0, readings[j])
             dv -= _shift(means[k], 1, readings[j])
         if i == 0 or rows[i] != rows[i - 1]:
@@ -235,7 +236,7 @@ def kalman_updates(
                 observed[a, 0] = covariance[a, 0]
                 observed[a, 1] = covariance[a, 1]
             s00, s01, s11 = covariance[0, 0], covariance[0, 1], covariance[1, 1]
-            if readings is not None:
+            if rolling:
                 for a in range(size):
                     if size == 6:
                         observed[a, 0] += readings[j, 0] * covariance[a, 3]

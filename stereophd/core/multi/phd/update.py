@@ -6,7 +6,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved
-from stereophd.core.multi.association.likelihoods import pair_likelihoods
+from stereophd.core.multi.association.likelihoods import ALL_PAIRS, pair_likelihoods
 from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, take_components
 from stereophd.core.multi.state.outcomes import ChosenOutcomes, Outcomes, label_outcomes, make_components
@@ -42,7 +42,7 @@ def update_intensity(
     points, noises, areas, readings, birth_means, birth_covariances = event
     detected = numbers.p_detect * moved.fraction * mixture.weights
     components, detections, joint = pair_likelihoods(
-        moved.means, moved.covariances, moved.status != OUT_OF_VIEW, points, noises, areas, readings
+        moved.means, moved.covariances, moved.status != OUT_OF_VIEW, points, noises, areas, readings, ALL_PAIRS
     )
     # clutter, births and components compete for every detection
     per_area = 1.0 / numbers.area

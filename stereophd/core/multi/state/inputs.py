@@ -8,23 +8,23 @@ from stereophd.core.numerics.compilation.compiled import compiled
 
 
 class Detections(NamedTuple):
-    """Detections of an event: arrays (m, 2), (m, 2, 2), (m,), (m, 3) or None as in `EventArrays`."""
+    """Detections of an event: arrays (m, 2), (m, 2, 2), (m,), (m, 3) or (0, 3) as in `EventArrays`."""
 
     points: Array
     noises: Array
     areas: Array
-    readings: Array | None
+    readings: Array
 
 
 class EventArrays(NamedTuple):
     """Detections of an event, and the objects that they may have given birth to."""
 
-    # `points`, `noises`, `areas`, `readings`: arrays (m, 2), (m, 2, 2), (m,), (m, 3) or None: As in
+    # `points`, `noises`, `areas`, `readings`: arrays (m, 2), (m, 2, 2), (m,), (m, 3) or (0, 3): As in
     # `stereophd.core.disparity.events.Event`, where `noises` are its covariances.
     points: Array
     noises: Array
     areas: Array
-    readings: Array | None
+    readings: Array
     # `birth_means`, `birth_covariances`: arrays (m, d), (m, d, d): Gaussian of the object born with each detection,
     # in the event's space.
     birth_means: Array

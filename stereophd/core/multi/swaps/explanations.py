@@ -15,7 +15,7 @@ from stereophd.core.disparity.initial import FirstSight, initial_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved, Sources, allocate_moved
 from stereophd.core.disparity.sample_move import Look, move_components
 from stereophd.core.motion.arrays import MotionArrays
-from stereophd.core.multi.association.likelihoods import kalman_updates, pair_likelihoods
+from stereophd.core.multi.association.likelihoods import ALL_PAIRS, kalman_updates, pair_likelihoods
 from stereophd.core.multi.swaps.epipolar_pairs import NewObjects
 from stereophd.core.multi.swaps.history import ClaimedRows
 from stereophd.core.numerics.compilation.compiled import compiled
@@ -136,14 +136,8 @@ def _begin(
     """Begin a track with a detection."""
     point, noise, camera = rows.points[row : row + 1], rows.noises[row : row + 1], rows.cameras[row]
     first = FirstSight(space, prior.means[camera], prior.stds[camera], prior.velocity_std, prior.region)
-    born, spread = initial_moments(point, noise, first, means.shape[1], _reading(rows.readings, row))
+    born, spread = initial_moments(point, noise, first, means.shape[1], rows.readings[row : row + 1])
     copy_gaussian(born, spread, 0, means, covariances, track)
-
-
-@compiled
-def _reading(readings: Array | None, row: int) -> Array | None:
-    """Return the reading (1, 3) of a detection: of a parameter the compiler knows whether it is None."""
-    return None if readings is None else readings[row : row + 1]
 
 
 @compiled
@@ -152,11 +146,11 @@ def _follow(
 ) -> tuple[float, bool]:
     """Update a moved track with its next detection; return its log-likelihood, and whether the detection fits."""
     point, noise = rows.points[row : row + 1], rows.noises[row : row + 1]
-    reading = _reading(rows.readings, row)
+    reading = rows.readings[row : row + 1]
     after, spread = moved.means[k : k + 1], moved.covariances[k : k + 1]
     seen, one, unit = np.empty(1, dtype=np.bool_), np.zeros(1, dtype=np.int64), np.empty(1)
     seen[0], unit[0] = True, 1.0
-    _, _, density = pair_likelihoods(after, spread, seen, point, noise, unit, reading)
+    _, _, density = pair_likelihoods(after, spread, seen, point, noise, unit, reading, ALL_PAIRS)
     likely = density[0] if len(density) > 0 else 0.0
     area = noise[0, 0, 0] * noise[0, 1, 1] - noise[0, 0, 1] * noise[0, 1, 0]
     least = math.exp(-MOST_SURPRISE) / (2.0 * math.pi * math.sqrt(area))

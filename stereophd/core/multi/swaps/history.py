@@ -8,14 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
+from stereophd.core.disparity.rolling import NO_READINGS, READING_COLUMNS
 from stereophd.core.multi.association.attribution import UNDECIDED
 
 # Events of which detections are kept; at twice as many, every second one of the older half is dropped.
 KEPT_EVENTS = 32
 
 _NO_POINT, _NO_NOISE = np.empty((0, 2)), np.empty((0, 2, 2))
-# Of a camera that reads all rows at once.
-_NO_READING = np.zeros((1, 3))
+# Of a camera that reads all rows at once, beside others that do not.
+_AT_FRAME = np.zeros((1, READING_COLUMNS))
 
 
 class ClaimedDetections(NamedTuple):
@@ -30,7 +31,7 @@ class ClaimedDetections(NamedTuple):
     # `points`, `noises`: arrays (m, 2), (m, 2, 2): Undistorted pixels of all detections, and their covariances.
     points: Array
     noises: Array
-    readings: Array | None  # (m, 3) or None: Those of `stereophd.core.disparity.events.Event`
+    readings: Array  # (m, 3) or (0, 3): Those of `stereophd.core.disparity.events.Event`
 
 
 class DeferredPairs(NamedTuple):
@@ -82,16 +83,16 @@ class History:
         ends = np.cumsum([len(one.labels) for one in kept])
         events = [kept[event] for event in np.searchsorted(ends, claimed, side="right").tolist()]
         rows = [(one, slice(k, k + 1)) for one, k in zip(events, detections[claimed].tolist(), strict=True)]
-        rolling = any(one.readings is not None for one in events)
+        rolling = any(len(one.readings) for one in events)
         return ClaimedRows(
             np.array([one.camera for one in events], dtype=np.int64),
             np.array([one.time_s for one in events], dtype=np.float64),
             labels[claimed],
             np.concatenate([_NO_POINT, *(one.points[row] for one, row in rows)]),
             np.concatenate([_NO_NOISE, *(one.noises[row] for one, row in rows)]),
-            np.concatenate([_NO_READING if one.readings is None else one.readings[row] for one, row in rows])
+            np.concatenate([one.readings[row] if len(one.readings) else _AT_FRAME for one, row in rows])
             if rolling
-            else None,
+            else NO_READINGS,
         )
 
     def swapped(self, first: int, second: int, camera: int, others: bool = False) -> History:
@@ -120,15 +121,15 @@ def _swapped(sighting: ClaimedDetections, first: int, second: int) -> ClaimedDet
 
 
 class ClaimedRows(NamedTuple):
-    """In order of time: cameras, times, labels (n,), points (n, 2), noises (n, 2, 2), readings (n, 3) or None."""
+    """In order of time: cameras, times, labels (n,), points (n, 2), noises (n, 2, 2), readings (n, 3) or (0, 3)."""
 
     cameras: Integers
     times: Array
     labels: Integers
     points: Array
     noises: Array
-    readings: Array | None
+    readings: Array
 
     def take(self, index: Integers) -> ClaimedRows:
         """Return some of the rows."""
-        return ClaimedRows._make(None if values is None else values[index] for values in self)
+        return ClaimedRows._make(values[index] if len(values) else values for values in self)

@@ -30,6 +30,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Rig
+from stereophd.core.disparity.rolling import NO_READINGS
 from stereophd.core.disparity.sample_move import Look
 from stereophd.core.disparity.world_moments import place_in_world
 from stereophd.core.motion.base import Motion
@@ -88,7 +89,7 @@ class SwapTest:
         """Compile the kernels of the test of a pair, with one detection."""
         one = np.zeros(1, dtype=np.int64)
         prior = self.prior(self.rig.views(0.0))
-        self.filter_again(ClaimedRows(one, np.zeros(1), one, np.zeros((1, 2)), np.eye(2)[None], None), prior)
+        self.filter_again(ClaimedRows(one, np.zeros(1), one, np.zeros((1, 2)), np.eye(2)[None], NO_READINGS), prior)
 
     def search(self, history: History, camera: int, time_s: float, event: int) -> tuple[Any, Past]:
         """Return parameters of `swap_candidates` after an event of a camera, and the past where it is to be added.

@@ -35,7 +35,6 @@ def toml_camera(name: str, values: Mapping[str, Any], options: ImportOptions, wh
         rotation = np.array(values["rotation"], dtype=np.float64)
         rotation = rotation_from_vector(rotation.ravel()) if rotation.size == 3 else rotation.reshape(3, 3)
         translation = np.array(values["translation"], dtype=np.float64).reshape(3)
-    stated = values.get("size")
-    size = image_size(name, None if stated is None else (int(stated[0]), int(stated[1])), options, where)
+    size = image_size(name, values.get("size"), options, where)
     parts = Parts(matrix, coefficients, bool(values.get("fisheye", False)), rotation, -rotation.T @ translation, size)
     return put_together(name, parts, options, where)

@@ -45,7 +45,7 @@ def enumerate_associations(odds: Array) -> Marginals:
 
 def propagate(odds: Array) -> Marginals:
     """The package's answer, from a matrix with 0 for "no pair"."""
-    tracks, detections = np.nonzero(odds)
+    tracks, detections = np.array(np.nonzero(odds))
     pair, missed, unclaimed, log_evidence = propagate_beliefs(tracks, detections, odds[tracks, detections], *odds.shape)
     dense = np.zeros_like(odds)
     dense[tracks, detections] = pair

@@ -25,7 +25,7 @@ sizes = st.integers(1, 6)
 
 def solve(odds: np.ndarray) -> Marginals:
     """The package's answer, from a matrix with 0 for "no pair"."""
-    tracks, detections = np.nonzero(odds)
+    tracks, detections = np.array(np.nonzero(odds))
     pair, missed, unclaimed, log_evidence = association_marginals(
         tracks, detections, odds[tracks, detections], *odds.shape
     )
@@ -64,7 +64,7 @@ def test_orders_and_orientations_agree(width: int) -> None:
     """The recursion over tracks and the one over detections solve the same problem."""
     odds = random_odds(width, 6, width, -1.0, 4.0, 0.8)
     exact = enumerate_associations(odds)
-    tracks, detections = np.nonzero(odds)
+    tracks, detections = np.array(np.nonzero(odds))
     values = odds[tracks, detections]
     table, index = make_table(tracks, detections, values, 6, width)
     pair, idle, free, log_evidence = eliminate(table, make_plan(table, 12))
@@ -81,7 +81,7 @@ def test_where_belief_propagation_decides_it_does_not() -> None:
     """Joint odds 3:1, single odds about 1000: 0.75, not 0.99."""
     odds = np.array([[1e3, 1e3 / 3.0], [1e3, 1e3]])
     assert solve(odds).pair[0, 0] == pytest.approx(0.75, abs=0.002)
-    tracks, detections = np.nonzero(odds)
+    tracks, detections = np.array(np.nonzero(odds))
     pair, _, _, _ = belief.propagate_beliefs(tracks, detections, odds[tracks, detections], 2, 2)
     assert pair[0] > 0.99
 
@@ -128,7 +128,7 @@ def dense(n_tracks: int, n_detections: int) -> np.ndarray:
 
 def test_a_cluster_too_large_is_propagated() -> None:
     odds = dense(30, 30)
-    tracks, detections = np.nonzero(odds)
+    tracks, detections = np.array(np.nonzero(odds))
     values = odds[tracks, detections]
     table, _ = make_table(tracks, detections, values, 30, 30)
     assert make_plan(table, 12).cost > max(MOST_COST, MOST_COST_A_PAIR * len(values))
@@ -157,7 +157,7 @@ def test_what_counts_as_too_dense_has_no_plan(seed: int, n_tracks: int, n_detect
 def test_a_crowd_is_propagated() -> None:
     """More pairs of a track than any plan allows: belief propagation alone, as without the bound on pairs."""
     odds = dense(60, 60)
-    tracks, detections = np.nonzero(odds)
+    tracks, detections = np.array(np.nonzero(odds))
     values = odds[tracks, detections]
     assert len(values) > MOST_WIDTH * 120
     found = association_marginals(tracks, detections, values, 60, 60)

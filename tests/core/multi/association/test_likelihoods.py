@@ -7,7 +7,9 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from stereophd.core.disparity.events import make_event
+from stereophd.core.disparity.rolling import NO_READINGS
 from stereophd.core.multi.association.likelihoods import (
+    ALL_PAIRS,
     REACH_SIGMAS,
     kalman_updates,
     pair_likelihoods,
@@ -34,7 +36,9 @@ def test_pair_likelihoods(size: int, seed: int, noise: str) -> None:
     if noise != "own":
         noises[:: 1 if noise == "common" else 3] = noises[0]
         noises[1 :: 1 if noise == "common" else 3] = noises[0]
-    components, detections, densities = pair_likelihoods(means, covariances, seen, points, noises, areas)
+    components, detections, densities = pair_likelihoods(
+        means, covariances, seen, points, noises, areas, NO_READINGS, ALL_PAIRS
+    )
     found = np.zeros((len(means), len(points)))
     found[components, detections] = densities
     assert len(set(zip(components.tolist(), detections.tolist(), strict=True))) == len(components)
@@ -58,8 +62,8 @@ def test_of_many_pairs_the_densest_are_kept(most: int) -> None:
     """Of each component, in the order of the detections."""
     means, covariances, seen, points, noises, areas = pairs_of(np.random.default_rng(3), 6, 6, 400)
     covariances[:3] *= 400.0
-    whole = pair_likelihoods(means, covariances, seen, points, noises, areas)
-    found = pair_likelihoods(means, covariances, seen, points, noises, areas, None, most)
+    whole = pair_likelihoods(means, covariances, seen, points, noises, areas, NO_READINGS, ALL_PAIRS)
+    found = pair_likelihoods(means, covariances, seen, points, noises, areas, NO_READINGS, most)
     assert np.bincount(whole[0]).max() > 100
     expected = []
     for k in np.unique(whole[0]):
@@ -78,7 +82,7 @@ def test_kalman_updates(size: int) -> None:
     rng = np.random.default_rng(5)
     means, covariances, _, points, noises, _ = pairs_of(rng, size)
     components, detections = rng.integers(0, 20, 50), rng.integers(0, 30, 50)
-    found_means, found, rows = kalman_updates(means, covariances, components, detections, points, noises)
+    found_means, found, rows = kalman_updates(means, covariances, components, detections, points, noises, NO_READINGS)
     found_covariances = found[rows]
     h = np.eye(2, size)
     for i, (k, j) in enumerate(zip(components, detections, strict=True)):
@@ -99,7 +103,7 @@ def test_updates_share_covariances(size: int, read: bool) -> None:
     means, covariances, _, points, noises, _ = pairs_of(rng, size)
     noises[10:20] = noises[10]
     components, detections = np.repeat(np.arange(20), 30), np.tile(np.arange(30), 20)
-    readings = rng.uniform(0.0, 0.03, (30, 3)) if read else None
+    readings = rng.uniform(0.0, 0.03, (30, 3)) if read else NO_READINGS
     arguments = means, covariances, components, detections, points, noises, readings
     found_means, found, rows = kalman_updates(*arguments)
     for i, pair in enumerate(zip(components, detections, strict=True)):
@@ -115,6 +119,7 @@ def test_nothing_to_pair(components: int, count: int) -> None:
     arguments = (
         np.zeros((components, 6)), np.tile(np.eye(6), (components, 1, 1)), np.ones(components, dtype=bool),
         np.zeros((count, 2)), np.tile(np.eye(2), (count, 1, 1)), np.ones(count),
+        NO_READINGS, ALL_PAIRS,
     )  # fmt: skip
     found, detections, densities = pair_likelihoods(*arguments)
     assert len(found) == len(detections) == len(densities) == components * count
@@ -131,7 +136,7 @@ def test_densities_are_per_distorted_pixel(lens: str) -> None:
     event = make_event(camera, 0, 0.0, np.round(center) + grid)
     covariance = np.diag([16.0, 9.0, 1.0])[None]
     _, _, densities = pair_likelihoods(
-        mean, covariance, np.ones(1, dtype=bool), event.points, event.covariances, event.areas
+        mean, covariance, np.ones(1, dtype=bool), event.points, event.covariances, event.areas, NO_READINGS, ALL_PAIRS
     )
     # 1 %: the noise, carried through the lens, varies a little over the component
     assert densities.sum() == pytest.approx(1.0, abs=0.01)
