@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 from pathlib import Path
@@ -66,6 +67,10 @@ def test_two_processes_give_the_bytes_of_one(scene: tuple[LoadedConfig, Path], t
     track(loaded, log, tmp_path / "two", pieces_s=LENGTH, overlap_s=OVERLAP, jobs=2)
     assert files(tmp_path / "two") == files(tmp_path / "one")
     assert len({identity for _, _, identity in estimates(tmp_path / "one")}) == 2
+    # successive residuals of the filter are those of the tracks of the run, across the joins
+    track(scene[0], log, tmp_path / "filtered", pieces_s=LENGTH, overlap_s=OVERLAP)
+    figures = [json.loads((tmp_path / name / "report.json").read_text()) for name in ("one", "filtered")]
+    assert figures[0]["track_errors"] == figures[1]["track_errors"]
 
 
 def test_the_times_of_a_grid_are_those_of_the_whole_run(scene: tuple[LoadedConfig, Path], tmp_path: Path) -> None:
