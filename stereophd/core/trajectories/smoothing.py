@@ -55,9 +55,6 @@ def extend_back(
     """
     if existence is None:
         existence = np.full(len(events), trajectory.existence[0])
-    states = np.empty((len(events), 6))
-    covariances = np.empty((len(events), 6, 6))
-    for k, time_s in enumerate(times):
-        transition = motion.transition(float(time_s - trajectory.times[0]))
-        states[k], covariances[k] = transition.predict(trajectory.states[0], trajectory.covariances[0])
-    return Trajectory(trajectory.track_id, events, times, states, covariances, existence).join(trajectory)
+    steps = motion.transition(times - trajectory.times[0])
+    gaussians = steps.predict(trajectory.states[0], trajectory.covariances[0])
+    return Trajectory(trajectory.track_id, events, times, *gaussians, existence).join(trajectory)
