@@ -11,15 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array
-from stereophd.core.geometry.rotations import rotations
+from stereophd.core.geometry.rotations import checked_rotation, rotations
 from stereophd.core.geometry.trajectory import BodyTrajectory, EqualByValue, Motions, MountedPath, frozen
 
 # A matrix whose R R^T differs more than this from the identity is refused rather than repaired.
 LARGEST_ROTATION_DEFECT = 1e-4
 # Ends of a pose that changes in steps: later than any time of a log, s.
 STEPS_END_S = 1e14
-# Rounding of a matrix product; a larger defect (digits typed by hand) is repaired.
-ROTATION_ROUNDING = 1e-12
 
 
 def rotation_from_vector(vector: ArrayLike) -> Array:
@@ -66,22 +64,6 @@ def rotation_to_vector(rotation: ArrayLike) -> Array:
     return np.asarray(q[1:] * (2.0 * math.atan2(sine, float(q[0])) / sine), dtype=np.float64)
 
 
-def _nearest_rotation(rotation: Array) -> Array:
-    """Return the matrix itself if it is a rotation to rounding, else the nearest rotation to it."""
-    defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if defect > LARGEST_ROTATION_DEFECT or np.linalg.det(rotation) < 0.0:
-        raise ValueError(
-            "rotation: expected orthonormal rows and determinant +1, found "
-            f"|R R^T - I| up to {defect:.3g} and determinant {np.linalg.det(rotation):.6g}"
-        )
-    if defect <= ROTATION_ROUNDING:
-        return rotation
-    left, _, right = np.linalg.svd(rotation)
-    nearest: Array = left @ right
-    nearest.setflags(write=False)
-    return nearest
-
-
 @dataclass(frozen=True, init=False, eq=False)
 class Pose(EqualByValue):
     """Pose of a camera: ``x_camera = rotation @ (x_world - center)``.
@@ -112,7 +94,9 @@ class Pose(EqualByValue):
         self, rotation: ArrayLike, center: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0),
         rotation_rate: ArrayLike = (0.0, 0.0, 0.0), time_s: float = 0.0, path: MountedPath | None = None,
     ) -> None:  # fmt: skip
-        self.__dict__["rotation"] = _nearest_rotation(frozen(rotation, (3, 3), "rotation"))
+        turn = checked_rotation(frozen(rotation, (3, 3), "rotation"), LARGEST_ROTATION_DEFECT)
+        turn.setflags(write=False)
+        self.__dict__["rotation"] = turn
         for name, values in (("center", center), ("velocity", velocity), ("rotation_rate", rotation_rate)):
             self.__dict__[name] = frozen(values, (3,), name)
         self.__dict__.update(time_s=float(time_s), path=path)
