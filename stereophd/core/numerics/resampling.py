@@ -46,8 +46,8 @@ def stratified(weights: Array, uniform: Array) -> Integers:
 
 
 def multinomial(weights: Array, uniform: Array) -> Integers:
-    """Independent draws, as sorted uniform numbers by their exponential spacings; `uniform` (n + 1,)."""
-    spacings = np.cumsum(-np.log1p(-uniform[: len(weights) + 1]))
+    """Independent draws, as sorted uniform numbers by their exponential spacings: one less than there is `uniform`."""
+    spacings = np.cumsum(-np.log1p(-uniform))
     return _picked(weights, spacings[:-1] / spacings[-1])
 
 
@@ -56,16 +56,7 @@ def residual(weights: Array, uniform: Array) -> Integers:
     count = len(weights)
     copies = np.floor(count * weights).astype(np.int64)
     kept = np.repeat(np.arange(count), copies)[:count]
-    rest = count * weights - copies
-    if len(kept) == count:
-        return kept
-    spacings = np.cumsum(-np.log1p(-uniform[: count - len(kept) + 1]))
-    return np.concatenate([kept, _picked(rest, spacings[:-1] / spacings[-1])])
+    return np.concatenate([kept, multinomial(count * weights - copies, uniform[: count - len(kept) + 1])])
 
 
-SCHEMES = {
-    "systematic": systematic,
-    "stratified": stratified,
-    "residual": residual,
-    "multinomial": multinomial,
-}
+SCHEMES = {each.__name__: each for each in (systematic, stratified, residual, multinomial)}
