@@ -194,11 +194,7 @@ class Chain:
     def behind(self) -> tuple[Array, Array]:
         """States (k, 6) and covariances (k, 6, 6) filtered backwards."""
         steps = self.run.steps(self.trajectory.times[::-1])
-        known, pixels, jacobians, noises = self._measured
-        measured = Measured(
-            np.ascontiguousarray(known[::-1]), np.ascontiguousarray(pixels[::-1]),
-            np.ascontiguousarray(jacobians[::-1]), np.ascontiguousarray(noises[::-1])
-        )  # fmt: skip
+        measured = Measured._make(np.ascontiguousarray(each[::-1]) for each in self._measured)
         backward, _ = self._filtered(steps, measured, -1)
         return backward.states[::-1], backward.covariances[::-1]
 
