@@ -40,28 +40,11 @@ def rotation_from_vector(vector: ArrayLike) -> Array:
 def rotation_to_vector(rotation: ArrayLike) -> Array:
     """Return the axis times the angle (3,) of a rotation matrix, the inverse of `rotation_from_vector`.
 
-    The angle is in [0, pi]; at pi the sign of the axis is arbitrary. Goes through the unit quaternion with the largest
-    component first, which loses no digits at any angle: S. W. Shepperd, "Quaternion from rotation matrix", J. Guidance
-    and Control 1 (3), 1978.
+    The angle is in [0, pi]; at pi the sign of the axis is arbitrary.
     """
-    r = np.asarray(rotation, dtype=np.float64)
-    # 4 q q^T for the quaternion q = (w, x, y, z), as a function of the matrix.
-    products = np.array(
-        [
-            [1 + r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
-            [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]],
-            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]],
-        ]
-    )
-    q = products[int(np.argmax(np.diag(products)))]
-    q = q / np.linalg.norm(q)
-    if q[0] < 0.0:
-        q = -q
-    sine = float(np.linalg.norm(q[1:]))
-    if sine == 0.0:
-        return np.zeros(3)
-    return np.asarray(q[1:] * (2.0 * math.atan2(sine, float(q[0])) / sine), dtype=np.float64)
+    from scipy.spatial.transform import Rotation  # only here: costly to import
+
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 @dataclass(frozen=True, init=False, eq=False)

@@ -76,27 +76,19 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 
 
 def _camera(name: str, intrinsics: _Intrinsics, image: _Image, options: ImportOptions, where: str) -> CameraConfig:
+    from scipy.spatial.transform import Rotation  # only here: costly to import
+
     values = intrinsics.values
     fx, fy = values.get("f", values.get("fx", 0.0)), values.get("f", values.get("fy", 0.0))
     cx, cy = values["cx"] - HALF_PIXEL, values["cy"] - HALF_PIXEL
     fisheye = "FISHEYE" in intrinsics.model
     order = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     coefficients = np.array([values.get(key, 0.0) for key in order])
-    rotation = _rotation(image.quaternion)
+    with expecting("a quaternion", f"{where}: {name}"):
+        rotation = Rotation.from_quat(image.quaternion, scalar_first=True).as_matrix()
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     parts = Parts(matrix, coefficients, fisheye, rotation, -rotation.T @ image.translation, intrinsics.size)
     return put_together(name, parts, options, where)
-
-
-def _rotation(quaternion: Array) -> Array:
-    w, x, y, z = quaternion / np.linalg.norm(quaternion)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
 
 
 def _named(model: str, values: Sequence[float]) -> dict[str, float]:
@@ -166,6 +158,8 @@ def recognises_cameras(path: Path) -> bool:
 
 def write_cameras(cameras: Mapping[str, CameraConfig], length_unit: str, target: Path) -> list[str]:
     """Write a model folder as text: one image a camera, no points."""
+    from scipy.spatial.transform import Rotation  # only here: costly to import
+
     target.mkdir(exist_ok=True)
     lines, images = [], []
     for number, (name, config) in enumerate(cameras.items(), start=1):
@@ -179,21 +173,13 @@ def write_cameras(cameras: Mapping[str, CameraConfig], length_unit: str, target:
         k = parts.matrix
         values = [k[0, 0], k[1, 1], k[0, 2] + HALF_PIXEL, k[1, 2] + HALF_PIXEL, *lens]
         lines.append(f"{number} {model} {parts.size[0]} {parts.size[1]} {' '.join(repr(float(v)) for v in values)}")
-        pose = [*_quaternion(parts.rotation), *parts.translation]
+        turn = Rotation.from_matrix(parts.rotation).as_quat(canonical=True, scalar_first=True)
+        pose = [*turn, *parts.translation]
         images += [f"{number} {' '.join(repr(float(v)) for v in pose)} {number} {name}.png", ""]
     (target / "cameras.txt").write_text("\n".join(lines) + "\n", encoding="utf-8")
     (target / "images.txt").write_text("\n".join(images) + "\n", encoding="utf-8")
     (target / "points3D.txt").write_text("", encoding="utf-8")
     return [f"lengths are in {length_unit}: the format has no unit"]
-
-
-def _quaternion(rotation: Array) -> Array:
-    from stereophd.core.geometry.pose import rotation_to_vector
-
-    vector = rotation_to_vector(rotation)
-    angle = float(np.linalg.norm(vector))
-    axis = vector / angle if angle else vector
-    return np.array([np.cos(angle / 2), *(np.sin(angle / 2) * axis)])
 
 
 FORMAT = Format(
