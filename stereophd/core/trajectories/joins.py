@@ -89,7 +89,7 @@ def join_probabilities(
     near = np.zeros(shape, dtype=np.bool_)
     for event in chosen:
         weight = float(np.exp(-abs(times[event] - at_s) / decay_s))
-        rows, columns = _places(before, event), _places(after, event)
+        rows, columns = (np.array([one.place(event) for one in run], dtype=np.int64) for run in (before, after))
         i, j = np.flatnonzero(rows >= 0), np.flatnonzero(columns >= 0)
         either[i, :] += weight
         either[:, j] += weight
@@ -127,16 +127,6 @@ def _squared(before: Gaussians, after: Gaussians, i: Integers, j: Integers, most
     # static objects have no velocity to compare: its covariance is zero
     inverse = np.linalg.pinv(spreads[i] + other_spreads[j], hermitian=True)
     out[near] = np.minimum(np.einsum("ka,kab,kb->k", differences, inverse, differences), most)
-    return out
-
-
-def _places(trajectories: Sequence[Trajectory], event: int) -> Integers:
-    """Return where in each trajectory an event is, -1 where it is not."""
-    out = np.full(len(trajectories), -1, dtype=np.int64)
-    for number, trajectory in enumerate(trajectories):
-        place = int(np.searchsorted(trajectory.events, event))
-        if place < len(trajectory.events) and trajectory.events[place] == event:
-            out[number] = place
     return out
 
 

@@ -81,8 +81,7 @@ def _factors(trajectory: Trajectory, others: Sequence[Trajectory], event: int, r
         return nothing
     p_detect = run.cameras[run.looks[event]].detector.p_detect
     # odds of each detection over clutter, and those of others: were it not theirs, they would have missed one
-    there = [(other, int(np.searchsorted(other.events, event))) for other in others]
-    there = [(other, k) for other, k in there if k < len(other.events) and other.events[k] == event]
+    there = [(other, k) for other in others if (k := other.place(event)) >= 0]
     states = np.concatenate([state, *(other.states[k : k + 1] for other, k in there)])
     covariances = np.concatenate([covariance, *(other.covariances[k : k + 1] for other, k in there)])
     odds = np.exp(run.gains(event, states, covariances))

@@ -28,6 +28,11 @@ class Trajectory(ArrayRows):
     covariances: Array
     existence: Array  # (k,)
 
+    def place(self, event: int) -> int:
+        """Return where in the trajectory an event is, -1 where it is not."""
+        place = int(np.searchsorted(self.events, event))
+        return place if place < len(self.events) and self.events[place] == event else -1
+
 
 def smooth(trajectory: Trajectory, motion: Motion) -> Trajectory:
     """Return the smoothed trajectory (Rauch, Tung and Striebel 1965) at the same events."""
