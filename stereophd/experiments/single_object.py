@@ -25,6 +25,7 @@ from stereophd.core.disparity.events import Rig, make_rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
 from stereophd.core.metrics.errors import nees
+from stereophd.core.metrics.truth.interpolation import last_event_of_each_time
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import RUN_SINGLE_OBJECT
 from stereophd.core.numerics.samples import MomentsSettings
@@ -92,7 +93,7 @@ def run_single_object(
         frames.append(Frame(time_s, index, number, (pixel + camera.detector.sigma * noise)[seen]))
     events = list(EventStream(scenario.rig.cameras, frames))
     estimator = build_estimator(settings, moments, scenario.rig, scenario.motion, scenario.prior, rng)
-    reported = last_events(scenario.times) if scenario.motion.moves else np.arange(len(scenario.times))
+    reported = last_event_of_each_time(scenario.times) if scenario.motion.moves else np.arange(len(scenario.times))
     wanted, estimates = set(reported.tolist()), []
     with clock or nullcontext():
         state = estimator.init()
@@ -136,10 +137,10 @@ def tracking_bound(scenario: SingleObjectProblem, rng: np.random.Generator, traj
         points = states[:, k, :3]
         seen = camera.in_view(points)
         information[k, seen, :3, :3] = camera.detector.p_detect * detection_information(camera, points[seen])
-    steps = [scenario.motion.transition(dt) for dt in np.diff(scenario.times).tolist()]
-    transitions, noises = np.array([step.matrix for step in steps]), np.array([step.noise for step in steps])
-    bounds = posterior_bounds(_state_prior_information(scenario) + information[0], transitions, noises, information[1:])
-    return np.asarray(bounds[last_events(scenario.times)].mean(axis=1))
+    steps = scenario.motion.transition(np.diff(scenario.times))
+    first = _state_prior_information(scenario) + information[0]
+    bounds = posterior_bounds(first, steps.matrix, steps.noise, information[1:])
+    return np.asarray(bounds[last_event_of_each_time(scenario.times)].mean(axis=1))
 
 
 def _state_prior_information(scenario: SingleObjectProblem) -> Array:
@@ -169,11 +170,6 @@ def draw_trajectory(scenario: SingleObjectProblem, rng: np.random.Generator) -> 
     normal = rng.standard_normal((len(intervals), 2, 3))
     later = walk(start, scenario.motion.arrays(intervals), *scenario.motion.shocks(intervals, normal))
     return np.concatenate([start[None], later])
-
-
-def last_events(times: Array) -> NDArray[np.intp]:
-    """Indices (t,) of the last event of each distinct time."""
-    return np.flatnonzero(np.append(np.diff(times) > 0.0, True))
 
 
 def single_config(loaded: LoadedConfig) -> SingleSettings:

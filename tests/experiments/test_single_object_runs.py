@@ -18,7 +18,6 @@ from stereophd.core.single.settings import DisparityChoice, EstimatorChoice, Inv
 from stereophd.experiments.single_object import (
     SingleObjectProblem,
     draw_trajectory,
-    last_events,
     localisation_bound,
     run_single_object,
     tracking_bound,
@@ -136,10 +135,6 @@ def test_bounds_of_tracking() -> None:
 
 def replace_detection(detector, p_detect: float):  # type: ignore[no-untyped-def]
     return type(detector)(detector.sigma, p_detect, detector.clutter_per_frame)
-
-
-def test_last_events() -> None:
-    np.testing.assert_array_equal(last_events(np.array([0.0, 0.0, 1.0, 2.0, 2.0])), [1, 2, 4])
 
 
 def test_object_out_of_view() -> None:

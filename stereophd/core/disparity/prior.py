@@ -22,32 +22,32 @@ class DisparityPrior:
 DepthRange = tuple[PositiveLength, PositiveLength]
 
 
-def check_depth(disparity: DisparityPrior | None, depth_range: DepthRange | None) -> None:
-    """Refuse a prior of the depth that is given twice, is missing, or has its ends exchanged.
+class DepthPrior:
+    """What is known of the depth of a new object: its disparity, or a range; a base of settings that have both."""
 
-    Raises ValueError unless exactly one of `disparity` and `depth_range` is given, and a range is near < far.
-    """
-    if (disparity is None) == (depth_range is None):
-        raise ValueError("expected exactly one of disparity and depth_range")
-    if depth_range is not None and depth_range[0] >= depth_range[1]:
-        raise ValueError(f"depth_range: expected near < far, found {list(depth_range)}")
+    disparity: DisparityPrior | None
+    depth_range: DepthRange | None
 
+    def check_depth(self) -> None:
+        """Raise ValueError unless exactly one of disparity and depth_range is given, and a range is near < far."""
+        if (self.disparity is None) == (self.depth_range is None):
+            raise ValueError("expected exactly one of disparity and depth_range")
+        if self.depth_range is not None and self.depth_range[0] >= self.depth_range[1]:
+            raise ValueError(f"depth_range: expected near < far, found {list(self.depth_range)}")
 
-def disparity_moments(
-    disparity: DisparityPrior | None, depth_range: DepthRange | None, space: Array
-) -> tuple[float, float]:
-    """Mean and standard deviation of the disparity (px) in a packed space (30,), given either prior."""
-    if disparity is not None:
-        return disparity.mean_px, disparity.std_px
-    if depth_range is None:
-        raise ValueError("expected exactly one of disparity and depth_range, found none")
-    scale = float((space[FY] if space[VERTICAL] == 1.0 else space[FX]) * space[BASELINE])
-    near, far = scale / depth_range[0], scale / depth_range[1]
-    return (near + far) / 2.0, (near - far) / (2.0 * DEPTH_RANGE_SIGMAS)
+    def disparity_moments(self, space: Array) -> tuple[float, float]:
+        """Mean and standard deviation of the disparity (px) in a packed space (30,)."""
+        if self.disparity is not None:
+            return self.disparity.mean_px, self.disparity.std_px
+        if self.depth_range is None:
+            raise ValueError("expected exactly one of disparity and depth_range, found none")
+        scale = float((space[FY] if space[VERTICAL] == 1.0 else space[FX]) * space[BASELINE])
+        near, far = scale / self.depth_range[0], scale / self.depth_range[1]
+        return (near + far) / 2.0, (near - far) / (2.0 * DEPTH_RANGE_SIGMAS)
 
 
 @settings
-class InitialPrior:
+class InitialPrior(DepthPrior):
     """The prior of an object that a camera sees for the first time (paper V-A)."""
 
     disparity: DisparityPrior | None = parameter("prior of the disparity, px at the baseline", default=None)
@@ -62,7 +62,7 @@ class InitialPrior:
     )
 
     def __post_init__(self) -> None:
-        check_depth(self.disparity, self.depth_range)
+        self.check_depth()
         if self.velocity_std is not None and self.disparity_velocity_std_px_s is not None:
             raise ValueError("expected one of velocity_std and disparity_velocity_std_px_s, found both")
 
@@ -70,10 +70,6 @@ class InitialPrior:
     def velocity_spread(self) -> float:
         """`velocity_std`, 0 where it is not given: length/s."""
         return self.velocity_std or 0.0
-
-    def disparity_moments(self, space: Array) -> tuple[float, float]:
-        """Mean and standard deviation of the disparity (px) in a packed space (30,)."""
-        return disparity_moments(self.disparity, self.depth_range, space)
 
     def moments(self, points: Array, noises: Array, space: Array, size: int) -> tuple[Array, Array]:
         """Means (m, d) and covariances (m, d, d) of objects first seen at `points`: see `initial_moments`."""

@@ -12,6 +12,9 @@ singular only where the third component, rho times the depth before B, is 0. The
 ``rho v = (r' - r rho' / rho)`` is the one term that grows without bound as rho goes to 0; a physical
 limit of speed keeps it below ``rho v_max``.
 
+The world is a destination too (`WORLD`): its coordinates are x, y and z, and the divisor is rho in the place of the
+depth.
+
 Layout: samples (rows, n) with the sample axis last, so that the loops vectorise; packed spaces as
 `stereophd.core.disparity.space.DisparitySpace.packed` lays them out.
 """
@@ -21,13 +24,16 @@ import math
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.disparity.space import BASELINE, VERTICAL
+from stereophd.core.disparity.space import BASELINE, PACKED_SIZE, VERTICAL
 from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, HEIGHT, LENS_CODE, LENS_NONE, ROTATION, WIDTH
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # A component of which this share is inside the region counts as inside.
 REGION_SLACK = 0.8
+# The world as a packed space: a camera of unit focal length in its origin and axes, without a baseline.
+WORLD = np.zeros(PACKED_SIZE)
+WORLD[[FX, FY, ROTATION, ROTATION + 4, ROTATION + 8]] = 1.0
 
 
 @compiled
@@ -85,7 +91,8 @@ def moving_trips(
     the standard-normal samples (>= 6, n) are the state's. The noise (6, n) is that of the motion in the destination's
     axes, of position, then of velocity, before it is scaled by `position_noise` and `velocity_noise`; these, `reach`,
     `keep`, `drift` and `max_speed` are those of one interval of `stereophd.core.motion.arrays.MotionArrays`. Fills
-    `out` (7, n) with (u, v, d, du, dv, dd) and rho times the depth before the destination.
+    `out` (7, n) with (u, v, d, du, dv, dd), or the place and the velocity in the world, and the divisor: rho times the
+    depth before the destination, in the world rho.
     """
     r00, r01, r02, r10, r11, r12, r20, r21, r22, t0, t1, t2 = relative_pose(source, destination)
     # the drift in the destination's axes: of the position it is one more translation
@@ -140,15 +147,23 @@ def moving_trips(
         vx_b = r00 * velocity_x + r01 * velocity_y + r02 * velocity_z + q * noise[3, i] + rho * w0
         vy_b = r10 * velocity_x + r11 * velocity_y + r12 * velocity_z + q * noise[4, i] + rho * w1
         vz_b = r20 * velocity_x + r21 * velocity_y + r22 * velocity_z + q * noise[5, i] + rho * w2
+        out[0, i], out[1, i], out[2, i], out[6, i] = x_b, y_b, z_b, rho
+        out[3, i], out[4, i], out[5, i] = vx_b, vy_b, vz_b
+    if scale == 0.0:
+        for i in range(samples.shape[1]):
+            per_rho = 1.0 / out[6, i]
+            for a in range(6):
+                out[a, i] *= per_rho
+        return
+    for i in range(samples.shape[1]):
+        z_b, vz_b = out[2, i], out[5, i]
         per_z = 1.0 / z_b
-        x_b *= per_z
-        y_b *= per_z
-        rho *= per_z
+        x_b, y_b, rho = out[0, i] * per_z, out[1, i] * per_z, out[6, i] * per_z
         out[0, i] = fx * x_b + cx
         out[1, i] = fy * y_b + cy
         out[2, i] = scale * rho
-        out[3, i] = fx * (vx_b - x_b * vz_b) * per_z
-        out[4, i] = fy * (vy_b - y_b * vz_b) * per_z
+        out[3, i] = fx * (out[3, i] - x_b * vz_b) * per_z
+        out[4, i] = fy * (out[4, i] - y_b * vz_b) * per_z
         out[5, i] = -scale * rho * vz_b * per_z
         out[6, i] = z_b
 
@@ -160,6 +175,8 @@ def static_trips(mean: Array, factor: Array, samples: Array, source: Array, dest
     per_fx, per_fy, per_scale = 1.0 / source[FX], 1.0 / source[FY], 1.0 / disparity_scale(source)
     fx, fy, cx, cy = destination[FX], destination[FY], destination[CX], destination[CY]
     scale = disparity_scale(destination)
+    by_rho = 1.0 if scale == 0.0 else 0.0
+    by_depth = 1.0 - by_rho
     m0, m1, m2 = mean[0] - source[CX], mean[1] - source[CY], mean[2]
     for i in range(samples.shape[1]):
         a0, a1, a2 = samples[0, i], samples[1, i], samples[2, i]
@@ -169,11 +186,12 @@ def static_trips(mean: Array, factor: Array, samples: Array, source: Array, dest
         x_b = r00 * ray_x + r01 * ray_y + r02 + rho * t0
         y_b = r10 * ray_x + r11 * ray_y + r12 + rho * t1
         z_b = r20 * ray_x + r21 * ray_y + r22 + rho * t2
-        per_z = 1.0 / z_b
-        out[0, i] = fx * x_b * per_z + cx
-        out[1, i] = fy * y_b * per_z + cy
-        out[2, i] = scale * rho * per_z
-        out[3, i] = z_b
+        divisor = by_depth * z_b + by_rho * rho
+        per = 1.0 / divisor
+        out[0, i] = fx * x_b * per + cx
+        out[1, i] = fy * y_b * per + cy
+        out[2, i] = (scale * rho + by_rho * z_b) * per
+        out[3, i] = divisor
 
 
 @compiled

@@ -11,15 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array
-from stereophd.core.geometry.rotations import rotations
+from stereophd.core.geometry.rotations import checked_rotation, rotations
 from stereophd.core.geometry.trajectory import BodyTrajectory, EqualByValue, Motions, MountedPath, frozen
 
 # A matrix whose R R^T differs more than this from the identity is refused rather than repaired.
 LARGEST_ROTATION_DEFECT = 1e-4
 # Ends of a pose that changes in steps: later than any time of a log, s.
 STEPS_END_S = 1e14
-# Rounding of a matrix product; a larger defect (digits typed by hand) is repaired.
-ROTATION_ROUNDING = 1e-12
 
 
 def rotation_from_vector(vector: ArrayLike) -> Array:
@@ -42,44 +40,11 @@ def rotation_from_vector(vector: ArrayLike) -> Array:
 def rotation_to_vector(rotation: ArrayLike) -> Array:
     """Return the axis times the angle (3,) of a rotation matrix, the inverse of `rotation_from_vector`.
 
-    The angle is in [0, pi]; at pi the sign of the axis is arbitrary. Goes through the unit quaternion with the largest
-    component first, which loses no digits at any angle: S. W. Shepperd, "Quaternion from rotation matrix", J. Guidance
-    and Control 1 (3), 1978.
+    The angle is in [0, pi]; at pi the sign of the axis is arbitrary.
     """
-    r = np.asarray(rotation, dtype=np.float64)
-    # 4 q q^T for the quaternion q = (w, x, y, z), as a function of the matrix.
-    products = np.array(
-        [
-            [1 + r[0, 0] + r[1, 1] + r[2, 2], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
-            [r[2, 1] - r[1, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
-            [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], 1 - r[0, 0] + r[1, 1] - r[2, 2], r[1, 2] + r[2, 1]],
-            [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], 1 - r[0, 0] - r[1, 1] + r[2, 2]],
-        ]
-    )
-    q = products[int(np.argmax(np.diag(products)))]
-    q = q / np.linalg.norm(q)
-    if q[0] < 0.0:
-        q = -q
-    sine = float(np.linalg.norm(q[1:]))
-    if sine == 0.0:
-        return np.zeros(3)
-    return np.asarray(q[1:] * (2.0 * math.atan2(sine, float(q[0])) / sine), dtype=np.float64)
+    from scipy.spatial.transform import Rotation  # only here: costly to import
 
-
-def _nearest_rotation(rotation: Array) -> Array:
-    """Return the matrix itself if it is a rotation to rounding, else the nearest rotation to it."""
-    defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if defect > LARGEST_ROTATION_DEFECT or np.linalg.det(rotation) < 0.0:
-        raise ValueError(
-            "rotation: expected orthonormal rows and determinant +1, found "
-            f"|R R^T - I| up to {defect:.3g} and determinant {np.linalg.det(rotation):.6g}"
-        )
-    if defect <= ROTATION_ROUNDING:
-        return rotation
-    left, _, right = np.linalg.svd(rotation)
-    nearest: Array = left @ right
-    nearest.setflags(write=False)
-    return nearest
+    return np.asarray(Rotation.from_matrix(rotation).as_rotvec())
 
 
 @dataclass(frozen=True, init=False, eq=False)
@@ -112,7 +77,9 @@ class Pose(EqualByValue):
         self, rotation: ArrayLike, center: ArrayLike, velocity: ArrayLike = (0.0, 0.0, 0.0),
         rotation_rate: ArrayLike = (0.0, 0.0, 0.0), time_s: float = 0.0, path: MountedPath | None = None,
     ) -> None:  # fmt: skip
-        self.__dict__["rotation"] = _nearest_rotation(frozen(rotation, (3, 3), "rotation"))
+        turn = checked_rotation(frozen(rotation, (3, 3), "rotation"), LARGEST_ROTATION_DEFECT)
+        turn.setflags(write=False)
+        self.__dict__["rotation"] = turn
         for name, values in (("center", center), ("velocity", velocity), ("rotation_rate", rotation_rate)):
             self.__dict__[name] = frozen(values, (3,), name)
         self.__dict__.update(time_s=float(time_s), path=path)

@@ -1,8 +1,31 @@
-"""Many rotations at once: rotation vectors and matrices, in arrays with a leading axis."""
+"""Rotation matrices: which are ones, and those of many rotation vectors at once, in arrays with a leading axis."""
 
 import numpy as np
 
 from stereophd.core.arrays import Array
+
+# Rounding of a matrix product; a larger defect (digits typed by hand) is repaired.
+ROUNDING = 1e-12
+
+
+def checked_rotation(matrix: Array, largest_defect: float) -> Array:
+    """Return a matrix (3, 3) itself if it is a rotation to rounding, else the rotation nearest to it.
+
+    Raises ValueError where R R^T differs by more than the largest defect from the identity, or the matrix reflects.
+    """
+    defect, determinant = float(np.abs(matrix @ matrix.T - np.eye(3)).max()), float(np.linalg.det(matrix))
+    if defect > largest_defect or determinant < 0.0:
+        raise ValueError(
+            "expected a rotation matrix (orthonormal rows, determinant +1), found "
+            f"|R R^T - I| up to {defect:.3g} and determinant {determinant:.6g}"
+        )
+    return matrix if defect <= ROUNDING else nearest_rotation(matrix)
+
+
+def nearest_rotation(matrix: Array) -> Array:
+    """Return the rotation that is nearest to a matrix, such as one that was written with few digits."""
+    left, _, right = np.linalg.svd(matrix)
+    return np.asarray(left @ right, dtype=np.float64)
 
 
 def cross_matrices(vectors: Array) -> Array:

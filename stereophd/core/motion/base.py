@@ -49,15 +49,16 @@ class NoiseFactor(NamedTuple):
 
 
 class Transition(NamedTuple):
-    """``x' = matrix x + drift + w``, w of covariance `noise`: arrays (6, 6), (6, 6), (6,)."""
+    """``x' = matrix x + drift + w``, w of covariance `noise`: arrays (..., 6, 6), (..., 6, 6), (..., 6)."""
 
     matrix: Array
     noise: Array
     drift: Array
 
     def predict(self, mean: Array, covariance: Array) -> tuple[Array, Array]:
-        """Return a Gaussian (6,), (6, 6) after the interval."""
-        return self.matrix @ mean + self.drift, self.matrix @ covariance @ self.matrix.T + self.noise
+        """Return Gaussians (..., 6), (..., 6, 6) after the intervals."""
+        spread = self.matrix @ covariance @ np.swapaxes(self.matrix, -1, -2) + self.noise
+        return np.einsum("...ij,...j->...i", self.matrix, mean) + self.drift, spread
 
 
 class Motion(ABC):
@@ -105,15 +106,19 @@ class Motion(ABC):
         """`max_speed`, infinity for none."""
         return math.inf if self.max_speed is None else float(self.max_speed)
 
-    def transition(self, dt: float) -> Transition:
-        """Return the linear-Gaussian transition over an interval (s), zero and negative included."""
+    def transition(self, dt: Array | float) -> Transition:
+        """Return the linear-Gaussian transitions over intervals (...), s, zero and negative included."""
         interval = np.asarray(dt, dtype=np.float64)
         flow, noise = self.flow(interval), self.noise(interval)
-        matrix: Array = np.eye(6)
-        matrix[:3, 3:] = flow.reach * np.eye(3)
-        matrix[3:, 3:] = flow.keep * np.eye(3)
-        per_axis = np.array([[noise.position, noise.cross], [noise.cross, noise.velocity]])
-        return Transition(matrix, np.kron(per_axis, np.diag(self.noise_std**2)), flow.drift)
+        matrix, spread = np.zeros((2, *interval.shape, 6, 6))
+        place = np.arange(3)
+        speed, variances = place + 3, self.noise_std**2
+        matrix[..., place, place] = 1.0
+        matrix[..., place, speed], matrix[..., speed, speed] = flow.reach[..., None], flow.keep[..., None]
+        spread[..., place, place] = noise.position[..., None] * variances
+        spread[..., place, speed] = spread[..., speed, place] = noise.cross[..., None] * variances
+        spread[..., speed, speed] = noise.velocity[..., None] * variances
+        return Transition(matrix, spread, flow.drift)
 
     def noise_factor(self, dt: Array) -> NoiseFactor:
         """Return a factor of the noise of intervals (n,)."""

@@ -13,12 +13,15 @@ RANK_MARGIN = 1e-12
 
 
 @compiled
-def cholesky(matrix: Array, factor: Array) -> bool:
-    """Lower Cholesky factor of a symmetric matrix (d, d); False if it is not positive definite."""
+def cholesky(matrix: Array, factor: Array, margin: float = 0.0) -> bool:
+    """Lower Cholesky factor of a symmetric matrix (d, d); False if it is not positive definite, with a margin.
+
+    The diagonal counts as lower by the margin, as a part of itself.
+    """
     size = matrix.shape[0]
     for j in range(size):
         for i in range(j, size):
-            total = matrix[i, j]
+            total = matrix[i, j] * (1.0 - margin if i == j else 1.0)
             for k in range(j):
                 total -= factor[i, k] * factor[j, k]
             if i == j:
@@ -33,36 +36,13 @@ def cholesky(matrix: Array, factor: Array) -> bool:
 
 
 @compiled
-def has_full_rank(matrix: Array, factor: Array) -> bool:
-    """Whether a symmetric matrix (d, d) is positive definite with a margin; `factor` is scratch.
-
-    The pivots of the factorisation L D L^T, without its square roots; L D is kept above the diagonal.
-    """
-    size = matrix.shape[0]
-    for j in range(size):
-        pivot = matrix[j, j] * (1.0 - RANK_MARGIN)
-        for k in range(j):
-            pivot -= factor[j, k] * factor[k, j]
-        if not 0.0 < pivot < np.inf:
-            return False
-        per_pivot = 1.0 / pivot
-        for i in range(j + 1, size):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= factor[i, k] * factor[k, j]
-            factor[j, i] = total
-            factor[i, j] = total * per_pivot
-    return True
-
-
-@compiled
 def condition(matrix: Array, factor: Array) -> bool:
     """Make a covariance positive definite in place; False if it holds NaN or cannot be helped.
 
     The diagonal is raised by growing fractions of itself, from 1e-9 to 1e-3, until the factorisation
     succeeds: a covariance that leaves the moment transforms always has full rank.
     """
-    if has_full_rank(matrix, factor):
+    if cholesky(matrix, factor, RANK_MARGIN):
         return True
     raised = 1e-9
     while raised < 2e-3:
@@ -70,7 +50,7 @@ def condition(matrix: Array, factor: Array) -> bool:
             if not matrix[j, j] > 0.0 or matrix[j, j] == np.inf:
                 return False
             matrix[j, j] *= 1.0 + raised
-        if has_full_rank(matrix, factor):
+        if cholesky(matrix, factor, RANK_MARGIN):
             return True
         raised *= 10.0
     return False

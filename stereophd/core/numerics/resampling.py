@@ -7,26 +7,16 @@ E. Moulines, "Comparison of resampling schemes for particle filtering", ISPA 200
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.numerics.compilation.compiled import compiled
 
 
-@compiled
 def _picked(weights: Array, points: Array) -> Integers:
     """Index of the particle that each of the sorted points, in parts of the sum of the weights, falls on."""
     ends = np.cumsum(weights)
     # rounding of the sums may leave the last points beyond the end: they go to the last that weighs
-    last = len(weights) - 1
-    while last > 0 and weights[last] == 0.0:
-        last -= 1
-    picked, index = np.empty(len(points), dtype=np.int64), 0
-    for i in range(len(points)):
-        while index < last and points[i] * ends[-1] >= ends[index]:
-            index += 1
-        picked[i] = index
-    return picked
+    last = np.flatnonzero(weights).max(initial=0)
+    return np.asarray(np.minimum(np.searchsorted(ends, points * ends[-1:], side="right"), last))
 
 
-@compiled
 def systematic(weights: Array, uniform: Array, count: int = 0) -> Integers:
     """One uniform number shifts a comb of n teeth. Of `uniform` the first is used; weights (n,) need not sum to 1.
 
@@ -38,7 +28,6 @@ def systematic(weights: Array, uniform: Array, count: int = 0) -> Integers:
     return _picked(weights, (np.arange(count) + uniform[0]) / count)
 
 
-@compiled
 def stratified(weights: Array, uniform: Array) -> Integers:
     """One uniform number (n,) for every tooth."""
     count = len(weights)
@@ -46,8 +35,8 @@ def stratified(weights: Array, uniform: Array) -> Integers:
 
 
 def multinomial(weights: Array, uniform: Array) -> Integers:
-    """Independent draws, as sorted uniform numbers by their exponential spacings; `uniform` (n + 1,)."""
-    spacings = np.cumsum(-np.log1p(-uniform[: len(weights) + 1]))
+    """Independent draws, as sorted uniform numbers by their exponential spacings: one less than there is `uniform`."""
+    spacings = np.cumsum(-np.log1p(-uniform))
     return _picked(weights, spacings[:-1] / spacings[-1])
 
 
@@ -56,16 +45,7 @@ def residual(weights: Array, uniform: Array) -> Integers:
     count = len(weights)
     copies = np.floor(count * weights).astype(np.int64)
     kept = np.repeat(np.arange(count), copies)[:count]
-    rest = count * weights - copies
-    if len(kept) == count:
-        return kept
-    spacings = np.cumsum(-np.log1p(-uniform[: count - len(kept) + 1]))
-    return np.concatenate([kept, _picked(rest, spacings[:-1] / spacings[-1])])
+    return np.concatenate([kept, multinomial(count * weights - copies, uniform[: count - len(kept) + 1])])
 
 
-SCHEMES = {
-    "systematic": systematic,
-    "stratified": stratified,
-    "residual": residual,
-    "multinomial": multinomial,
-}
+SCHEMES = {each.__name__: each for each in (systematic, stratified, residual, multinomial)}

@@ -1,9 +1,17 @@
-"""Rows of several arrays that belong together: some of them, or those of several tables."""
+"""Rows of several arrays that belong together: some of them, or those of several tables; and sums of rows."""
 
 from dataclasses import replace
 from typing import Any, Self
 
 import numpy as np
+
+from stereophd.core.arrays import Array, Booleans, Integers
+
+
+def sums_between(values: Array | Booleans, first: Integers, last: Integers) -> Array:
+    """Return the sums (n, c) of the rows of values (r, c) from the first ones (n,) to before the last ones."""
+    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
+    return np.asarray(sums[last] - sums[first])
 
 
 class ArrayRows:

@@ -22,7 +22,9 @@ def use_one_thread() -> None:
 
 def in_threads(function: Callable[[Item], Result], items: Iterable[Item], threads: int) -> list[Result]:
     """Call a function that leaves the interpreter for most of its time for each item; return the results in order."""
-    # Costly to import, and the command line needs this module first.
-    from joblib import Parallel, delayed
+    if threads == 1:
+        return list(map(function, items))
+    from concurrent.futures import ThreadPoolExecutor  # the command line needs this module first
 
-    return list(Parallel(threads, backend="threading")(delayed(function)(item) for item in items))
+    with ThreadPoolExecutor(threads) as pool:
+        return list(pool.map(function, items))

@@ -16,10 +16,11 @@ from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.moments import move, world_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Sources
 from stereophd.core.disparity.space import DisparitySpace
+from stereophd.core.disparity.world_moments import states_in_world
 from stereophd.core.geometry.layout import CX, CY, HEIGHT, LENS_CODE, LENS_NONE, WIDTH
 from stereophd.core.numerics.samples import SampleSets
 from stereophd.core.single.base import SingleEstimate
-from stereophd.core.single.gaussian import Gaussian, GaussianEstimator, GaussianState, Observation, state_in_world
+from stereophd.core.single.gaussian import Gaussian, GaussianEstimator, GaussianState, Observation
 
 IMPORTANT = np.array([True])
 # H of eq. 4, by the size of the state.
@@ -70,7 +71,7 @@ class DisparityEstimator(GaussianEstimator):
             state.mean[None], state.covariance[None], state.home[None], elapsed, self.motion, self.sets, state.n_events
         )
         return SingleEstimate(
-            means[0], state_in_world(state.mean, state.home, self.motion.arrays(elapsed)), covariances[0]
+            means[0], states_in_world(state.mean[None], state.home, self.motion.arrays(elapsed))[0], covariances[0]
         )
 
 

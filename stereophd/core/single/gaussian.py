@@ -1,4 +1,4 @@
-"""What the Gaussian estimators share: states, their linear update, cameras to first order, and states in the world.
+"""What the Gaussian estimators share: states, their linear update, and cameras to first order.
 
 Cameras are packed (`stereophd.core.geometry.layout`), pixels undistorted.
 """
@@ -13,10 +13,8 @@ from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.trips import disparity_scale
-from stereophd.core.disparity.world_moments import place_in_world
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.geometry.projection import pinhole
-from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.single.base import SingleEstimate, SingleEstimator, SingleState
 
@@ -185,31 +183,3 @@ def linear_update(
     squared = (s11 * du * du - 2.0 * s01 * du * dv + s00 * dv * dv) / determinant
     log_likelihood = -0.5 * squared - math.log(2.0 * math.pi) - 0.5 * math.log(determinant)
     return out_mean, 0.5 * (out_covariance + out_covariance.T), log_likelihood
-
-
-@compiled
-def state_in_world(state: Array, space: Array, motion: MotionArrays) -> Array:
-    """World state (6,) of a state (3,) or (6,) in a packed disparity space (30,), after the only interval of `motion`.
-
-    NaN at or beyond infinity; the velocity of a state (3,) is 0, and limited to the greatest speed.
-    """
-    out = np.zeros(6)
-    if not state[2] > 0.0:
-        return out * np.nan
-    x, y, z, vx, vy, vz = place_in_world(state, space)
-    speed = math.sqrt(vx**2 + vy**2 + vz**2)
-    slow = motion.max_speed / speed if speed > motion.max_speed else 1.0
-    out[0], out[1], out[2], out[3], out[4], out[5] = x, y, z, slow * vx, slow * vy, slow * vz
-    for a in range(3):
-        out[a] = out[a] + motion.reach[0] * out[3 + a] + motion.drift[0, a]
-        out[3 + a] = motion.keep[0] * out[3 + a] + motion.drift[0, 3 + a]
-    return out
-
-
-@compiled
-def states_in_world(states: Array, space: Array, motion: MotionArrays) -> Array:
-    """World states (n, 6) of states (n, 3) or (n, 6): see `state_in_world`."""
-    out = np.empty((len(states), 6))
-    for i in range(len(states)):
-        out[i] = state_in_world(states[i], space, motion)
-    return out

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
+from stereophd.core.disparity.world_moments import states_in_world
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.resampling import SCHEMES
 from stereophd.core.numerics.weights import normalised
 from stereophd.core.single.base import SingleEstimate, SingleEstimator, SingleState
-from stereophd.core.single.gaussian import states_in_world
 from stereophd.core.single.settings import ParticleSettings
 
 # A prior of disparity that has less than one sample in this many at positive values is refused.

@@ -194,11 +194,7 @@ class Chain:
     def behind(self) -> tuple[Array, Array]:
         """States (k, 6) and covariances (k, 6, 6) filtered backwards."""
         steps = self.run.steps(self.trajectory.times[::-1])
-        known, pixels, jacobians, noises = self._measured
-        measured = Measured(
-            np.ascontiguousarray(known[::-1]), np.ascontiguousarray(pixels[::-1]),
-            np.ascontiguousarray(jacobians[::-1]), np.ascontiguousarray(noises[::-1])
-        )  # fmt: skip
+        measured = Measured._make(np.ascontiguousarray(each[::-1]) for each in self._measured)
         backward, _ = self._filtered(steps, measured, -1)
         return backward.states[::-1], backward.covariances[::-1]
 
@@ -275,7 +271,8 @@ class Chain:
     def _carried(self, known: tuple[Array, Array], sources: Integers, places: Integers) -> tuple[Array, Array]:
         """Gaussians known at some places predicted to others."""
         times = self.trajectory.times
-        return predicted(self.run.motion, times[places] - times[sources], known[0][sources], known[1][sources])
+        step = self.run.motion.transition(times[places] - times[sources])
+        return step.predict(known[0][sources], known[1][sources])
 
     @cached_property
     def _steps(self) -> Steps:
@@ -321,19 +318,3 @@ def make_chain(trajectory: Trajectory, detections: Integers, run: WholeRun) -> C
     stds = np.sqrt(np.trace(trajectory.covariances[:, 3:, 3:], axis1=1, axis2=2) / 3.0)
     # the median: at its beginning a track may seem faster than it ever is
     return Chain(trajectory, detections, run, float(np.median(speeds) + np.median(stds)))
-
-
-def predicted(motion: Motion, dt: Array, states: Array, covariances: Array) -> tuple[Array, Array]:
-    """Gaussians (n, 6), (n, 6, 6) after intervals (n,) of any sign, s."""
-    flow, noise = motion.flow(dt), motion.noise(dt)
-    matrices = np.zeros((len(dt), 6, 6))
-    axes = np.arange(3)
-    matrices[:, axes, axes] = 1.0
-    matrices[:, axes, 3 + axes], matrices[:, 3 + axes, 3 + axes] = flow.reach[:, None], np.reshape(flow.keep, (-1, 1))
-    spreads = matrices @ covariances @ np.swapaxes(matrices, 1, 2)
-    variances = motion.noise_std**2
-    spreads[:, axes, axes] += noise.position[:, None] * variances
-    spreads[:, axes, 3 + axes] += noise.cross[:, None] * variances
-    spreads[:, 3 + axes, axes] += noise.cross[:, None] * variances
-    spreads[:, 3 + axes, 3 + axes] += noise.velocity[:, None] * variances
-    return np.einsum("nij,nj->ni", matrices, states) + flow.drift, spreads

@@ -21,7 +21,6 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.association.exact_association import association_marginals
-from stereophd.core.trajectories.chain import predicted
 from stereophd.core.trajectories.smoothing import Trajectory
 
 # Squared Mahalanobis distance (99 % of a chi-square with 6 degrees of freedom) up to which the end of one
@@ -61,12 +60,9 @@ def stitch(trajectories: Sequence[Trajectory], motion: Motion, max_gap_s: float)
         first, last = np.searchsorted(starts, end_s), np.searchsorted(starts, end_s + max_gap_s, side="right")
         soon = np.arange(first, last)[first_events[first:last] > earlier.events[-1]]
         count = len(soon)
-        means, spreads = predicted(
-            motion, starts[soon] - end_s, np.tile(earlier.states[-1], (count, 1)),
-            np.tile(earlier.covariances[-1], (count, 1, 1))
-        )  # fmt: skip
+        later = motion.transition(starts[soon] - end_s).predict(earlier.states[-1], earlier.covariances[-1])
         every = np.arange(count)
-        squared = _squared((means, spreads), (states[soon], covariances[soon]), every, every, STITCH_DISTANCE)
+        squared = _squared(later, (states[soon], covariances[soon]), every, every, STITCH_DISTANCE)
         near = np.flatnonzero(squared < STITCH_DISTANCE)
         pairs += zip([i] * len(near), order[soon[near]].tolist(), squared[near].tolist(), strict=True)
     table = np.array(pairs).reshape(-1, 3)
@@ -93,7 +89,7 @@ def join_probabilities(
     near = np.zeros(shape, dtype=np.bool_)
     for event in chosen:
         weight = float(np.exp(-abs(times[event] - at_s) / decay_s))
-        rows, columns = _places(before, event), _places(after, event)
+        rows, columns = (np.array([one.place(event) for one in run], dtype=np.int64) for run in (before, after))
         i, j = np.flatnonzero(rows >= 0), np.flatnonzero(columns >= 0)
         either[i, :] += weight
         either[:, j] += weight
@@ -132,16 +128,6 @@ def _squared(before: Gaussians, after: Gaussians, i: Integers, j: Integers, most
     # static objects have no velocity to compare: its covariance is zero
     inverse = np.linalg.pinv(spreads[i] + other_spreads[j], hermitian=True)
     out[near] = np.minimum(np.einsum("ka,kab,kb->k", differences, inverse, differences), most)
-    return out
-
-
-def _places(trajectories: Sequence[Trajectory], event: int) -> Integers:
-    """Return where in each trajectory an event is, -1 where it is not."""
-    out = np.full(len(trajectories), -1, dtype=np.int64)
-    for number, trajectory in enumerate(trajectories):
-        place = int(np.searchsorted(trajectory.events, event))
-        if place < len(trajectory.events) and trajectory.events[place] == event:
-            out[number] = place
     return out
 
 

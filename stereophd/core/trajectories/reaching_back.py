@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.trajectories.chain import WholeRun, predicted
+from stereophd.core.trajectories.chain import WholeRun
 from stereophd.core.trajectories.smoothing import Trajectory, extend_back
 
 # An earlier first detection that is less probable than this, next to the track's own, is not looked for.
@@ -76,13 +76,12 @@ def _factors(trajectory: Trajectory, others: Sequence[Trajectory], event: int, r
     if run.looks[event] < 0:
         return nothing
     dt = run.times[[event]] - trajectory.times[0]
-    state, covariance = predicted(run.motion, dt, trajectory.states[:1], trajectory.covariances[:1])
+    state, covariance = run.motion.transition(dt).predict(trajectory.states[:1], trajectory.covariances[:1])
     if not run.in_view(np.array([event]), state)[0]:
         return nothing
     p_detect = run.cameras[run.looks[event]].detector.p_detect
     # odds of each detection over clutter, and those of others: were it not theirs, they would have missed one
-    there = [(other, int(np.searchsorted(other.events, event))) for other in others]
-    there = [(other, k) for other, k in there if k < len(other.events) and other.events[k] == event]
+    there = [(other, k) for other in others if (k := other.place(event)) >= 0]
     states = np.concatenate([state, *(other.states[k : k + 1] for other, k in there)])
     covariances = np.concatenate([covariance, *(other.covariances[k : k + 1] for other, k in there)])
     odds = np.exp(run.gains(event, states, covariances))

@@ -28,6 +28,11 @@ class Trajectory(ArrayRows):
     covariances: Array
     existence: Array  # (k,)
 
+    def place(self, event: int) -> int:
+        """Return where in the trajectory an event is, -1 where it is not."""
+        place = int(np.searchsorted(self.events, event))
+        return place if place < len(self.events) and self.events[place] == event else -1
+
 
 def smooth(trajectory: Trajectory, motion: Motion) -> Trajectory:
     """Return the smoothed trajectory (Rauch, Tung and Striebel 1965) at the same events."""
@@ -55,9 +60,6 @@ def extend_back(
     """
     if existence is None:
         existence = np.full(len(events), trajectory.existence[0])
-    states = np.empty((len(events), 6))
-    covariances = np.empty((len(events), 6, 6))
-    for k, time_s in enumerate(times):
-        transition = motion.transition(float(time_s - trajectory.times[0]))
-        states[k], covariances[k] = transition.predict(trajectory.states[0], trajectory.covariances[0])
-    return Trajectory(trajectory.track_id, events, times, states, covariances, existence).join(trajectory)
+    steps = motion.transition(times - trajectory.times[0])
+    gaussians = steps.predict(trajectory.states[0], trajectory.covariances[0])
+    return Trajectory(trajectory.track_id, events, times, *gaussians, existence).join(trajectory)

@@ -38,7 +38,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.motion.base import Accelerated
-from stereophd.core.trajectories.chain import LEAST_GAIN, NONE, Chain, WholeRun, predicted
+from stereophd.core.trajectories.chain import LEAST_GAIN, NONE, Chain, WholeRun
 
 # Most rounds, and events to either side of a group over which its tracks are compared.
 ROUNDS, REACH = 6, 30
@@ -362,7 +362,7 @@ def _best_cut(one: Chain, other: Chain, width: float) -> tuple[int, float] | Non
     before, after = [], []
     for chain, places in ((one, a), (other, b)):
         (ahead, spreads, _), (behind, widths) = chain.ahead, chain.behind
-        before.append(predicted(chain.run.motion, dt, ahead[places[left]], spreads[places[left]]))
+        before.append(chain.run.motion.transition(dt).predict(ahead[places[left]], spreads[places[left]]))
         after.append((behind[places[right]], widths[places[right]]))
     odds = np.zeros(len(near))
     for sign, k, m in ((1.0, 0, 1), (1.0, 1, 0), (-1.0, 0, 0), (-1.0, 1, 1)):
@@ -377,10 +377,8 @@ def _is_near(one: Chain, a: Integers, other: Chain, b: Integers, width: float) -
     """Whether two tracks at places of each are so near that a prediction over a window may confuse them."""
     reach = np.zeros(len(a))
     for chain, places in ((one, a), (other, b)):
-        dt = np.full(len(places), width)
-        _, spreads = predicted(
-            chain.run.motion, dt, chain.trajectory.states[places], chain.trajectory.covariances[places]
-        )
+        step, track = chain.run.motion.transition(width), chain.trajectory
+        _, spreads = step.predict(track.states[places], track.covariances[places])
         reach += np.sqrt(np.trace(spreads[:, :3, :3], axis1=1, axis2=2))
     apart = np.linalg.norm(one.trajectory.states[a, :3] - other.trajectory.states[b, :3], axis=1)
     return np.asarray(apart <= NEAR * reach)

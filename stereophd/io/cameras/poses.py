@@ -10,6 +10,7 @@ from pydantic import AfterValidator, field_validator, model_validator
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.geometry.rotations import checked_rotation
 from stereophd.core.geometry.trajectory import BodyTrajectory, MountedPath
 from stereophd.core.settings import FINITE, Degrees, DegreesPerSecond, Time, Vector3, parameter
 from stereophd.io.tables.trajectories import read_trajectory, unpack_poses
@@ -25,13 +26,7 @@ ROTATION_TOLERANCE = 1e-5
 def _check_rotation(rows: Any) -> Any:
     """Refuse a matrix that is no rotation."""
     if rows is not None:
-        matrix = np.asarray(rows, dtype=float)
-        defect = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
-        if defect > ROTATION_TOLERANCE or np.linalg.det(matrix) < 0:
-            raise ValueError(
-                "expected a rotation matrix (orthonormal rows, determinant +1), found "
-                f"|R R^T - I| up to {defect:.3g} and determinant {np.linalg.det(matrix):.6g}"
-            )
+        checked_rotation(np.asarray(rows, dtype=float), ROTATION_TOLERANCE)
     return rows
 
 

@@ -84,7 +84,8 @@ def _camera(name: str, intrinsics: _Intrinsics, image: _Image, options: ImportOp
     fisheye = "FISHEYE" in intrinsics.model
     order = ("k1", "k2", "k3", "k4") if fisheye else ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
     coefficients = np.array([values.get(key, 0.0) for key in order])
-    rotation = Rotation.from_quat(image.quaternion, scalar_first=True).as_matrix()
+    with expecting("a quaternion", f"{where}: {name}"):
+        rotation = Rotation.from_quat(image.quaternion, scalar_first=True).as_matrix()
     matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
     parts = Parts(matrix, coefficients, fisheye, rotation, -rotation.T @ image.translation, intrinsics.size)
     return put_together(name, parts, options, where)

@@ -21,10 +21,11 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import rotation_from_vector
+from stereophd.core.geometry.rotations import nearest_rotation
 from stereophd.errors import InputError
 from stereophd.io.documents import expecting
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece, TruePoints
-from stereophd.io.interchange.cameras import Parts, nearest_rotation, put_together
+from stereophd.io.interchange.cameras import Parts, put_together
 from stereophd.io.interchange.fitted import fitted_parts
 
 # Pixels along each axis of the image, and heights of the volume, at which the camera's rays are compared.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from stereophd.core.arrays import Array
+from stereophd.core.geometry.rotations import checked_rotation
 from stereophd.errors import InputError
 from stereophd.io.cameras.models import UNKNOWN_DETECTOR, CameraConfig
 from stereophd.io.interchange.base import ForeignRecording, ImportOptions
@@ -17,8 +18,6 @@ OPENCV_ORDER = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 FISHEYE_ORDER = ("k1", "k2", "k3", "k4")
 # A rotation further than this from orthonormal is another convention or a typing error, not rounding.
 LARGEST_DEFECT = 1e-3
-# The native model accepts this much; beyond, the nearest rotation replaces the matrix.
-SMALL_DEFECT = 1e-9
 
 
 @dataclass(frozen=True)
@@ -63,7 +62,13 @@ def put_together(name: str, parts: Parts, options: ImportOptions, where: str, **
     such as ``clock`` and ``frame_rate_hz``. Raises InputError, naming the camera and the file `where`, for a value that
     is not possible, or a lens model that the native cameras do not have.
     """
-    rotation = checked_rotation(parts.rotation, f"{where}: {name}")
+    rotation = np.asarray(parts.rotation, dtype=np.float64)
+    if rotation.shape != (3, 3) or not np.isfinite(rotation).all():
+        raise InputError(f"{where}: {name}: rotation: expected 3 x 3 finite numbers, found shape {rotation.shape}")
+    try:
+        rotation = checked_rotation(rotation, LARGEST_DEFECT)
+    except ValueError as error:
+        raise InputError(f"{where}: {name}: {error}") from error
     numbers = (*parts.matrix[:2].ravel(), *parts.coefficients, *parts.center)
     if not np.isfinite(numbers).all():
         raise InputError(f"{where}: {name}: expected finite numbers, found NaN or infinity")
@@ -99,27 +104,6 @@ def distortion(coefficients: ArrayLike, fisheye: bool, where: str) -> dict[str, 
         return {"model": "none"}
     stated = {key: float(value) for key, value in zip(order, values, strict=False)}
     return {"model": "fisheye" if fisheye else "brown_conrady", **stated}
-
-
-def checked_rotation(matrix: ArrayLike, where: str) -> Array:
-    """Return a rotation matrix: the one given, or the nearest where it was rounded; InputError if it is none."""
-    rotation = np.asarray(matrix, dtype=np.float64)
-    if rotation.shape != (3, 3) or not np.isfinite(rotation).all():
-        raise InputError(f"{where}: rotation: expected 3 x 3 finite numbers, found shape {rotation.shape}")
-    defect = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    determinant = float(np.linalg.det(rotation))
-    if defect > LARGEST_DEFECT or determinant < 0:
-        raise InputError(
-            f"{where}: rotation: expected orthonormal rows and determinant +1, found |R R^T - I| up to {defect:.3g} "
-            f"and determinant {determinant:.6g}"
-        )
-    return rotation if defect <= SMALL_DEFECT else nearest_rotation(rotation)
-
-
-def nearest_rotation(matrix: Array) -> Array:
-    """Return the rotation that is nearest to a matrix, such as one that was written with few digits."""
-    left, _, right = np.linalg.svd(matrix)
-    return np.asarray(left @ right, dtype=np.float64)
 
 
 def image_size(name: str, stated: ArrayLike | None, options: ImportOptions, where: str) -> tuple[int, int]:

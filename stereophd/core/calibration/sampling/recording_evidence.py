@@ -13,7 +13,6 @@ as in the batch.
 
 import math
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -31,6 +30,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
+from stereophd.core.numerics.threads import in_threads
 
 # False detections a frame below which a lens that cannot be inverted would make the recording impossible.
 LEAST_CLUTTER = 1e-6
@@ -59,10 +59,6 @@ class RecordingEvidence:
         """Number of frames."""
         return len(self.frames)
 
-    @cached_property
-    def _pool(self) -> ThreadPoolExecutor:
-        return ThreadPoolExecutor(self.threads)
-
     def __call__(self, values: Array) -> Array:
         """Return the log-likelihoods (k,) of values (k, m)."""
         return np.asarray(self.after(values, [len(self.frames)])[0])
@@ -73,7 +69,7 @@ class RecordingEvidence:
         def run(row: Array) -> list[float]:
             return self._of_one(row, counts, inflation)
 
-        rows = list(map(run, values) if self.threads == 1 else self._pool.map(run, values))
+        rows = in_threads(run, values, self.threads)
         scale = log_density_of_scale(self.parameters, self.scale_reference, self.scale, values)
         return np.array(rows).reshape(len(values), len(counts)).T + scale
 

@@ -18,6 +18,7 @@ from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.distances.ospa import Ospa, check_parameters, ospa_of_sums
 from stereophd.core.metrics.matching.near_pairs import NearPairs, least_cost, number_tracks
 from stereophd.core.metrics.scans import UNLABELLED, PointSets
+from stereophd.core.numerics.rows import sums_between
 
 # Entries of tables of scans by tracks, objects and couples of them at once, some 20 megabytes in all.
 MOST_ENTRIES = 500_000
@@ -65,7 +66,8 @@ def ospa2_of_windows(
         nearness[near.scan[rows] - begin, couple] = 1.0 - near.ratio[rows]
         ends = np.arange(first, last) - begin + 1
         lives, other_lives, together, gain = (
-            _summed(table, ends, window) for table in (there, other_there, there[:, i] & other_there[:, j], nearness)
+            sums_between(table, np.maximum(ends - window, 0), ends)
+            for table in (there, other_there, there[:, i] & other_there[:, j], nearness)
         )
         # scans that leave the window are subtracted; rounding errors remain where the sum should be zero
         gain = np.clip(gain, 0.0, together)
@@ -96,9 +98,3 @@ def _present(points: PointSets, number: Integers, begin: int, last: int) -> tupl
     there = np.zeros((last - begin, len(names)), dtype=np.bool_)
     there[points.scan[rows] - begin, place] = True
     return names, there
-
-
-def _summed(values: Array | Booleans, ends: Integers, window: int) -> Array:
-    """Return the sums over the windows that end before these rows."""
-    sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-    return np.asarray(sums[ends] - sums[np.maximum(ends - window, 0)])

@@ -9,7 +9,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.metrics.scans import PointSets
-from stereophd.core.numerics.rows import ArrayRows
+from stereophd.core.numerics.rows import ArrayRows, sums_between
 from stereophd.core.numerics.times import SAME_TIME_S
 
 # By default the truth may be interpolated over intervals a little longer than its usual step.
@@ -193,11 +193,6 @@ def fitted_velocities(truth: Truth, max_gap_s: float) -> Array:
 def _slopes(table: Array, low: Integers, high: Integers) -> Array:
     """Return the slopes (n, 3) of columns 1 to 3 over column 0, over rows from `low` to before `high` (n,) each."""
     count = (high - low).astype(np.float64)[:, None]
-
-    def summed(values: Array) -> Array:
-        sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-        return np.asarray(sums[high] - sums[low])
-
-    mean = summed(table) / count
-    products = summed(table[:, :1] * table) / count - mean[:, :1] * mean
+    mean = sums_between(table, low, high) / count
+    products = sums_between(table[:, :1] * table, low, high) / count - mean[:, :1] * mean
     return np.asarray(products[:, 1:] / products[:, :1])

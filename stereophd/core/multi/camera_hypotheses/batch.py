@@ -7,9 +7,7 @@ the same cameras every time.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,6 +19,7 @@ from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births
 from stereophd.core.multi.state.inputs import with_births, with_newborns
 from stereophd.core.multi.state.mixture import GaussianMixture, concatenate, empty_mixture
+from stereophd.core.numerics.threads import in_threads
 
 # Hypotheses that a thread takes at a time: enough to hide the call, few enough to share them out evenly.
 CHUNK = 8
@@ -79,10 +78,6 @@ class FilterBatch:
         if self.template.rig.moving:
             raise ValueError("expected cameras that stand still")
 
-    @cached_property
-    def _pool(self) -> ThreadPoolExecutor:
-        return ThreadPoolExecutor(self.threads)
-
     def init(self, hypotheses: int) -> BatchState:
         """Return the state of k hypotheses before the first event: no objects."""
         nothing = np.zeros(hypotheses, dtype=np.int64)
@@ -112,8 +107,7 @@ class FilterBatch:
                 reduction,
             )  # fmt: skip
 
-        starts = range(0, state.size, CHUNK)
-        results = [run(first) for first in starts] if self.threads == 1 else list(self._pool.map(run, starts))
+        results = in_threads(run, range(0, state.size, CHUNK), self.threads)
         ends = np.cumsum(np.concatenate([counts for counts, _, _ in results]))
         begins = np.concatenate([[0], ends[:-1]])
         label = state.next_label + len(event.points)

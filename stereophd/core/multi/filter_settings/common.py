@@ -2,11 +2,9 @@
 
 from typing import Annotated, Literal
 
-import numpy as np
 from annotated_types import Interval
-from numpy.typing import NDArray
 
-from stereophd.core.disparity.prior import DepthRange, DisparityPrior, check_depth, disparity_moments
+from stereophd.core.disparity.prior import DepthPrior, DepthRange, DisparityPrior
 from stereophd.core.settings import (
     FINITE,
     NOT_NAN,
@@ -38,7 +36,7 @@ WeightThreshold = Annotated[float, Interval(ge=1e-30, le=1e3), FINITE]
 
 
 @settings
-class BirthPrior:
+class BirthPrior(DepthPrior):
     """Observation-driven birth (paper VI-B): every detection may be a new object."""
 
     per_s: BirthRate = parameter(
@@ -78,16 +76,12 @@ class BirthPrior:
 
     def __post_init__(self) -> None:
         if self.has_depth:
-            check_depth(self.disparity, self.depth_range)
+            self.check_depth()
 
     @property
     def has_depth(self) -> bool:
         """Whether a prior of the depth is stated: points need one, the boxes of bodies none."""
         return self.disparity is not None or self.depth_range is not None
-
-    def disparity_moments(self, space: NDArray[np.float64]) -> tuple[float, float]:
-        """Mean and standard deviation of the disparity (px) in a packed space (30,)."""
-        return disparity_moments(self.disparity, self.depth_range, space)
 
 
 @settings

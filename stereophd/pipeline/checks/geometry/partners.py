@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
+from stereophd.core.numerics.rows import sums_between
 from stereophd.pipeline.checks.geometry.rays import GOLDEN_ANGLE, signed_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
 
@@ -75,13 +76,9 @@ def track_motion(sample: CameraSample) -> TrackMotion:
         frames = np.arange(len(track))
         low, high = np.maximum(frames - HALF_WINDOW, 0), np.minimum(frames + HALF_WINDOW + 1, len(track))
         count = (high - low - 1).astype(float)[:, None]
-
-        def windowed(values: Array, low: Integers = low, high: Integers = high) -> Array:
-            sums = np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(values, axis=0)])
-            return np.asarray(sums[high] - sums[low] - values)
-
-        mean = windowed(table) / count
-        products = windowed(table[:, :1] * table) - count * mean[:, :1] * mean
+        mean = (sums_between(table, low, high) - table) / count
+        squares = table[:, :1] * table
+        products = sums_between(squares, low, high) - squares - count * mean[:, :1] * mean
         found.velocity[track] = products[:, 1:] / np.maximum(products[:, :1], 1e-12)
         found.places[track] = mean[:, 1:] + (table[:, :1] - mean[:, :1]) * found.velocity[track]
         found.tracks[track] = index

@@ -200,13 +200,13 @@ def test_long_runs_in_pieces(monkeypatch):
 def test_only_tracks_of_the_window_come_together(monkeypatch):
     """Tracks that never meet cost no memory: tables stay below their bound however long the run is."""
     made = []
-    original = ospa2_module._summed
+    original = ospa2_module.sums_between
 
     def watched(values, *arguments):
         made.append(values.size)
         return original(values, *arguments)
 
-    monkeypatch.setattr(ospa2_module, "_summed", watched)
+    monkeypatch.setattr(ospa2_module, "sums_between", watched)
     scans = 5000
     truth = point_sets([{t // 2: 0.0, 100_000 + t // 3: 50.0} for t in range(scans)])
     tracks = point_sets([{t: 0.0, 100_000 + t: 50.0} for t in range(scans)])
