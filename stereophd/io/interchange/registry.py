@@ -93,11 +93,9 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
 def _assume_metres(recording: ForeignRecording) -> None:
     """Note that metres are assumed, where there are lengths, and warn where cameras would be far from each other."""
     known = [camera.build(name) for name, camera in recording.cameras.items() if not camera.pose.unknown]
-    if not known:
-        return
-    text = "lengths are in metres: neither the file nor `length_unit` names a unit"
-    recording.assumed.append(f"{recording.source}: {text}")
-    centers = np.array([camera.pose.center for camera in known])
+    text = f"{recording.source}: lengths are in metres: neither the file nor `length_unit` names a unit"
+    recording.assumed += [text] if known else []
+    centers = np.array([camera.pose.center for camera in known]).reshape(-1, 3)
     apart = np.linalg.norm(centers[:, None] - centers, axis=2)[np.triu_indices(len(centers), 1)]
     if apart.max(initial=0.0) > MOST_METRES:
         recording.warnings.append(
