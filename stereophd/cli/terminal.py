@@ -147,13 +147,12 @@ def _flags(session: Session) -> set[str]:
 
 def again(session: Session, changes: Collection[str] = ()) -> str:
     """Return the command line again, so that it replaces its outputs, with changes (KEY=VALUE) of what it sets."""
-    keys = tuple(f"{change.partition('=')[0]}=" for change in changes)
-    are_set = [word.removeprefix("--set=").startswith(keys) for word in session.words]
-    words = [
-        word
-        for word, is_set, is_next in zip(session.words, are_set, [*are_set[1:], False], strict=True)
-        if word != "--force" and not is_set and not (word == "--set" and is_next)
-    ]
+    keys, words = tuple(f"{change.partition('=')[0]}=" for change in changes), list[str]()
+    for word in session.words:
+        if word.removeprefix("--set=").startswith(keys):
+            words = words[:-1] if words[-1] == "--set" else words
+        elif word != "--force":
+            words.append(word)
     force = ["--force"] if "--force" in _flags(session) else []
     return shlex.join(["stereophd", *words, *force, *(word for change in changes for word in ("--set", change))])
 
