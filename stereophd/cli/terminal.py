@@ -9,7 +9,7 @@ import shlex
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -137,8 +137,7 @@ def _remedied(session: Session, report: Mapping[str, Any]) -> list[str]:
     warned = [check for check in report.get("checks", ()) if check["status"] == "warning" and check["change"]]
     if not warned or "--set" not in _flags(session):
         return []
-    changes = [word for change in dict.fromkeys(check["change"] for check in warned) for word in ("--set", change)]
-    return ["The same with these remedies:", f"  {again(session, changes)}"]
+    return ["The same with these remedies:", f"  {again(session, dict.fromkeys(check['change'] for check in warned))}"]
 
 
 def _flags(session: Session) -> set[str]:
@@ -146,10 +145,16 @@ def _flags(session: Session) -> set[str]:
     return {flag for option in session.context.command.params for flag in option.opts} if session.context else set()
 
 
-def again(session: Session, changes: Iterable[str] = ()) -> str:
-    """Return the command line again, with further words, so that it replaces its outputs."""
-    words = [word for word in session.words if word != "--force"]
-    return shlex.join(["stereophd", *words, *(["--force"] if "--force" in _flags(session) else []), *changes])
+def again(session: Session, changes: Collection[str] = ()) -> str:
+    """Return the command line again, so that it replaces its outputs, with changes (KEY=VALUE) of what it sets."""
+    keys, words = tuple(f"{change.partition('=')[0]}=" for change in changes), list[str]()
+    for word in session.words:
+        if word.removeprefix("--set=").startswith(keys):
+            words = words[:-1] if words[-1] == "--set" else words
+        elif word != "--force":
+            words.append(word)
+    force = ["--force"] if "--force" in _flags(session) else []
+    return shlex.join(["stereophd", *words, *force, *(word for change in changes for word in ("--set", change))])
 
 
 def print_scored(session: Session, run: Callable[[], Mapping[str, Any]], text: Callable[[Any], str]) -> dict[str, Any]:

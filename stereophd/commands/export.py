@@ -7,7 +7,7 @@ from stereophd.config.loading import read_camera_file
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import CSV, HDF5, PARQUET, kind_of_file
 from stereophd.io.interchange.base import ExportOptions, Format, consulted, refuse_unread
-from stereophd.io.interchange.registry import find, names
+from stereophd.io.interchange.registry import find, find_able, names
 from stereophd.io.outputs.atomic import OutputFolder, atomic_write
 from stereophd.io.outputs.commit import refuse_unsettled
 from stereophd.io.outputs.json_text import REPORT_VERSION
@@ -30,7 +30,7 @@ def export(
     format has no use, and an existing target without `force`.
     """
     options = options or ExportOptions()
-    written = find(form, ("write_tracks", "write_cameras"))
+    written, _ = find_able(form, lambda one: one.write_tracks or one.write_cameras)
     path, target = Path(source), Path(out)
     what, path = _find_source(written, form, path)
     if what == "cameras" and (stated := list(options.plain())):

@@ -21,7 +21,7 @@ from stereophd.io.interchange.base import (
     refuse_other_cameras,
     refuse_unread,
 )
-from stereophd.io.interchange.registry import find, read_foreign
+from stereophd.io.interchange.registry import find_able, read_foreign
 from stereophd.io.interchange.truth import native_truth
 from stereophd.io.logs.reading import LogReader
 from stereophd.io.outputs.atomic import OutputFolder
@@ -66,7 +66,7 @@ def import_recording(
     it, and an unusable output folder.
     """
     options = options or ImportOptions()
-    find(form, ("read",))  # an unknown format is named before a missing source
+    find_able(form, lambda one: one.read)  # an unknown format is named before a missing source
     paths = [Path(source) for source in sources]
     for path in filter(None, (*paths, options.truth)):
         if not path.exists():

@@ -25,6 +25,7 @@ from stereophd.core.geometry.camera import BOX_NOISE
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.errors import InputError
 from stereophd.io.streams.rows import ArrowRows, document_of
+from stereophd.pipeline.checks.finding import is_mistake
 from stereophd.pipeline.initial.bodies import measure_bodies, refine_bodies
 from stereophd.pipeline.initial.draft import _strangers
 from stereophd.pipeline.stream import open_stream
@@ -200,15 +201,23 @@ def test_a_camera_whose_boxes_do_not_agree_is_named(log: Path, tmp_path: Path, r
 def test_cameras_beside_a_wrong_one_are_not_called_wrong(
     monkeypatch: pytest.MonkeyPatch, wrong: str, of: str, named: str
 ) -> None:
-    """By a likelihood that right cameras raise together, and a wrong one lowers with each beside it."""
+    """By a likelihood that right cameras raise together, and a wrong one lowers with each beside it.
 
-    def likelihood(_loaded: object, _parts: object, group: list[int]) -> float:
+    Each is computed once. Where no cameras agree, poses may be guesses, which `calibrate` corrects.
+    """
+    asked = []
+
+    def likelihood(_loaded: object, _parts: object, group: tuple[int, ...]) -> float:
+        asked.append(group)
         pairs = combinations([of[k] for k in group], 2)
         return float(sum(50.0 if not {*pair} & {*wrong} else -100.0 for pair in pairs))
 
     monkeypatch.setattr("stereophd.pipeline.initial.draft._log_likelihood", likelihood)
     loaded = SimpleNamespace(cameras=dict.fromkeys(of))
-    assert [found.camera for found in _strangers(loaded, [])] == [*named]  # type: ignore[arg-type]
+    found = tuple(_strangers(loaded, []))  # type: ignore[arg-type]
+    assert [one.camera for one in found] == [*named]
+    assert {*map(is_mistake, found)} <= {named != of}
+    assert len(asked) == len({*asked})
 
 
 @pytest.mark.usefixtures("without_checks")

@@ -36,7 +36,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
         stated = document.get("metadata", {}).get("length_unit")
         if recording.length_unit is None:
             is_stated = isinstance(stated, str) and options.length_unit is None
-            recording.length_unit = str(stated) if is_stated else unit(options, recording, path.name)
+            recording.length_unit = str(stated) if is_stated else unit(options, recording)
     if options.truth is not None:
         recording.truth = wide_truth(options.truth, "fnum")
     return recording

@@ -68,7 +68,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     with expecting("a COLMAP model", folder):
         intrinsics = dict(_binary_cameras(files[0]) if is_binary else _text_cameras(files[0]))
         images = list(_binary_images(files[1]) if is_binary else _text_images(files[1]))
-    recording.length_unit = unit(options, recording, str(folder))
+    recording.length_unit = unit(options, recording)
     for image in sorted(images, key=lambda item: item.name):
         name = options.name(str(PurePosixPath(image.name).with_suffix("")))
         recording.cameras[name] = _camera(name, intrinsics[image.camera], image, options, str(folder))

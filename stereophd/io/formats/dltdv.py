@@ -155,7 +155,7 @@ def _with_lens(view: _View, stated: Array) -> _View:
 
 def _add_unplaced(views: Sequence[_View], options: ImportOptions, recording: ForeignRecording, where: str) -> None:
     """Add cameras of which the profile is all that is known."""
-    recording.length_unit = unit(options, recording, where)
+    recording.length_unit = unit(options, recording)
     recording.assumed.append("the poses of the cameras are unknown: the sources have no DLT coefficients")
     for view in views:
         assert view.lens is not None
@@ -182,7 +182,7 @@ def _add_cameras(
             "the world is left-handed, and its z axis is reversed; or rows count from the other side (`rows_from` "
             f"{other}), and all tracks would be mirror images, in which rays meet as well"
         )
-    recording.length_unit = unit(options, recording, where)
+    recording.length_unit = unit(options, recording)
     result = []
     for view, camera in zip(views, cameras, strict=True):
         lens = None if options.undistorted else view.lens

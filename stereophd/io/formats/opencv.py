@@ -70,7 +70,7 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     if pair and {"rotation", "translation"} <= pair.keys() and not any("rotation" in c for c in cameras.values()):
         _place_pair(cameras, pair, where, recording)
     stated = pair.get("unit") if options.length_unit is None else None
-    recording.length_unit = str(stated) if stated else unit(options, recording, where)
+    recording.length_unit = str(stated) if stated else unit(options, recording)
     if any("rotation" in values for values in cameras.values()):
         recording.assumed.append("poses map the world to the camera: x_camera = R x_world + T")
     for name, values in cameras.items():

@@ -23,10 +23,11 @@ from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, Impor
 from stereophd.io.logs.checks import repeated_rows
 from stereophd.io.logs.rows import log_schema
 from stereophd.io.tables.writing import TableWriter
-from stereophd.wording import instant
+from stereophd.wording import counted, instant
 
 FRAME, TIME, U, V = range(4)
-WIDTH, LABEL = 4 + len(EXTRA_COLUMNS), 4 + EXTRA_COLUMNS.index("object_id")
+COLUMNS = ("frame", "time_s", "u_px", "v_px", *EXTRA_COLUMNS)
+WIDTH, LABEL = len(COLUMNS), COLUMNS.index("object_id")
 # Rows of a piece of a temporary file.
 PIECE_ROWS = 65536
 # Largest number of a frame, or of an object: beyond it not every whole number is a float.
@@ -45,6 +46,9 @@ class Spool:
     has_frames: bool = True
     has_whole_times: bool = True
     has_times: bool = False
+    # `half`, `first_half`: Rows with one coordinate, which are bad ones of the log, too, and the place of the first.
+    half: int = 0
+    first_half: str = ""
     extra: set[str] = field(default_factory=set)  # Extra columns that have a value in some row
 
     def discard(self) -> None:
@@ -67,11 +71,11 @@ def spool_pieces(recording: ForeignRecording, folder: Path, options: ImportOptio
             is_low = piece.extra["score"] < options.least_score
             gaps = {name: np.where(is_low, np.nan, values) for name, values in piece.extra.items()}
             piece = replace(piece, pixels=np.where(is_low[:, None], np.nan, piece.pixels), extra=gaps)
-        _append(spool, piece)
+        _append(spool, piece, f"{recording.source}: camera {piece.camera}")
     return spools
 
 
-def _append(spool: Spool, piece: Piece) -> None:
+def _append(spool: Spool, piece: Piece, where: str) -> None:
     count = len(piece.pixels)
     rows = np.full((count, WIDTH), np.nan)
     if piece.frame is not None:
@@ -80,27 +84,26 @@ def _append(spool: Spool, piece: Piece) -> None:
         rows[:, TIME] = piece.time_s
     rows[:, U : V + 1] = piece.pixels
     if np.isinf(rows[:, U : V + 1]).any():
-        raise InputError(f"camera {piece.camera}: expected finite pixels, found infinity")
+        raise InputError(f"{where}: expected finite pixels, found infinity")
     for name, values in piece.extra.items():
-        rows[:, 4 + EXTRA_COLUMNS.index(name)] = values
+        rows[:, COLUMNS.index(name)] = values
         if not np.isnan(values).all():
             spool.extra.add(name)
     identities = rows[:, LABEL]
     if (np.abs(identities[~np.isnan(identities)]) > MAX_FRAME).any():
-        raise InputError(f"camera {piece.camera}: expected whole identities of objects, found one beyond 2^53")
+        raise InputError(f"{where}: expected whole identities of objects, found one beyond 2^53")
     spool.has_frames &= piece.frame is not None
     spool.has_times |= bool(np.isfinite(rows[:, TIME]).any())
     spool.has_whole_times &= bool((rows[:, TIME] % 1.0 == 0.0).all())
     what, at = ("frame number", FRAME) if spool.has_frames else ("time", TIME)
     key: Array = rows[:, at]
     if not np.isfinite(key).all():
-        raise InputError(f"camera {piece.camera}: expected {what}s, found a row without one")
+        raise InputError(f"{where}: expected {what}s, found a row without one")
     if len(half := np.flatnonzero(np.isnan(piece.pixels).sum(axis=1) == 1)):
-        where = f"camera {piece.camera}, {what} {key[half[0]]:.12g}"
-        raise InputError(f"{where}: expected u and v, or neither in a frame without detections, found one of them")
+        spool.half, spool.first_half = spool.half + len(half), spool.first_half or f"{what} {key[half[0]]:.12g}"
     broken = key[(key % 1.0 != 0.0) | (np.abs(key) > MAX_FRAME)]
     if spool.has_frames and len(broken):
-        raise InputError(f"camera {piece.camera}: expected whole frame numbers, found {broken[0]:g}")
+        raise InputError(f"{where}: expected whole frame numbers, found {broken[0]:g}")
     spool.in_order &= bool(key[0] >= spool.last and (np.diff(key) >= 0).all())
     spool.last = float(key[-1])
     spool.rows += count
@@ -168,7 +171,7 @@ def write_native_log(
     spools = spool_pieces(recording, folder, options)
     try:
         if not spools:
-            raise InputError(f"{next(iter(recording.files), 'the source')}: expected detections, found none")
+            raise InputError(f"{recording.source}: expected detections, found none")
         extra = [name for name in EXTRA_COLUMNS if any(name in spool.extra for spool in spools.values())]
         if "score" in extra and options.least_score is None:
             recording.assumed.append("scores (likelihoods) are not used: `least_score` leaves out what has a lower one")
@@ -192,11 +195,17 @@ class _Camera:
         self, name: str, spool: Spool, recording: ForeignRecording, options: ImportOptions, summary: CameraSummary
     ) -> None:
         self._name, self._spool, self._summary = name, spool, summary
+        self._where = where = f"{recording.source}: camera {name}"
         summary.has_whole_times = spool.has_whole_times
+        if spool.half:
+            recording.warnings.append(
+                f"{where}: {counted(spool.half, 'row')} with one of u and v, the first at {spool.first_half}: correct "
+                "the source, or let runs drop such rows (input.on_bad_row: drop)"
+            )
         stated = options.rates.get(name)
         self._rate = stated if stated is not None else recording.rates.get(name)
         if self._rate is not None and not 0.0 < self._rate < math.inf:
-            raise InputError(f"rate of camera {name}: expected frames per second > 0, found {self._rate:g}")
+            raise InputError(f"{where}: rate: expected frames per second > 0, found {self._rate:g}")
         self._is_rate_stated, self._is_timed_by_rate = stated is not None, False
         self._untimed = recording.untimed
         if spool.has_times and stated is not None:
@@ -204,7 +213,7 @@ class _Camera:
         self._first_frame, self._offset = recording.first_frame, options.offsets.get(name) or 0.0
         self._range = options.frames.get(name) or recording.frames.get(name)
         if self._range is not None and self._range[1] - self._range[0] > MOST_FRAMES:
-            raise InputError(f"frames of camera {name}: expected at most {MOST_FRAMES}, found up to {self._range[1]}")
+            raise InputError(f"{where}: frames: expected at most {MOST_FRAMES}, found up to {self._range[1]}")
         self._fill = options.fill and not recording.lists_frames
         if not spool.has_frames and (unused := [key for key in ("rates", "frames") if getattr(options, key).get(name)]):
             raise InputError(f"`{unused[0]}`: expected frame numbers of camera {name}, found times only")
@@ -263,7 +272,7 @@ class _Camera:
             key = rows[:, FRAME] if self._spool.has_frames else rows[:, TIME]
             complete = int(np.searchsorted(key, key[-1], side="left"))
             carry = rows[complete:]
-            check_instant(len(carry), float(key[-1]), f"camera {self._name}")
+            check_instant(len(carry), float(key[-1]), self._where)
             if complete:
                 yield self._finished(rows[:complete], is_last=False)
         assert carry is not None
@@ -272,7 +281,7 @@ class _Camera:
     def _finished(self, rows: Array, is_last: bool) -> Array:
         rows = self._timed(rows.copy())
         if LARGEST_TIME_S < (largest := float(np.abs(rows[:, TIME]).max())) < math.inf:
-            raise InputError(f"camera {self._name}: expected times in seconds, found {largest:.4g}")
+            raise InputError(f"{self._where}: expected times in seconds, found {largest:.4g}")
         count = len(rows)
         rows = rows[~repeated_rows(rows[:, FRAME], rows[:, U : V + 1], np.arange(count))]
         self._summary.duplicate_rows += count - len(rows)
@@ -309,7 +318,7 @@ class _Camera:
             untimed = rows[~np.isfinite(rows[:, TIME]), FRAME]
             found = f"frame {untimed[0]:.0f} without a time" if self._spool.has_times else "frame numbers only"
             raise InputError(
-                f"camera {self._name}: expected times or `rates` (frames per second), found {found}{self._untimed}"
+                f"{self._where}: expected times or `rates` (frames per second), found {found}{self._untimed}"
             )
         _, starts, index = np.unique(rows[:, FRAME], return_index=True, return_inverse=True)
         rows[:, TIME] = rows[starts[index], TIME] + self._offset
@@ -318,7 +327,7 @@ class _Camera:
         if len(bad):
             later = rows[starts[bad[0]]]
             raise InputError(
-                f"camera {self._name}: expected times that increase with the frame number, found "
+                f"{self._where}: expected times that increase with the frame number, found "
                 f"{instant(later[TIME], 9)} s at frame {later[FRAME]:.0f}, not after the frame before"
             )
         return rows
@@ -338,7 +347,7 @@ class _Camera:
         count = (last - first) / self._stride + 1
         if count > max(LARGEST_GROWTH * len(frames), FEW_FRAMES):
             raise InputError(
-                f"camera {self._name}: expected frame numbers that count frames, found {first:.0f} to {last:.0f} "
+                f"{self._where}: expected frame numbers that count frames, found {first:.0f} to {last:.0f} "
                 f"for {len(frames)} frames with detections"
             )
         # counted from a frame that exists: the stated range may begin between two multiples
@@ -363,16 +372,16 @@ class _Camera:
         elif self._rate is not None:
             period = 1.0 / self._rate
         else:
-            raise InputError(f"camera {self._name}: expected a rate, or frames at two times, to time empty frames")
+            raise InputError(f"{self._where}: expected a rate, or frames at two times, to time empty frames")
         result = np.where(missing < frames[0], times[0] + (missing - frames[0]) * period, result)
         return np.where(missing > frames[-1], times[-1] + (missing - frames[-1]) * period, result)
 
     def _summarise(self, rows: Array) -> None:
         summary = self._summary
-        is_empty = np.isnan(rows[:, U])
+        coordinates = np.isfinite(rows[:, U : V + 1]).sum(axis=1)
         summary.frames += len(np.unique(rows[:, FRAME]))
-        summary.empty_frames += int(is_empty.sum())
-        summary.detections += int((~is_empty).sum())
+        summary.empty_frames += int((coordinates == 0).sum())
+        summary.detections += int((coordinates == 2).sum())
         summary.first_s = float(rows[0, TIME]) if summary.first_s is None else summary.first_s
         summary.last_s = float(rows[-1, TIME])
         summary.in_unit_square += int(((rows[:, U : V + 1] >= 0.0) & (rows[:, U : V + 1] <= 1.0)).all(axis=1).sum())
@@ -403,16 +412,13 @@ def _merged(streams: Sequence[Iterator[Array]]) -> Iterator[tuple[NDArray[np.int
 
 def _columns(index: NDArray[np.int64], rows: Array, names: Sequence[str], extra: Sequence[str]) -> dict[str, Any]:
     """Return rows as the columns of a log."""
-    is_empty = np.isnan(rows[:, U])
     columns: dict[str, Any] = {
         "time_s": rows[:, TIME].copy(),
         "camera": [names[k] for k in index.tolist()],
         "frame": rows[:, FRAME].astype(np.int64),
-        "u_px": np.ma.masked_array(np.where(is_empty, 0.0, rows[:, U]), mask=is_empty),
-        "v_px": np.ma.masked_array(np.where(is_empty, 0.0, rows[:, V]), mask=is_empty),
     }
-    for name in extra:
-        values = rows[:, 4 + EXTRA_COLUMNS.index(name)]
+    for name in ("u_px", "v_px", *extra):
+        values = rows[:, COLUMNS.index(name)]
         mask = np.isnan(values)
         kind = np.int64 if name == "object_id" else np.float64
         columns[name] = np.ma.masked_array(np.where(mask, 0, values).astype(kind), mask=mask)

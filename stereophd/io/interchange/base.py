@@ -70,6 +70,11 @@ class ForeignRecording:
     first_frame: int = 0  # Number of a frame at time 0, for times by rate
     untimed: str = ""  # Where a table has no times: how to name the column that has them
 
+    @property
+    def source(self) -> str:
+        """The names of its files, for messages."""
+        return ", ".join(map(str, self.files)) or "the source"
+
 
 Reader = Callable[[Sequence[Path], ImportOptions], ForeignRecording]
 #: Writes tracks (a native file) to a path, and returns sentences about what the format cannot hold.

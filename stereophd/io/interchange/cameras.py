@@ -117,10 +117,7 @@ def image_size(name: str, stated: ArrayLike | None, options: ImportOptions, wher
     return sizes[0]
 
 
-def unit(options: ImportOptions, recording: ForeignRecording, of: str) -> str:
-    """Return the unit of length of a source that names none: the user's, else metres, which is noted as assumed."""
-    if options.length_unit is not None:
-        return options.length_unit
-    recording.unit_is_assumed = True
-    recording.assumed.append(f"{of}: lengths are in metres: neither the file nor `length_unit` names a unit")
-    return "m"
+def unit(options: ImportOptions, recording: ForeignRecording) -> str:
+    """Return the unit of length of a source that names none: the user's, else metres, which are then assumed."""
+    recording.unit_is_assumed = options.length_unit is None
+    return options.length_unit or "m"

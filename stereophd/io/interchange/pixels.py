@@ -36,7 +36,7 @@ def point_rows(camera: str, frames: Array, points: Array, scores: Array | None) 
     Frame numbers are (n,), native pixels (n, points, 2), NaN where a point is not seen, scores (n, points). The number
     of a point is its ``object_id``.
     """
-    is_seen = np.isfinite(points[:, :, 0]) & np.isfinite(points[:, :, 1])
+    is_seen = np.isfinite(points[:, :, 0]) | np.isfinite(points[:, :, 1])  # one coordinate alone makes a bad row
     frame_index, point_index = np.nonzero(is_seen)
     empty = np.flatnonzero(~is_seen.any(axis=1))
     number = np.concatenate([frames[frame_index], frames[empty]])

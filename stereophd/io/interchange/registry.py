@@ -4,8 +4,9 @@ Every error of a reader in a malformed file becomes an `InputError`.
 """
 
 import contextlib
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from stereophd.io.interchange.documents.toml_cameras import read_toml
 from stereophd.io.logs.rows import REQUIRED
 from stereophd.plugins import import_member, module_names
 
+Ability = TypeVar("Ability")
+
 PACKAGE = "stereophd.io.formats"
 # Cameras that are farther from each other were probably calibrated in another unit than metres, which are assumed.
 MOST_METRES = 200.0
@@ -28,17 +31,22 @@ def names() -> list[str]:
     return list(module_names(PACKAGE))
 
 
-def find(name: str, able: Sequence[str] = ()) -> Format:
-    """Return a format by its name: one that is `able`, by one of these fields (``read``, ``write_tracks``, ...).
+def find(name: str) -> Format:
+    """Return a format by its name; InputError when there is none."""
+    return find_able(name, lambda form: form)[0]
 
-    Raises InputError when there is none, and lists those that are.
+
+def find_able(name: str, ability: Callable[[Format], Ability | None]) -> tuple[Format, Ability]:
+    """Return a format by its name, and what it is able to do, such as its reader.
+
+    Raises InputError when there is none that is, and lists those that are.
     """
     known = names()
     if name in known:
         form: Format = import_member(PACKAGE, name).FORMAT
-        if not able or any(getattr(form, key) is not None for key in able):
-            return form
-    known = [word for word in known if not able or any(getattr(find(word), key) is not None for key in able)]
+        if (able := ability(form)) is not None:
+            return form, able
+    known = [word for word in known if ability(import_member(PACKAGE, word).FORMAT) is not None]
     raise InputError(f"format: expected one of {', '.join(known)}, found {name}{did_you_mean(name.lower(), known)}")
 
 
@@ -65,9 +73,7 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
     Raises InputError for no such format, one for export only, or files that are not of it (also while the pieces are
     consumed).
     """
-    found = find(form, ("read",))
-    read = found.read
-    assert read is not None
+    found, read = find_able(form, lambda one: one.read)
     for source in sources:
         if kind_of_file(source) != PARQUET:
             continue
@@ -78,15 +84,17 @@ def read_foreign(form: str, sources: Sequence[Path], options: ImportOptions) -> 
     with _reading(form, sources):
         recording = read(sources, options)
     if recording.unit_is_assumed:
-        _doubt_metres(recording)
+        _assume_metres(recording)
     if recording.pieces is not None:
         recording.pieces = _pieces(recording.pieces, form, sources)
     return recording
 
 
-def _doubt_metres(recording: ForeignRecording) -> None:
-    """Add a warning where metres are assumed, and cameras would be far from each other."""
+def _assume_metres(recording: ForeignRecording) -> None:
+    """Note that metres are assumed, where there are lengths, and warn where cameras would be far from each other."""
     known = [camera.build(name) for name, camera in recording.cameras.items() if not camera.pose.unknown]
+    text = f"{recording.source}: lengths are in metres: neither the file nor `length_unit` names a unit"
+    recording.assumed += [text] if known else []
     centers = np.array([camera.pose.center for camera in known]).reshape(-1, 3)
     apart = np.linalg.norm(centers[:, None] - centers, axis=2)[np.triu_indices(len(centers), 1)]
     if apart.max(initial=0.0) > MOST_METRES:

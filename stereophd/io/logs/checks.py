@@ -180,7 +180,7 @@ def repeated_rows(frames: Array | Integers, pixels: Array, number: Integers) -> 
     # one sort puts equal pixels of a frame side by side, NaN last, lower numbers first
     order = np.lexsort((number, pixels[:, 1], pixels[:, 0], frames))
     before, after = order[:-1], order[1:]
-    alike = np.isnan(pixels[after, 0]) | (pixels[after] == pixels[before]).all(axis=1)
+    alike = np.isnan(pixels[after]).all(axis=1) | (pixels[after] == pixels[before]).all(axis=1)
     repeated = np.zeros(len(order), dtype=bool)
     repeated[after] = alike & (frames[after] == frames[before])
     return repeated

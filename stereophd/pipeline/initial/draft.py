@@ -7,6 +7,7 @@ acceleration, its tracks give depths, speeds and births, and its residuals the d
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -198,20 +199,25 @@ def _strangers(loaded: LoadedConfig, parts: list[list[Event]]) -> Iterator[Findi
 
     The rays of boxes miss by too much to tell wrong clocks, and a noise that is estimated from boxes that do not agree
     would hide them: the cameras have the usual one. Beside a wrong camera the others do not agree with it either, so
-    that one after the other is taken out, of which this is most probable; of two it may be either.
+    that one after the other is taken out, of which this is most probable; of two it may be either. Where none agrees
+    with another, poses are no better than guesses, as where no rays of points meet.
     """
-    names, alike = list(loaded.cameras), list(range(len(loaded.cameras)))
+    names, alike, strange = list(loaded.cameras), list(range(len(loaded.cameras))), dict[int, float]()
+    likelihood = cache(lambda *group: _log_likelihood(loaded, parts, group))
     while len(alike) > 1:
-        rest = {k: [other for other in alike if other != k] for k in alike}
-        apart = [_log_likelihood(loaded, parts, [k]) + _log_likelihood(loaded, parts, rest[k]) for k in alike]
-        gain, worst = _log_likelihood(loaded, parts, alike) - max(apart), alike[apart.index(max(apart))]
+        apart = {k: likelihood(k) + likelihood(*(other for other in alike if other != k)) for k in alike}
+        worst = max(alike, key=lambda k: apart[k])
+        gain = likelihood(*alike) - apart[worst]
         if gain > -BELIEVED:
-            return
-        for k in [*alike] if len(alike) == 2 else [worst]:
-            text = f"{names[k]}: its boxes are more probably (by {-gain:,.0f} of the logarithm) of objects of its own"
-            remedy = "check its frame rate, clock and pose"
-            yield Finding("geometry.boxes", "warning", text, round(gain, 1), 0.0, names[k], remedy, "boxes_disagree")
-            alike.remove(k)
+            break
+        strange |= dict.fromkeys(alike if len(alike) == 2 else [worst], gain)
+        alike = [k for k in alike if k not in strange]
+    remedy, cause = (
+        ("check its frame rate, clock and pose", "boxes_disagree") if alike else (CHECK_CAMERAS, DO_NOT_MEET)
+    )
+    for k, gain in strange.items():
+        text = f"{names[k]}: its boxes are more probably (by {-gain:,.0f} of the logarithm) of objects of its own"
+        yield Finding("geometry.boxes", "warning", text, round(gain, 1), 0.0, names[k], remedy, cause)
 
 
 def _with_cameras(draft: Draft, cameras: tuple[Camera, ...], unknown: Collection[str], estimate: bool = False) -> Draft:

@@ -14,6 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from stereophd.errors import InputError
+from stereophd.io.interchange.pixels import point_rows
 
 from .conftest import log_rows
 
@@ -169,15 +170,25 @@ def test_a_large_unsorted_table_is_merged_in_order(
             assert report["cameras"][camera]["frames"] == len(frames)
 
 
+def test_rows_with_one_coordinate_are_bad_rows_of_the_log(tmp_path: Path, imported: Import) -> None:
+    """One of them refused the whole import, and nothing let a user go on."""
+    text = "time,u,v\n0,1,2\n1,4,\n2,,\n3,,5\n3,,\n3,,5\n4,1,2\n"
+    report, out = imported("csv", write(tmp_path / "half.csv", text))
+    (warning,) = [text for text in report["warnings"] if "one of u and v" in text]
+    assert "half.csv: camera half: 3 rows with one of u and v, the first at time 1: " in warning
+    assert [row[3:] for row in log_rows(out / "detections.parquet")] == [
+        (1.0, 2.0), (4.0, None), (None, None), (None, 5.0), (None, 5.0), (1.0, 2.0)
+    ]  # fmt: skip
+    assert [report["cameras"]["half"][key] for key in ("detections", "empty_frames", "duplicate_rows")] == [2, 1, 1]
+
+
 @pytest.mark.parametrize(
     ("text", "stated", "message"),
     [
         ("a,b\n1,2\n", {}, "expected columns for u_px, v_px, time_s or frame, found a, b"),
         ("u,v\n1,2\n", {}, "expected columns for time_s or frame"),
-        ("frame,u,v\n1,2,3\n", {}, "expected times or `rates`"),
+        ("frame,u,v\n1,2,3\n", {}, "bad.csv: camera bad: expected times or `rates`"),
         ("frame,t,u,v\n1,0.1,2,3\n7,nan,2,3\n", {}, "found frame 7 without a time"),
-        ("frame,t,u,v\n6,0.1,2,nan\n", {}, "camera bad, frame number 6: expected u and v, or neither"),
-        ("t,u,v\n0.25,,3\n", {}, "camera bad, time 0.25: expected u and v, or neither"),
         ("frame,u,v\n1.5,2,3\n", {"rates": 1.0}, "expected whole frame numbers, found 1.5"),
         ("frame,u,v\n1,2,x\n", {"rates": 1.0}, "invalid value 'x'"),
         ("frame,u,v\n0,1,1\n1,1,1\n1000000000000,1,1\n", {"rates": 1.0}, "expected frame numbers that count frames"),
@@ -353,3 +364,11 @@ def test_a_truth_as_parquet_of_own_columns_is_read(tmp_path: Path, imported: Imp
     _, out = imported("csv", tmp_path / "a.csv", truth=tmp_path / "points.parquet")
     found = pq.read_table(out / "truth.parquet").to_pylist()
     assert found == [{"time_s": 0.0, "object_id": 3, "x": 1.0, "y": 2.0, "z": 3.0}]
+
+
+def test_a_point_with_one_coordinate_is_a_bad_row_in_every_format() -> None:
+    """Formats of points took it for one that is not seen, in silence."""
+    points = np.array([[[1.0, 2.0], [3.0, np.nan]], [[np.nan, np.nan], [np.nan, np.nan]]])
+    piece = point_rows("left", np.array([4.0, 5.0]), points, None)
+    np.testing.assert_array_equal(piece.pixels, [[1.0, 2.0], [3.0, np.nan], [np.nan, np.nan]])
+    np.testing.assert_array_equal(piece.frame, [4.0, 4.0, 5.0])

@@ -15,6 +15,7 @@ from stereophd.io.cameras.models import CameraConfig
 from stereophd.io.formats.opencv import read, recognises_cameras
 from stereophd.io.interchange.base import ImportOptions, PerCamera
 from stereophd.io.interchange.cameras import take_apart
+from stereophd.io.interchange.registry import read_foreign
 
 from .conftest import SIZES, assert_same_cameras, rig, round_trip
 
@@ -49,7 +50,7 @@ def test_what_opencv_writes_is_read(tmp_path: Path, name: str, vector: bool) -> 
     recording = read([path], ImportOptions())
     assert_same_cameras(recording.cameras, rig())
     assert recording.length_unit == "m"
-    assert any("metres" in sentence for sentence in recording.assumed)
+    assert recording.unit_is_assumed
 
 
 @pytest.mark.parametrize("fisheye", [False, True])
@@ -176,6 +177,9 @@ def test_without_any_pose_they_are_unknown(tmp_path: Path, board: dict[str, obje
     assert (camera.build("left").fy, camera.build("left").lens.k1) == (510.0, -0.1)
     assert any("left: its pose is unknown" in text for text in recording.assumed)
     assert not any("poses map" in text for text in recording.assumed)
+    told = read_foreign("opencv", [tmp_path / "left.json"], ImportOptions()).assumed
+    assert any("pose is unknown" in text for text in told)
+    assert not any("lengths are" in text for text in told)
 
 
 def test_native_cameras_are_not_taken_for_opencv(tmp_path: Path) -> None:

@@ -90,19 +90,15 @@ def best_explanation(
     finalists = [trial for trial in trials if id(trial) in chosen]
     if not clocks_only:
         scope = best_first[0][0].scope[:FINALISTS] if best_first else _least_met(geometry)[:1]
-        finalists += [_pose_trial(geometry, camera) for camera in scope]
-    tried = sum(steps if trial.cause == "clock_offset" else 1 for trial in trials)
+        finalists += [trial for camera in scope if (trial := _pose_trial(geometry, camera)) is not None]
+    tried = sum(1 if trial.samples is None else steps for trial in trials)
     least = NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried, 1))
-    found = [
-        one
-        for one in (trial.explain(geometry, tolerances) for trial in finalists)
-        if one is not None and one.certainty >= least and one.is_decisive
-    ]
-    if not found:
-        return None
-    best = max(one.met.excess for one in found)
+    explained = (trial.explain(geometry, tolerances) for trial in finalists)
+    found = [one for one in explained if one is not None and one.is_decisive(least)]
+    best = max((one.met.excess for one in found), default=0.0)
     # of those that explain as much the first that meets most sharply: the list begins with the likely ones
-    return min((one for one in found if one.met.excess >= best - 0.03), key=lambda one: one.met.tolerance)
+    alike = sorted((one for one in found if one.met.excess >= best - 0.03), key=lambda one: one.met.tolerance)
+    return next((one for one in alike[:1] if _is_confirmed(one, geometry, tolerances, least)), None)
 
 
 def _affordable(pair: Candidates, count: int, tables: int) -> int:
@@ -168,11 +164,11 @@ class Explanation:
     # between correlated proportions or percentages", 1947).
     certainty: float
 
-    @property
-    def is_decisive(self) -> bool:
-        """Whether far more rays meet with the change."""
+    def is_decisive(self, least: float) -> bool:
+        """Whether far more rays meet with the change, at the `least` certainty."""
         met, given = self.met, self.given.excess
-        return met.excess >= max(given + LEAST_GAIN, LEAST_RATIO * given) and met.score >= LEAST_SCORE
+        is_more = met.excess >= max(given + LEAST_GAIN, LEAST_RATIO * given) and met.score >= LEAST_SCORE
+        return is_more and self.certainty >= least
 
 
 def _mean(meetings: list[Meeting]) -> Meeting:
@@ -213,8 +209,8 @@ def _trial(geometry: Geometry, alternative: Alternative, scope: tuple[int, ...])
     return Trial(scope, alternative.cause, alternative.text, alternative.remedy, views)
 
 
-def _pose_trial(geometry: Geometry, camera: int) -> Trial:
-    """Return the trial of another pose of one camera: what errors of several kinds, too, may pass for.
+def _pose_trial(geometry: Geometry, camera: int) -> Trial | None:
+    """Return the trial of another pose of one camera: what errors of several kinds may pass for; None without rays.
 
     A mistake that a pose explains better is none. The pose is the one at which rays miss each other least, those of a
     detection and of the nearest one of another camera; far misses count less and less.
@@ -244,6 +240,8 @@ def _pose_trial(geometry: Geometry, camera: int) -> Trial:
     from scipy.optimize import least_squares  # costly to import, and seldom needed
 
     by = min(turns, key=lambda turn: float(np.log1p((misses(turn) / POSE_SCALES[0]) ** 2).sum()))
+    if (misses(by)[len(by) :] == FARTHEST).all():  # as of cameras at one place
+        return None
     for scale in POSE_SCALES:
         by = least_squares(misses, by, loss="cauchy", f_scale=scale, max_nfev=POSE_STEPS).x
     text = (
@@ -251,6 +249,26 @@ def _pose_trial(geometry: Geometry, camera: int) -> Trial:
         "poses seem to be off, or clocks and lenses"
     )
     return Trial((camera,), DO_NOT_MEET, text, CHECK_CAMERAS, views(by))
+
+
+def _is_confirmed(found: Explanation, geometry: Geometry, tolerances: tuple[float, ...], least: float) -> bool:
+    """Whether a pose, if it is one, that is fitted to every other quarter of the log explains the others, too.
+
+    Six numbers explain some of the detections that they are fitted to in any case.
+    """
+    if found.trial.cause != DO_NOT_MEET:
+        return True
+    samples, (camera,) = geometry.samples, found.trial.scope
+    ends = np.quantile(samples[camera].times, (0.25, 0.5, 0.75))
+
+    def quarters(first: int) -> Geometry:
+        among = [np.searchsorted(ends, sample.times)[sample.frame_of] % 2 == first for sample in samples]
+        pairs = (candidates(samples, p.a, p.b, among=np.flatnonzero(among[p.a])) for p in geometry.pairs)
+        return geometry.with_pairs(tuple(filter(None, pairs)), tolerances)
+
+    trial = _pose_trial(quarters(0), camera)
+    explained = None if trial is None else trial.explain(quarters(1), tolerances)
+    return explained is not None and explained.is_decisive(least)
 
 
 def usable_clocks(geometry: Geometry) -> list[int]:
