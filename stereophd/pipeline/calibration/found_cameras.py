@@ -30,7 +30,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
 from stereophd.core.numerics.random_streams import CAMERA_DISCOVERY
 from stereophd.errors import InputError
-from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, pmb_filter, tracked_frames
+from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, pmb_filter
 from stereophd.pipeline.calibration.unknowns import calibration_section
 from stereophd.pipeline.control import alignment_report
 from stereophd.pipeline.stream import covered, open_stream
@@ -153,7 +153,7 @@ def with_found_cameras(
     )
     limit.begin("one-camera tracks are made")
     recording = _read(loaded, cameras, log_path)
-    scans = Scans.of(recording, cameras, tracked_frames(recording, MOST_SEARCHED))
+    scans = Scans.of(recording, cameras, recording.spread(MOST_SEARCHED / max(len(recording.cameras), 1)))
     tracks = one_camera_tracks(pmb_filter(_placed(loaded, cameras), cameras), scans, section.annealed)
     views = [_view(loaded, section, camera) for camera in cameras]
     reference = [camera.name for camera in cameras].index(section.reference)

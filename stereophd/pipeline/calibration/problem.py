@@ -20,7 +20,7 @@ from stereophd.core.calibration.adjustment.track_moves import TrackMoves
 from stereophd.core.calibration.annealing.control import World, WorldControl
 from stereophd.core.calibration.annealing.fits import HistoryRow
 from stereophd.core.calibration.annealing.method import SAID_FACTOR, Remark
-from stereophd.core.calibration.annealing.task import Fit, Task
+from stereophd.core.calibration.annealing.task import Fit, Task, parts_of
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
@@ -53,7 +53,7 @@ class CalibrationProblem:
 
     parameters: ParameterSet
     reference: int  # Index of the reference camera
-    recording: Recording  # The log, or every n-th frame of each camera of a long one
+    recording: Recording  # The log
     scale: ScaleMeasurement | None  # A known baseline
     counts: dict[str, int]  # Counts of the log, as in ``report.json``
     remarks: tuple[Remark, ...] = ()  # What of the configuration the log replaces
@@ -62,7 +62,8 @@ class CalibrationProblem:
 
     def frames(self, most: int | None = None) -> NDArray[np.int64]:
         """Return the frames of the recording, at most about `most`."""
-        return np.arange(len(self.recording.cameras)) if most is None else tracked_frames(self.recording, most)
+        count = len(self.recording.cameras)
+        return self.recording.spread(1.0 if most is None else most / max(count, 1))
 
     def scans(self, most: int | None = None) -> Scans:
         """Return the events by the cameras of the prior mean, at most about `most`."""
@@ -164,9 +165,6 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str, is_placed: bool = T
         _check_overlap(parameters, recording, log_path)
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
     _check_method(loaded, parameters)
-    if (section := calibration_section(loaded)).method == "annealed":
-        recording = recording.thinned(section.annealed.max_detections)
-    counts["frames_used"] = len(recording.cameras)
     return CalibrationProblem(
         parameters, reference, recording, scale, counts, remarks, build_control(loaded, cameras), stream.has_noise
     )
@@ -283,24 +281,30 @@ def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | 
             )
 
 
-def tracked_frames(recording: Recording, most: int) -> NDArray[np.int64]:
-    """Return every n-th frame of each camera, so that at most about `most` remain."""
-    return recording.every(len(recording.cameras) / most)
+def part_used(problem: CalibrationProblem, task: Task) -> dict[str, Any]:
+    """Return how much of the log a task tracks and fits, and the setting that limits it, for the report."""
+    part, frames, detections = task.recording, len(problem.recording.cameras), len(problem.recording.pixels)
+    is_whole = len(task.frames) == frames
+    of_frames = task.settings.max_events / max(frames, 1) < task.settings.max_detections / max(detections, 1)
+    return {
+        "frames_tracked": len(task.frames), "frames_used": len(part.cameras), "detections_used": len(part.pixels),
+        "limited_by": None if is_whole else f"calibration.annealed.max_{'events' if of_frames else 'detections'}",
+    }  # fmt: skip
 
 
 def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: CalibrationProblem) -> Task:
-    """Return what every start of method annealed works on."""
-    settings = section.annealed
-    return Task.of(
-        problem.parameters,
-        problem.reference,
-        pmb_filter(loaded, problem.parameters.cameras),
-        problem.recording,
-        tracked_frames(problem.recording, settings.max_events),
-        problem.scale,
-        settings,
-        build_stages(loaded, problem.parameters),
-    )
+    """Return what every start of method annealed works on: of a long log the part that shows most of its objects.
+
+    Instants that are spread over the log show objects that stay, stretches at the full rate those that are seen
+    briefly. That counts which gives the tracks of each camera alone more detections to fit.
+    """
+    settings, parameters = section.annealed, problem.parameters
+    template, stages = pmb_filter(loaded, parameters.cameras), build_stages(loaded, parameters)
+    tasks = [
+        Task.of(parameters, problem.reference, template, recording, frames, problem.scale, settings, stages)
+        for recording, frames in parts_of(problem.recording, settings, parameters)
+    ]
+    return max(tasks, key=lambda task: task.followed * len(task.recording.pixels))
 
 
 def build_stages(loaded: LoadedConfig, parameters: ParameterSet) -> tuple[UnknownSet, ...]:

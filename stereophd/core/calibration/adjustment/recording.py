@@ -6,7 +6,6 @@ make other events of the same recording.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -89,21 +88,30 @@ class Recording:
         found = [camera.undistort_pixels(self.pixels[of_camera == k])[0] for k, camera in enumerate(cameras)]
         return sum(int((~np.isfinite(points).all(axis=1)).sum()) for points in found)
 
-    def every(self, n: float) -> Integers:
-        """Every n-th frame of each camera, in order; n is rounded up to a whole number, 1 at least."""
-        place = np.empty(len(self.cameras), dtype=np.int64)
-        for camera in np.unique(self.cameras):
-            here = self.cameras == camera
-            place[here] = np.arange(int(here.sum()))
-        return np.flatnonzero(place % max(math.ceil(n), 1) == 0)
+    def spread(self, share: float, length: float = 1.0) -> Integers:
+        """Frames in time slots common to all cameras: a share of the slots, evenly over the log, the first among them.
 
-    def thinned(self, most: int) -> Recording:
-        """Return every n-th frame of each camera, so that at most about `most` detections remain."""
-        frames, counts = self.every(len(self.pixels) / most), np.diff(self.first)
-        rows = np.isin(self.frame_of, frames)
+        A slot lasts for so many frames (`length`) of the slowest camera, and holds those of every camera; it is no
+        longer than the share of the log.
+        """
+        if not len(self.times):
+            return np.empty(0, dtype=np.int64)
+        since, share = self.times - self.times[0], min(share, 1.0)
+        period = float(self.periods(len(self.clocks)).max()) or 1.0
+        width = min(length * period, share * float(since[-1])) or 1.0
+        _, slot = np.unique((since + 0.5 * period) // width, return_inverse=True)
+        count = int(slot.max()) + 1
+        kept = max(int(share * count), 1)
+        return np.flatnonzero(slot * kept % count < kept)
+
+    def part(self, frames: Integers) -> Recording:
+        """Return some of the frames, in increasing order."""
+        if len(frames) == len(self.cameras):
+            return self
+        counts, rows = np.diff(self.first)[frames], np.isin(self.frame_of, frames)
         return replace(
             self, cameras=self.cameras[frames], times=self.times[frames],
-            first=np.concatenate([[0], np.cumsum(counts[frames])]), pixels=self.pixels[rows], sigma=self.sigma[rows],
+            first=np.concatenate([[0], np.cumsum(counts)]), pixels=self.pixels[rows], sigma=self.sigma[rows],
         )  # fmt: skip
 
     def observations(

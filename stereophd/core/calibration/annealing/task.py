@@ -14,7 +14,7 @@ from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import STATED, Knots, MotionNoise
-from stereophd.core.calibration.pairing.clock_search import ClockOffsets, search_offsets
+from stereophd.core.calibration.pairing.clock_search import ClockOffsets, offset_places, search_offsets
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
@@ -29,6 +29,34 @@ SUCCEEDED = "succeeded"
 STARTS_OF_POSES, STARTS = 24, 8
 # Where the passes of a start began: a pairing of one-camera tracks, or the start's own values at the widest noise.
 PAIRING, WIDE = "pairing", "wide"
+# A stretch of a log lasts this many times as long as the shortest track that is used, and as clocks may be apart by
+# the standard deviations of their priors.
+STRETCH = 4.0
+
+
+def parts_of(
+    recording: Recording, settings: AnnealedSettings, parameters: ParameterSet
+) -> list[tuple[Recording, Integers]]:
+    """Return the parts of a recording that may be worked on, and which of their frames are tracked.
+
+    The whole, unless it has more frames or detections than the settings allow; then instants that are spread over it,
+    of which those that are tracked may be fewer, and stretches of the full rate, unless clocks are too far apart.
+    """
+    frames, detections = len(recording.cameras), len(recording.pixels)
+    fitted, tracked = settings.max_detections / max(detections, 1), settings.max_events / max(frames, 1)
+    spread = recording.part(recording.spread(fitted))
+    parts = [(spread, spread.spread(settings.max_events / max(len(spread.cameras), 1)))]
+    share = min(fitted, tracked)
+    if share >= 1.0 or not frames:
+        return parts
+    clocks = offset_places(parameters)
+    apart = float(parameters.prior_std[clocks[clocks >= 0]].max(initial=0.0))
+    period = float(recording.periods(len(parameters.cameras)).max())
+    length = STRETCH * max(settings.min_detections, apart / period if period > 0.0 else 0.0)
+    if length * period <= share * float(recording.times[-1] - recording.times[0]):
+        stretches = recording.part(recording.spread(share, length))
+        parts.append((stretches, np.arange(len(stretches.cameras))))
+    return parts
 
 
 @dataclass(frozen=True)
