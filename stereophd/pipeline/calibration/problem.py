@@ -20,7 +20,7 @@ from stereophd.core.calibration.adjustment.track_moves import TrackMoves
 from stereophd.core.calibration.annealing.control import World, WorldControl
 from stereophd.core.calibration.annealing.fits import HistoryRow
 from stereophd.core.calibration.annealing.method import SAID_FACTOR, Remark
-from stereophd.core.calibration.annealing.task import Fit, Task, parts_of
+from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
@@ -293,18 +293,16 @@ def part_used(problem: CalibrationProblem, task: Task) -> dict[str, Any]:
 
 
 def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: CalibrationProblem) -> Task:
-    """Return what every start of method annealed works on: of a long log the part that shows most of its objects.
-
-    Instants that are spread over the log show objects that stay, stretches at the full rate those that are seen
-    briefly. That counts which gives the tracks of each camera alone more detections to fit.
-    """
-    settings, parameters = section.annealed, problem.parameters
-    template, stages = pmb_filter(loaded, parameters.cameras), build_stages(loaded, parameters)
-    tasks = [
-        Task.of(parameters, problem.reference, template, recording, frames, problem.scale, settings, stages)
-        for recording, frames in parts_of(problem.recording, settings, parameters)
-    ]
-    return max(tasks, key=lambda task: task.followed * len(task.recording.pixels))
+    """Return what every start of method annealed works on."""
+    return Task.of_log(
+        problem.parameters,
+        problem.reference,
+        pmb_filter(loaded, problem.parameters.cameras),
+        problem.recording,
+        problem.scale,
+        section.annealed,
+        build_stages(loaded, problem.parameters),
+    )
 
 
 def build_stages(loaded: LoadedConfig, parameters: ParameterSet) -> tuple[UnknownSet, ...]:

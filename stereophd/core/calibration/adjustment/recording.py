@@ -6,6 +6,7 @@ make other events of the same recording.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -89,20 +90,20 @@ class Recording:
         return sum(int((~np.isfinite(points).all(axis=1)).sum()) for points in found)
 
     def spread(self, share: float, length: float = 1.0) -> Integers:
-        """Frames in time slots common to all cameras: a share of the slots, evenly over the log, the first among them.
+        """Frames in time slots common to all cameras: a share of the slots, evenly over the log.
 
-        A slot lasts for so many frames (`length`) of the slowest camera, and holds those of every camera; it is no
-        longer than the share of the log.
+        A slot lasts for about so many frames (`length`) of the slowest camera, and holds those of every camera; it is
+        no longer than the share of the log. A pause of all cameras lasts for no time.
         """
-        if not len(self.times):
-            return np.empty(0, dtype=np.int64)
-        since, share = self.times - self.times[0], min(share, 1.0)
-        period = float(self.periods(len(self.clocks)).max()) or 1.0
-        width = min(length * period, share * float(since[-1])) or 1.0
-        _, slot = np.unique((since + 0.5 * period) // width, return_inverse=True)
-        count = int(slot.max()) + 1
-        kept = max(int(share * count), 1)
-        return np.flatnonzero(slot * kept % count < kept)
+        if share >= 1.0 or not len(self.times):
+            return np.arange(len(self.times))
+        place = (self.times - self.times[0]) / (float(self.periods(len(self.clocks)).max()) or 1.0) + 0.5
+        _, rank = np.unique(np.floor(place), return_inverse=True)
+        total = share * (int(rank.max()) + 1)
+        kept = max(int(total / length), 1)
+        slot = ((rank + place % 1.0) * kept / total).astype(np.int64)
+        count = math.ceil(kept / share)
+        return np.flatnonzero((slot * kept + count // 2) % count < kept)
 
     def part(self, frames: Integers) -> Recording:
         """Return some of the frames, in increasing order."""

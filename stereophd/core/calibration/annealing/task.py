@@ -121,6 +121,26 @@ class Task:
             clocks, stages or default_stages(parameters),
         )  # fmt: skip
 
+    @staticmethod
+    def of_log(
+        parameters: ParameterSet,
+        reference: int,
+        multi_filter: PmbFilter,
+        recording: Recording,
+        scale: ScaleMeasurement | None,
+        settings: AnnealedSettings,
+        stages: tuple[UnknownSet, ...] = (),
+    ) -> Task:
+        """Return the task of a log; of a long one that of the part that has more detections in one-camera tracks.
+
+        Instants that are spread over the log hold objects that stay, stretches those that are seen briefly.
+        """
+        tasks = [
+            Task.of(parameters, reference, multi_filter, part, frames, scale, settings, stages)
+            for part, frames in parts_of(recording, settings, parameters)
+        ]
+        return max(tasks, key=lambda task: task.followed * len(task.recording.pixels))
+
     def with_noise(self, factors: Array | float, shared: Array | None = None) -> Task:
         """Return the task with the noise of each camera's detections times factors (c,) or one, a part `shared`."""
         factors = np.broadcast_to(np.asarray(factors, dtype=np.float64), len(self.parameters.cameras))
