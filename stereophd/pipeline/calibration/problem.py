@@ -294,7 +294,7 @@ def part_used(problem: CalibrationProblem, task: Task) -> dict[str, Any]:
 
 def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: CalibrationProblem) -> Task:
     """Return what every start of method annealed works on."""
-    return Task.of_log(
+    return Task.of(
         problem.parameters,
         problem.reference,
         pmb_filter(loaded, problem.parameters.cameras),

@@ -102,7 +102,7 @@ def test_the_part_of_a_long_log_that_was_used_is_reported(tmp_path: Path) -> Non
     for changes, limit in (
         ([], None),
         ([f"calibration.annealed.max_detections={most}"], "calibration.annealed.max_detections"),
-        (["calibration.annealed.max_events=12"], "calibration.annealed.max_events"),
+        (["calibration.annealed.max_events=6"], "calibration.annealed.max_events"),
     ):
         short = loaded("simulate.duration_s=5", *changes)
         section = short.config.calibration

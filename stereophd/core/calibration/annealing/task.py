@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,44 +103,30 @@ class Task:
         reference: int,
         multi_filter: PmbFilter,
         recording: Recording,
-        frames: Integers,
         scale: ScaleMeasurement | None,
         settings: AnnealedSettings,
         stages: tuple[UnknownSet, ...] = (),
     ) -> Task:
         """Prepare what all starts share: the one-camera tracks of each camera.
 
-        Without `stages` those of `stereophd.core.calibration.unknowns.unknown_sets.default_stages` are taken.
+        Of a long log that part is worked on that has more detections to fit in these: instants that are spread over the
+        log hold objects that stay, stretches of it those that are seen briefly. Without `stages` those of
+        `stereophd.core.calibration.unknowns.unknown_sets.default_stages` are taken.
         """
-        scans = Scans.of(recording, parameters.cameras)
-        tracking = scans if len(frames) == len(scans.events) else Scans.of(recording, parameters.cameras, frames)
-        tracks = one_camera_tracks(multi_filter, tracking, settings)
+        tried = []
+        for part, frames in parts_of(recording, settings, parameters):
+            scans = Scans.of(part, parameters.cameras)
+            tracking = scans if len(frames) == len(scans.events) else Scans.of(part, parameters.cameras, frames)
+            tracks = one_camera_tracks(multi_filter, tracking, settings)
+            followed = sum(len(rows) for _, rows in tracks) / max(len(tracking.points), 1)
+            tried.append((followed * len(part.pixels), part, frames, scans, tracking, tracks))
+        _, part, frames, scans, tracking, tracks = max(tried, key=itemgetter(0))
         pairs = make_pairs(parameters, tracking, tracks)
         clocks = search_offsets(parameters, pairs.raw)
         return Task(
-            parameters, reference, multi_filter, recording, frames, scans, tracking, tracks, pairs, scale, settings,
-            clocks, stages or default_stages(parameters),
+            parameters, reference, multi_filter, part, frames, scans, tracking, tracks, pairs, scale, settings, clocks,
+            stages or default_stages(parameters),
         )  # fmt: skip
-
-    @staticmethod
-    def of_log(
-        parameters: ParameterSet,
-        reference: int,
-        multi_filter: PmbFilter,
-        recording: Recording,
-        scale: ScaleMeasurement | None,
-        settings: AnnealedSettings,
-        stages: tuple[UnknownSet, ...] = (),
-    ) -> Task:
-        """Return the task of a log; of a long one that of the part that has more detections in one-camera tracks.
-
-        Instants that are spread over the log hold objects that stay, stretches those that are seen briefly.
-        """
-        tasks = [
-            Task.of(parameters, reference, multi_filter, part, frames, scale, settings, stages)
-            for part, frames in parts_of(recording, settings, parameters)
-        ]
-        return max(tasks, key=lambda task: task.followed * len(task.recording.pixels))
 
     def with_noise(self, factors: Array | float, shared: Array | None = None) -> Task:
         """Return the task with the noise of each camera's detections times factors (c,) or one, a part `shared`."""

@@ -76,7 +76,7 @@ def task_of(made: MadeUp, recording: Recording, share: float) -> Task:
     assert isinstance(template, PmbFilter)
     most = int(share * len(recording.pixels))
     settings = AnnealedSettings(min_detections=4, max_detections=most, one_camera_tracks="image")
-    return Task.of_log(made.parameters, 0, template, recording, None, settings)
+    return Task.of(made.parameters, 0, template, recording, None, settings)
 
 
 @pytest.mark.parametrize("is_brief", [True, False])
