@@ -332,6 +332,8 @@ def size_of_calibration(section: CalibrationConfig, frames: float, detections: f
     elif section.posterior == "smc":
         hypotheses = section.smc.particles
     each = _HYPOTHESIS_BYTES * (1.0 + detections / max(frames, 1.0))
+    if section.method == "annealed":
+        detections = min(detections, section.annealed.max_detections)
     cause = f"{frames:.3g} frames, {detections:.3g} detections"
     cause += f", {hypotheses:.3g} camera hypotheses" if hypotheses else ""
     return Size(detections * _DETECTION_BYTES + hypotheses * each, 0.0, cause)
