@@ -264,6 +264,11 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
         if worst:
             yield f"rotations to {number(max(worst), 2)} deg or better"
             yield from _scale(report)
+        used = report.get("input") or {}
+        limit = used.get("limited_by")
+        if limit and limit not in (report.get("reason") or "") and used["detections_used"] < used["detections"]:
+            part = f"{used['detections_used']:,} of {used['detections']:,} detections"
+            yield f"they were fitted to a part of the log, {part} ({limit})"
     tracking = tracking_part(report)
     if tracking:
         tracks = tracking["tracks"]

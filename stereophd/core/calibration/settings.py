@@ -27,11 +27,13 @@ class AnnealedSettings:
         "factors on the detector's sigma while tracking, pass by pass", default=(7.0, 5.0, 3.5, 2.0, 1.4, 1.0)
     )
     max_events: Count = parameter(
-        "frames used while tracking; a longer log is thinned to every n-th frame of each camera", default=4000
+        "frames that are tracked, about; of a longer log a part: instants that are spread over it, or stretches of it, "
+        "whichever holds more detections of objects that can be followed",
+        default=4000,
     )
     max_detections: Count = parameter(
-        "detections, false ones among them, that cameras are fitted to; a longer log is thinned to every n-th frame of "
-        "each camera",
+        "detections, false ones among them, that cameras are fitted to; of a log with more a part, chosen in the same "
+        "way; the report has how much was used",
         default=150_000,
         advice="more where a log of an hour is to be used whole: time grows with the detections.",
     )
@@ -113,5 +115,5 @@ class TemperedSettings:
         "the first particles are drawn this much wider than the Laplace modes", default=1.5
     )
     max_events: Count = parameter(
-        "frames used; a longer log is thinned to every n-th frame of each camera", default=4000
+        "frames used; of a longer log instants that are spread over it, the same of all cameras", default=4000
     )

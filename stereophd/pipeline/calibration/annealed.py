@@ -36,7 +36,7 @@ from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
 from stereophd.io.outputs.json_text import finite_or_none
-from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task
+from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task, part_used
 from stereophd.pipeline.calibration.sampled import smc_outcome
 from stereophd.pipeline.workers.places import on_processes
 from stereophd.wording import PROGRESS
@@ -67,6 +67,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
         "starts": [*failed, *(_start_report(task, start, best) for start in starts)],
         "agreeing_starts": agreeing_with_best(starts),
         "stages": [list(stage.names) for stage in task.stages],
+        "input": {**problem.counts, **part_used(problem, task)},
     }
     if (offset_places(problem.parameters) >= 0).any():
         details["clocks"] = _clock_report(task)

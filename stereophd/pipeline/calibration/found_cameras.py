@@ -30,7 +30,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
 from stereophd.core.numerics.random_streams import CAMERA_DISCOVERY
 from stereophd.errors import InputError
-from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, pmb_filter, tracked_frames
+from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, pmb_filter
 from stereophd.pipeline.calibration.unknowns import calibration_section
 from stereophd.pipeline.control import alignment_report
 from stereophd.pipeline.stream import covered, open_stream
@@ -151,7 +151,7 @@ def with_found_cameras(
     stream = open_stream(loaded.config, cameras, log_path)
     frames = covered(cameras, stream.frames, stream.source)
     recording = Recording.of(cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
-    scans = Scans.of(recording, cameras, tracked_frames(recording, MOST_SEARCHED))
+    scans = Scans.of(recording, cameras, recording.spread(MOST_SEARCHED / max(len(recording.cameras), 1)))
     tracks = one_camera_tracks(pmb_filter(_placed(loaded, cameras), cameras), scans, section.annealed)
     views = [_view(loaded, section, camera) for camera in cameras]
     reference = [camera.name for camera in cameras].index(section.reference)

@@ -50,7 +50,7 @@ class CalibrationProblem:
 
     parameters: ParameterSet
     reference: int  # Index of the reference camera
-    recording: Recording  # The log, or every n-th frame of each camera of a long one
+    recording: Recording  # The log
     scale: ScaleMeasurement | None  # A known baseline
     counts: dict[str, int]  # Counts of the log, as in ``report.json``
     remarks: tuple[Remark, ...] = ()  # What of the configuration the log replaces
@@ -59,7 +59,8 @@ class CalibrationProblem:
 
     def frames(self, most: int | None = None) -> NDArray[np.int64]:
         """Return the frames of the recording, at most about `most`."""
-        return np.arange(len(self.recording.cameras)) if most is None else tracked_frames(self.recording, most)
+        count = len(self.recording.cameras)
+        return self.recording.spread(1.0 if most is None else most / max(count, 1))
 
     def scans(self, most: int | None = None) -> Scans:
         """Return the events by the cameras of the prior mean, at most about `most`."""
@@ -161,9 +162,6 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str, is_placed: bool = T
         _check_overlap(parameters, recording, log_path)
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
     _check_method(loaded, parameters)
-    if (section := calibration_section(loaded)).method == "annealed":
-        recording = recording.thinned(section.annealed.max_detections)
-    counts["frames_used"] = len(recording.cameras)
     return CalibrationProblem(
         parameters, reference, recording, scale, counts, remarks, build_control(loaded, cameras), stream.has_noise
     )
@@ -262,22 +260,26 @@ def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | 
             )
 
 
-def tracked_frames(recording: Recording, most: int) -> NDArray[np.int64]:
-    """Return every n-th frame of each camera, so that at most about `most` remain."""
-    return recording.every(len(recording.cameras) / most)
+def part_used(problem: CalibrationProblem, task: Task) -> dict[str, Any]:
+    """Return how much of the log a task tracks and fits, and the setting that limits it, for the report."""
+    part, frames, detections = task.recording, len(problem.recording.cameras), len(problem.recording.pixels)
+    is_whole = len(task.frames) == frames
+    of_frames = task.settings.max_events / max(frames, 1) < task.settings.max_detections / max(detections, 1)
+    return {
+        "frames_tracked": len(task.frames), "frames_used": len(part.cameras), "detections_used": len(part.pixels),
+        "limited_by": None if is_whole else f"calibration.annealed.max_{'events' if of_frames else 'detections'}",
+    }  # fmt: skip
 
 
 def annealed_task(loaded: LoadedConfig, section: CalibrationConfig, problem: CalibrationProblem) -> Task:
     """Return what every start of method annealed works on."""
-    settings = section.annealed
     return Task.of(
         problem.parameters,
         problem.reference,
         pmb_filter(loaded, problem.parameters.cameras),
         problem.recording,
-        tracked_frames(problem.recording, settings.max_events),
         problem.scale,
-        settings,
+        section.annealed,
         build_stages(loaded, problem.parameters),
     )
 
@@ -309,6 +311,8 @@ def size_of_calibration(section: CalibrationConfig, frames: float, detections: f
     elif section.posterior == "smc":
         hypotheses = section.smc.particles
     each = _HYPOTHESIS_BYTES * (1.0 + detections / max(frames, 1.0))
+    if section.method == "annealed":
+        detections = min(detections, section.annealed.max_detections)
     cause = f"{frames:.3g} frames, {detections:.3g} detections"
     cause += f", {hypotheses:.3g} camera hypotheses" if hypotheses else ""
     return Size(detections * _DETECTION_BYTES + hypotheses * each, 0.0, cause)

@@ -29,20 +29,31 @@ NAMED_PART = 0.3
 
 def status_of(problem: CalibrationProblem, outcome: Outcome) -> tuple[str, str, Observability | None]:
     """Status, what is wrong if anything, and the observability if there is a posterior that is believed."""
+    part = [text] if (text := _part_used(outcome)) else []
     if why := outcome.reason or outcome.doubt:
-        return UNDETERMINED, why, None
+        return UNDETERMINED, "; ".join([why, *part]), None
     moves = None if outcome.moves is None else outcome.moves.relative_move
     found = observability(outcome.parameters, problem.reference, outcome.values, outcome.covariance, moves)
     reservations = [remark.text for remark in outcome.remarks if remark.is_reservation]
     if found.status == DETERMINED and not reservations:
         return DETERMINED, "", found
     if found.status == DETERMINED:
-        return PARTLY, "; ".join(reservations), found
+        return PARTLY, "; ".join([*reservations, *part]), found
     count = int((found.ratios > UNDETERMINED_RATIO).sum())
     why = f"the data leave {count} of {outcome.parameters.size} directions of the parameters as the prior has them"
     if (largest := float(found.open_moves.max(initial=0.0))) > HARMLESS_MOVE:
         why += f", and one of them moves tracks by {percent(largest)} of their distance"
-    return (PARTLY if found.status == PARTLY else UNDETERMINED), "; ".join([why, *reservations]), found
+    return (PARTLY if found.status == PARTLY else UNDETERMINED), "; ".join([why, *reservations, *part]), found
+
+
+def _part_used(outcome: Outcome) -> str:
+    """Return how much of a log that is too long was used; empty where it was used whole."""
+    used = outcome.details.get("input", {})
+    if not used.get("limited_by"):
+        return ""
+    fitted = f"{used['detections_used']:,} of {used['detections']:,} detections were fitted"
+    tracked = f"{used['frames_tracked']:,} of {used['frames']:,} frames tracked"
+    return f"{fitted} and {tracked}: a larger {used['limited_by']} uses more of the log"
 
 
 def build_report(

@@ -126,6 +126,7 @@ def test_where_no_start_succeeds_what_nobody_measured_is_unknown(
 
     monkeypatch.setattr(annealed, "_task", lambda _: SimpleNamespace(stages=()))
     monkeypatch.setattr(annealed, "_clock_report", lambda _: {})
+    monkeypatch.setattr(annealed, "part_used", lambda *_: {})
     monkeypatch.setattr(annealed, "_start_report", lambda *_: {})
     monkeypatch.setattr(annealed, "_all_starts", fail)
     outcome = annealed.annealed_outcome(cast("CalibrationRun", Run(problem, SimpleNamespace(model=model))))

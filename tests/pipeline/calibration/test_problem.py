@@ -11,8 +11,10 @@ import pytest
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
-from stereophd.pipeline.calibration.problem import read_problem
+from stereophd.pipeline.calibration.problem import Outcome, annealed_task, part_used, read_problem
+from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.unknowns import build_parameters, draw_guess
+from stereophd.report.summaries import verdict
 
 CONFIG = Path(__file__).parents[3] / "configs" / "paper" / "calibration.yaml"
 LENS = "cameras.right.distortion={model: radial, k1: -0.1}"
@@ -91,21 +93,30 @@ def test_bad_priors_are_refused(changes: list[str], message: str) -> None:
         build_parameters(loaded(*changes))
 
 
-def test_a_log_of_more_detections_than_are_fitted_is_thinned(tmp_path: Path) -> None:
+def test_the_part_of_a_long_log_that_was_used_is_reported(tmp_path: Path) -> None:
     configuration = loaded("simulate.duration_s=5")
     simulate(configuration, tmp_path)
     log = tmp_path / "detections.parquet"
-    whole = read_problem(configuration, log).recording
-    most = len(whole.pixels) // 3 + 1
-    problem = read_problem(loaded("simulate.duration_s=5", f"calibration.annealed.max_detections={most}"), log)
-    thinned = problem.recording
-    assert problem.counts["frames_used"] == len(thinned.times) < len(whole.times)
-    for camera in range(2):
-        here, of_whole = np.flatnonzero(thinned.cameras == camera), np.flatnonzero(whole.cameras == camera)[::3]
-        np.testing.assert_array_equal(thinned.times[here], whole.times[of_whole])
-        for frame, other in zip(here, of_whole, strict=True):
-            np.testing.assert_array_equal(
-                thinned.pixels[thinned.first[frame] : thinned.first[frame + 1]],
-                whole.pixels[whole.first[other] : whole.first[other + 1]],
-            )
-    assert len(thinned.sigma) == len(thinned.pixels) == thinned.first[-1]
+    whole = read_problem(configuration, log)
+    most = len(whole.recording.pixels) // 3
+    for changes, limit in (
+        ([], None),
+        ([f"calibration.annealed.max_detections={most}"], "calibration.annealed.max_detections"),
+        (["calibration.annealed.max_events=6"], "calibration.annealed.max_events"),
+    ):
+        short = loaded("simulate.duration_s=5", *changes)
+        section = short.config.calibration
+        assert section is not None
+        problem = read_problem(short, log)
+        task = annealed_task(short, section, problem)
+        used = part_used(problem, task)
+        assert used["limited_by"] == limit
+        assert (used["frames_tracked"] == len(whole.recording.cameras)) == (limit is None)
+        outcome = Outcome.of_none(problem.parameters, "none agrees", {"input": {**problem.counts, **used}})
+        report = build_report(section, problem, outcome, "cm")
+        assert report["reason"].startswith("none agrees")
+        assert report["reason"].count(limit or "calibration.annealed") == (limit is not None)
+        assert verdict(report).count(limit or "calibration.annealed") == (limit is not None)
+        is_part = used["detections_used"] < problem.counts["detections"]
+        assert is_part == (limit == "calibration.annealed.max_detections")
+        assert ("fitted to a part" in verdict({**report, "status": "determined", "reason": ""})) == is_part

@@ -89,21 +89,30 @@ class Recording:
         found = [camera.undistort_pixels(self.pixels[of_camera == k])[0] for k, camera in enumerate(cameras)]
         return sum(int((~np.isfinite(points).all(axis=1)).sum()) for points in found)
 
-    def every(self, n: float) -> Integers:
-        """Every n-th frame of each camera, in order; n is rounded up to a whole number, 1 at least."""
-        place = np.empty(len(self.cameras), dtype=np.int64)
-        for camera in np.unique(self.cameras):
-            here = self.cameras == camera
-            place[here] = np.arange(int(here.sum()))
-        return np.flatnonzero(place % max(math.ceil(n), 1) == 0)
+    def spread(self, share: float, length: float = 1.0) -> Integers:
+        """Frames in time slots common to all cameras: a share of the slots, evenly over the log.
 
-    def thinned(self, most: int) -> Recording:
-        """Return every n-th frame of each camera, so that at most about `most` detections remain."""
-        frames, counts = self.every(len(self.pixels) / most), np.diff(self.first)
-        rows = np.isin(self.frame_of, frames)
+        A slot lasts for about so many frames (`length`) of the slowest camera, and holds those of every camera; it is
+        no longer than the share of the log. A pause of all cameras lasts for no time.
+        """
+        if share >= 1.0 or not len(self.times):
+            return np.arange(len(self.times))
+        place = (self.times - self.times[0]) / (float(self.periods(len(self.clocks)).max()) or 1.0) + 0.5
+        _, rank = np.unique(np.floor(place), return_inverse=True)
+        total = share * (int(rank.max()) + 1)
+        kept = max(int(total / length), 1)
+        slot = ((rank + place % 1.0) * kept / total).astype(np.int64)
+        count = math.ceil(kept / share)
+        return np.flatnonzero((slot * kept + count // 2) % count < kept)
+
+    def part(self, frames: Integers) -> Recording:
+        """Return some of the frames, in increasing order."""
+        if len(frames) == len(self.cameras):
+            return self
+        counts, rows = np.diff(self.first)[frames], np.isin(self.frame_of, frames)
         return replace(
             self, cameras=self.cameras[frames], times=self.times[frames],
-            first=np.concatenate([[0], np.cumsum(counts[frames])]), pixels=self.pixels[rows], sigma=self.sigma[rows],
+            first=np.concatenate([[0], np.cumsum(counts)]), pixels=self.pixels[rows], sigma=self.sigma[rows],
         )  # fmt: skip
 
     def observations(

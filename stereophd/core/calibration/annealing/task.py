@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from operator import itemgetter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +15,7 @@ from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import STATED, Knots, MotionNoise
-from stereophd.core.calibration.pairing.clock_search import ClockOffsets, search_offsets
+from stereophd.core.calibration.pairing.clock_search import ClockOffsets, offset_places, search_offsets
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
@@ -29,6 +30,34 @@ SUCCEEDED = "succeeded"
 STARTS_OF_POSES, STARTS = 24, 8
 # Where the passes of a start began: a pairing of one-camera tracks, or the start's own values at the widest noise.
 PAIRING, WIDE = "pairing", "wide"
+# A stretch of a log lasts this many times as long as the shortest track that is used, and as clocks may be apart by
+# the standard deviations of their priors.
+STRETCH = 4.0
+
+
+def parts_of(
+    recording: Recording, settings: AnnealedSettings, parameters: ParameterSet
+) -> list[tuple[Recording, Integers]]:
+    """Return the parts of a recording that may be worked on, and which of their frames are tracked.
+
+    The whole, unless it has more frames or detections than the settings allow; then instants that are spread over it,
+    of which those that are tracked may be fewer, and stretches of the full rate, unless clocks are too far apart.
+    """
+    frames, detections = len(recording.cameras), len(recording.pixels)
+    fitted, tracked = settings.max_detections / max(detections, 1), settings.max_events / max(frames, 1)
+    spread = recording.part(recording.spread(fitted))
+    parts = [(spread, spread.spread(settings.max_events / max(len(spread.cameras), 1)))]
+    share = min(fitted, tracked)
+    if share >= 1.0 or not frames:
+        return parts
+    clocks = offset_places(parameters)
+    apart = float(parameters.prior_std[clocks[clocks >= 0]].max(initial=0.0))
+    period = float(recording.periods(len(parameters.cameras)).max())
+    length = STRETCH * max(settings.min_detections, apart / period if period > 0.0 else 0.0)
+    if length * period <= share * float(recording.times[-1] - recording.times[0]):
+        stretches = recording.part(recording.spread(share, length))
+        parts.append((stretches, np.arange(len(stretches.cameras))))
+    return parts
 
 
 @dataclass(frozen=True)
@@ -74,23 +103,29 @@ class Task:
         reference: int,
         multi_filter: PmbFilter,
         recording: Recording,
-        frames: Integers,
         scale: ScaleMeasurement | None,
         settings: AnnealedSettings,
         stages: tuple[UnknownSet, ...] = (),
     ) -> Task:
         """Prepare what all starts share: the one-camera tracks of each camera.
 
-        Without `stages` those of `stereophd.core.calibration.unknowns.unknown_sets.default_stages` are taken.
+        Of a long log that part is worked on that has more detections to fit in these: instants that are spread over the
+        log hold objects that stay, stretches of it those that are seen briefly. Without `stages` those of
+        `stereophd.core.calibration.unknowns.unknown_sets.default_stages` are taken.
         """
-        scans = Scans.of(recording, parameters.cameras)
-        tracking = scans if len(frames) == len(scans.events) else Scans.of(recording, parameters.cameras, frames)
-        tracks = one_camera_tracks(multi_filter, tracking, settings)
+        tried = []
+        for part, frames in parts_of(recording, settings, parameters):
+            scans = Scans.of(part, parameters.cameras)
+            tracking = scans if len(frames) == len(scans.events) else Scans.of(part, parameters.cameras, frames)
+            tracks = one_camera_tracks(multi_filter, tracking, settings)
+            followed = sum(len(rows) for _, rows in tracks) / max(len(tracking.points), 1)
+            tried.append((followed * len(part.pixels), part, frames, scans, tracking, tracks))
+        _, part, frames, scans, tracking, tracks = max(tried, key=itemgetter(0))
         pairs = make_pairs(parameters, tracking, tracks)
         clocks = search_offsets(parameters, pairs.raw)
         return Task(
-            parameters, reference, multi_filter, recording, frames, scans, tracking, tracks, pairs, scale, settings,
-            clocks, stages or default_stages(parameters),
+            parameters, reference, multi_filter, part, frames, scans, tracking, tracks, pairs, scale, settings, clocks,
+            stages or default_stages(parameters),
         )  # fmt: skip
 
     def with_noise(self, factors: Array | float, shared: Array | None = None) -> Task:

@@ -57,7 +57,7 @@ def task(made: MadeUp) -> Task:
     template = make_template(made.parameters.cameras, "pmb", ConstantVelocity([0.001] * 3, 12.0))
     assert isinstance(template, PmbFilter)
     recording = recording_of(made)
-    return Task.of(made.parameters, 0, template, recording, np.arange(2 * FRAMES), None, AnnealedSettings())
+    return Task.of(made.parameters, 0, template, recording, None, AnnealedSettings())
 
 
 @pytest.fixture(scope="module")

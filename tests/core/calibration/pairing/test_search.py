@@ -109,7 +109,7 @@ def far_too_close(made: MadeUp) -> Task:
     template = make_template((left, near), "pmb", ConstantVelocity([0.001] * 3, 12.0))
     assert isinstance(template, PmbFilter)
     parameters = ParameterSet((left, near), made.parameters.parameters)
-    return Task.of(parameters, 0, template, recording_of(made), np.arange(2 * FRAMES), None, AnnealedSettings())
+    return Task.of(parameters, 0, template, recording_of(made), None, AnnealedSettings())
 
 
 def test_a_start_finds_cameras_whose_scale_is_far_off(made: MadeUp) -> None:
