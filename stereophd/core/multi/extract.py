@@ -1,8 +1,5 @@
 """Which components are reported as objects: thresholds with hysteresis, one estimate per label.
 
-An object is confirmed while it exists and its distance is known. A Gaussian in disparity whose standard deviation is a
-large share of its mean reaches from near to infinity: no mean and covariance in the world describe it.
-
 A component does not know which cameras have detected it. `run_estimator` (`pipeline/tracking/loop.py`, `_supported`)
 therefore reports a tentative object only after a second camera has detected it, except at the start of a log.
 """
@@ -20,10 +17,6 @@ from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, order_by_label
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian, picked, stable_order
-
-# Largest standard deviation of a known disparity, as a share of it: two of them further away is twice as far, and the
-# world's Gaussian is still that of the disparity.
-KNOWN_DISPARITY = 0.25
 
 
 class Report(NamedTuple):
@@ -87,7 +80,7 @@ def select_objects(
     changed = (known.copy(), known_tracks.copy(), known_reported.copy())
     count = len(weights)
     index, existence, unsure = np.empty(count, dtype=np.int64), np.empty(count), np.empty(count, dtype=np.bool_)
-    chosen, next_label, next_track = _select(mixture, report, changed, index, existence, unsure)
+    chosen, next_label, next_track = _select(weights, known, report, changed, index, existence, unsure)
     world_means, world_covariances = np.empty((chosen, 6)), np.empty((chosen, 6, 6))
     index, existence = index[:chosen].copy(), existence[:chosen].copy()
     world_components(
@@ -114,7 +107,8 @@ def select_objects(
 
 @compiled
 def _select(
-    mixture: GaussianMixture,
+    weights: Array,
+    known: Integers,
     report: Report,
     changed: Identities,
     index: Integers,
@@ -124,9 +118,8 @@ def _select(
     """Change labels, identities and flags of the components (n,); return how many are chosen, and both counters.
 
     The chosen ones, their existence, and whether they are tentative fill the beginnings of the last three arrays (n,),
-    in order of identity.
+    in order of identity; `known` holds the labels before.
     """
-    weights, means, covariances, known = mixture.weights, mixture.means, mixture.covariances, mixture.labels
     confirm, release, tentative, split, next_label, next_track = report
     labels, tracks, reported = changed
     order = order_by_label(weights, known)
@@ -151,14 +144,12 @@ def _select(
             track = max(track, tracks[k])
             was_reported = was_reported or reported[k]
             end += 1
-        head = order[start]
         shown = total >= (release if was_reported else confirm)
-        confirmed = shown and covariances[head, 2, 2] <= (KNOWN_DISPARITY * max(means[head, 2], 0.0)) ** 2
-        if confirmed or total >= tentative:
+        if shown or total >= tentative:
             if track < 0:
                 track = next_track
                 next_track += 1
-            index[chosen], existence[chosen], unsure[chosen] = head, total, not confirmed
+            index[chosen], existence[chosen], unsure[chosen] = order[start], total, not shown
             chosen += 1
         for i in range(start, end):
             tracks[order[i]], reported[order[i]] = track, shown

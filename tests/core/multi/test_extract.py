@@ -49,20 +49,6 @@ def test_the_components_of_a_label_are_one_object() -> None:
     assert (chosen.next_label, chosen.next_track) == (9, 5)
 
 
-@pytest.mark.parametrize("reported", [False, True])
-def test_an_object_is_tentative_while_its_distance_is_unknown(reported: bool) -> None:
-    """Confirmed from a standard deviation of a quarter of the disparity on, tentative where it may be at infinity."""
-    spreads = np.array([0.24, 0.26, 0.5])
-    means = np.tile([400.0, 300.0, 7.0, 0.0, 0.0, 0.0], (3, 1))
-    covariances = np.stack([np.diag([1.0, 1.0, (7.0 * spread) ** 2, 1.0, 1.0, 1.0]) for spread in spreads])
-    chosen = select(make_mixture([0.9] * 3, means, covariances, reported=[reported] * 3), SLOW, 3, 0)
-    assert chosen.confirmed == 1
-    assert chosen.components.tolist() == [0, 1, 2]
-    assert chosen.mixture.reported.all()  # of its existence there is no doubt
-    light = select(make_mixture([0.2] * 3, means, covariances, reported=[reported] * 3), SLOW, 3, 0)
-    assert light.components.tolist() == ([0] if reported else [])
-
-
 @pytest.mark.parametrize(
     ("weights", "shown"),
     [

@@ -53,34 +53,6 @@ class TestEveryKind:
         assert len(estimates.states) == 1
         np.testing.assert_allclose(estimates.states[0, :3], OBJECT, atol=3.0)
 
-    @pytest.mark.parametrize("seed", range(4))
-    def test_what_is_confirmed_is_right_within_what_it_states(self, word: str, kind: Any, seed: int) -> None:
-        """Two cameras turned by 90 degrees. Of the object, at the far end of the depths, one sees a second more.
-
-        While its distance is unknown its squared error is 170 to 390 times what the world's covariance states. Of right
-        rows one in 10 million has 35 times.
-        """
-        cameras = [
-            make_camera(clutter=0.01),
-            make_camera((0.0, 0.5 * np.pi, 0.0), (100.0, 0.0, 100.0), clutter=0.01),
-        ]
-        prior = BirthPrior(initial=1.0, depth_range=(15.0, 220.0), velocity_std=1.5)
-        sets = draw_sample_sets("qmc", 64, 12, np.random.SeedSequence(7))
-        built = make_filter(
-            kind(birth=prior, missed="keep"), make_rig(cameras, 10.0, "horizontal"), ConstantVelocity([0.1] * 3), sets
-        )
-        rng, state, rows = np.random.default_rng(seed), built.init(), []
-        start, velocity = np.array([4.0, 3.0, 170.0]), np.array([0.0, 0.0, -12.0])
-        for k in range(60):
-            camera, place = k % 2, start + 0.05 * k * velocity
-            pixels = cameras[camera].project(place[None]) + rng.normal(0.0, 1.3, (1, 2))
-            pixels = pixels[cameras[camera].in_view(place[None])]
-            state, _, found = built.step(state, make_event(cameras[camera], camera, 0.05 * k, pixels))
-            errors = found.states[:, :3] - place
-            rows += [e @ np.linalg.solve(c[:3, :3], e) for e, c in zip(errors, found.covariances, strict=True)]
-        assert rows
-        assert max(rows) < 35.0
-
     @pytest.mark.parametrize("burst_at", [0, 5])
     def test_a_burst_of_clutter_gives_no_births(self, word: str, kind: Any, burst_at: int) -> None:
         """Hundreds of false detections in one frame, the first one too: the object is as without them."""

@@ -470,9 +470,8 @@ def test_tracks_on_one_object_become_one() -> None:
 def test_identities_with_hysteresis() -> None:
     """Confirmed from 0.9 on, kept through two misses, gone below 0.02; identities in order of confirmation."""
     multi_filter = make_pmb(
-        [make_camera(clutter=0.5)], Static(), survival_per_s=1.0, extraction=Hysteresis(confirm=0.9, release=0.02),
-        birth=replace(PRIOR, disparity=DisparityPrior(mean_px=7.0, std_px=1.5)),
-    )  # fmt: skip
+        [make_camera(clutter=0.5)], Static(), survival_per_s=1.0, extraction=Hysteresis(confirm=0.9, release=0.02)
+    )
     camera = multi_filter.rig.cameras[0]
     place, other = np.array([[300.0, 300.0]]), np.array([[500.0, 200.0]])
     both = np.concatenate([place, other])
