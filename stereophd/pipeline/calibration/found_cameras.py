@@ -36,8 +36,8 @@ from stereophd.pipeline.control import alignment_report
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH
 
-# Frames in which objects are followed, at most; a longer log is thinned. Those of the adjustment may be fewer: it pairs
-# detections along paths of a motion model, where the search interpolates tracks.
+# Frames in which objects are followed, at most, spread over a longer log. Those of the adjustment may be fewer: it
+# pairs detections along paths of a motion model, where the search interpolates tracks.
 MOST_SEARCHED = 20_000
 # Prior deviations about what was found: so many stated ones, and at least these: rad, share of the distance, frames.
 STATED, LEAST_ROTATION, LEAST_SHARE, LEAST_FRAMES = 5.0, np.deg2rad(3.0), 0.05, 1.0

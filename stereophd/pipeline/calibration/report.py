@@ -51,7 +51,7 @@ def _part_used(outcome: Outcome) -> str:
     used = outcome.details.get("input", {})
     if not used.get("limited_by"):
         return ""
-    fitted = f"{used['detections_used']:,} of {used['detections']:,} detections were fitted"
+    fitted = f"{used['detections_used']:,} of {used['detections']:,} detections were used"
     tracked = f"{used['frames_tracked']:,} of {used['frames']:,} frames tracked"
     return f"{fitted} and {tracked}: a larger {used['limited_by']} uses more of the log"
 

@@ -108,14 +108,15 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
         if share is None or figures["in_view"] < LEAST_IN_VIEW or not detections:
             continue
         fewer, more = sorted((1.0 - promised, 1.0 - share))
+        near = f"{min(max(share, 0.05), 0.99):.2g}"
         if more > MISSES_FACTOR * fewer and more > fewer + LEAST_MISSES:
             yield Finding(
                 "tracking.detections", "warning",
                 f"{name}: tracks in its view are detected in {percent(share)} of its frames, and p_detect is "
                 f"{promised:g}: tracks end too early if it is too large, and too late if it is too small",
                 round(share, 3), promised, name,
-                f"set cameras.{name}.detector.p_detect near {share:.2g}, or let track estimate it (detector: estimate)",
-                "p_detect", f"cameras.{name}.detector.p_detect={share:.2g}",
+                f"set cameras.{name}.detector.p_detect near {near}, or let track estimate it (detector: estimate)",
+                "p_detect", f"cameras.{name}.detector.p_detect={near}",
             )  # fmt: skip
 
 

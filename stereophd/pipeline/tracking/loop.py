@@ -59,6 +59,9 @@ class ReportTimes:
         return estimates.certain(self.max_position_std)
 
 
+AnyTracks = TypeVar("AnyTracks", Estimates, Associated)
+
+
 @dataclass(frozen=True)
 class Record:
     """One event of a run, or a prediction to a time of the grid: camera and frame are those of the last event then.
@@ -113,6 +116,22 @@ class Record:
         associations = tuple(one if mask.all() else one.take(mask) for one, mask in rows if mask.any())
         filtered = None if self.filtered is None else self.filtered.of_tracks(is_kept)
         return replace(self, estimates=estimates, associations=associations, filtered=filtered)
+
+    def renamed(self, name: Callable[[int], int]) -> "Record":
+        """Return the record with other identities of its tracks."""
+
+        def rename(of: AnyTracks) -> AnyTracks:
+            return replace(of, track_ids=np.array([name(one) for one in of.track_ids.tolist()], dtype=np.int64))
+
+        estimates = rename(self.estimates)
+        if (tentative := estimates.tentative) is not None:
+            estimates = replace(estimates, tentative=rename(tentative))
+        return replace(
+            self,
+            estimates=estimates,
+            attributed={name(track_id): counts for track_id, counts in self.attributed.items()},
+            associations=tuple(rename(one) for one in self.associations),
+        )
 
 
 class EstimatorState(Protocol):

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.geometry.camera import Camera
@@ -274,20 +273,11 @@ class JoinedPieces:
             self._next_id = max(self._next_id, names[track_id] + 1)
             return names[track_id]
 
-        def rename(track_ids: NDArray[np.int64]) -> NDArray[np.int64]:
-            return np.array([name(one) for one in track_ids.tolist()], dtype=np.int64)
-
-        estimates = replace(record.estimates, track_ids=rename(record.estimates.track_ids))
-        filtered = record.filtered and self._renamed(record.filtered.of_tracks(names.__contains__), names, first)
-        if (tentative := estimates.tentative) is not None:
-            estimates = replace(estimates, tentative=replace(tentative, track_ids=rename(tentative.track_ids)))
-        return replace(
-            record,
-            estimates=estimates,
-            attributed={name(track_id): counts for track_id, counts in record.attributed.items()},
-            associations=tuple(replace(one, track_ids=rename(one.track_ids)) for one in record.associations),
-            filtered=filtered,
-        )
+        filtered = record.filtered
+        record = replace(record, filtered=None).renamed(name)
+        if filtered is None:
+            return record
+        return replace(record, filtered=filtered.of_tracks(names.__contains__).renamed(name))
 
 
 def _key(record: Record) -> tuple[float, str, bool]:

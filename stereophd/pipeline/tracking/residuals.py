@@ -187,6 +187,7 @@ class TrackErrors:
             variances = np.trace(stated @ spreads[first] @ stated @ spreads[second], axis1=1, axis2=2)
             # no few pairs of tracks that are less certain than a detection count for more than all others
             sums.add(products / np.maximum(variances, 1.0), np.minimum(variances, 1.0))
-        last = {(names[row], tracks[row]): row for row in range(self.known, len(names))}
-        self.waiting = [self.waiting[row] for row in sorted(last.values())]
+        last = {(names[row], tracks[row]): row for row in range(len(names))}
+        is_alive = set(tracks[self.known :].tolist())
+        self.waiting = [self.waiting[row] for row in sorted(last.values()) if self.waiting[row].track_id in is_alive]
         self.known = len(self.waiting)

@@ -52,24 +52,29 @@ class CameraSums:
     # what an event shows does not decide whether it counts. Whether they are in view is still to be computed.
     in_view: int = 0
     detected: float = 0.0
-    placed: list[tuple[float, Array]] = field(default_factory=list)  # Times and positions (k, 3)
+    placed: list[tuple[float, Array, Array]] = field(default_factory=list)  # Times, positions (k, 3), claims (k,)
 
     def expect(self, before: Reported, record: Record, camera: Camera) -> None:
         """Take in which of the tracks reported before an event of this camera it detects."""
         moved = (record.time_s - before.time_s) * before.states[:, 3:]
-        self.placed.append((record.time_s, before.states[:, :3] + moved))
+        place, claimed = {track: row for row, track in enumerate(before.track_ids.tolist())}, np.zeros(len(moved))
         for one in record.associations:
             if (one.time_s, one.camera) == (record.time_s, record.camera):
-                self.detected += float(one.probabilities[np.isin(one.track_ids, before.track_ids)].sum())
+                for track, probability in zip(one.track_ids.tolist(), one.probabilities.tolist(), strict=True):
+                    if (row := place.get(track)) is not None:
+                        claimed[row] += probability
+        self.placed.append((record.time_s, before.states[:, :3] + moved, np.minimum(claimed, 1.0)))
         if len(self.placed) >= BATCH:
             self._look(camera)
 
     def _look(self, camera: Camera) -> None:
         """Find out which of the tracks that are placed are in view."""
         if self.placed:
-            times, positions = zip(*self.placed, strict=True)
+            times, positions, claimed = zip(*self.placed, strict=True)
             at = np.repeat(times, [len(one) for one in positions])
-            self.in_view += int(camera.contains(camera.project_at(np.concatenate(positions), at)).sum())
+            is_seen = camera.contains(camera.project_at(np.concatenate(positions), at))
+            self.in_view += int(is_seen.sum())
+            self.detected += float(np.concatenate(claimed)[is_seen].sum())
             self.placed = []
 
     def add(self, record: Record, sightings: Associated, camera: Camera) -> None:

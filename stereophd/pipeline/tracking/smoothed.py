@@ -28,6 +28,7 @@ from stereophd.core.trajectories.swaps import choose_anew
 from stereophd.pipeline.tracking.associations import LEAST_PROBABILITY, Associated
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.residuals import PROBABLE
+from stereophd.pipeline.tracking.unfinished import bare
 from stereophd.wording import LOGGER, percent
 
 # A track that ends coasting, existence falling, was not seen again: smoothed, it ends where it was still
@@ -110,7 +111,7 @@ def smoothed_records(
         own.sort(key=lambda row: row[0])
         yield replace(
             record, estimates=_estimates(own, extents), attributed=attributed, associations=sightings,
-            filtered=record,
+            filtered=Record(**bare(record)).renamed(name),
         )  # fmt: skip
 
 

@@ -21,6 +21,9 @@ from stereophd.core.geometry.camera import Camera, Clock
 # One frame: index of its camera, true time by the camera's clock, raw pixels (m, 2), standard deviations if stated.
 RawFrame = tuple[int, float, Array, Array | None]
 
+# Slots that a part of a log has at least, however slow its slowest camera is.
+LEAST_SLOTS = 64
+
 
 @dataclass(frozen=True)
 class Recording:
@@ -93,17 +96,21 @@ class Recording:
         """Frames in time slots common to all cameras: a share of the slots, evenly over the log.
 
         A slot lasts for about so many frames (`length`) of the slowest camera, and holds those of every camera; it is
-        no longer than the share of the log. A pause of all cameras lasts for no time.
+        no longer than the share of the log. A pause of all cameras lasts for no time. Cameras with hardly any frames do
+        not count as the slowest, and keep them all.
         """
         if share >= 1.0 or not len(self.times):
             return np.arange(len(self.times))
-        place = (self.times - self.times[0]) / (float(self.periods(len(self.clocks)).max()) or 1.0) + 0.5
+        periods, span = self.periods(len(self.clocks)), float(np.ptp(self.times))
+        usual = float(np.sort(periods)[(len(periods) - 1) // 2])
+        period = min(float(periods.max()), max(usual, span * share / LEAST_SLOTS)) or 1.0
+        place = (self.times - self.times[0]) / period + 0.5
         _, rank = np.unique(np.floor(place), return_inverse=True)
         total = share * (int(rank.max()) + 1)
         kept = max(int(total / length), 1)
         slot = ((rank + place % 1.0) * kept / total).astype(np.int64)
         count = math.ceil(kept / share)
-        return np.flatnonzero((slot * kept + count // 2) % count < kept)
+        return np.flatnonzero(((slot * kept + count // 2) % count < kept) | (periods > period)[self.cameras])
 
     def part(self, frames: Integers) -> Recording:
         """Return some of the frames, in increasing order."""

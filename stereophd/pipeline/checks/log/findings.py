@@ -35,7 +35,7 @@ MOST_SHOWN, PLACE_RADIUS_PX = 5, 2.0
 SCALED_ALIKE = 0.2
 # Parts of the image within which a principal point is in its middle, and from which on it is not.
 NEAR_CENTRE, FAR_FROM_CENTRE = 0.1, 0.25
-# Focal lengths over the image width are larger, of fisheyes too.
+# Focal lengths over the smaller side of the image are larger, of fisheyes too: 0.32 where it holds half a sphere.
 SHORTEST_FOCAL = 0.2
 
 
@@ -189,12 +189,13 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             "detector.sigma", "warning", f"{camera.name}: a noise of {sigma:g} px is implausible",
             sigma, None, camera.name, "state the standard deviation of a detection in pixels", "sigma",
         )  # fmt: skip
-    if camera.fx < SHORTEST_FOCAL * camera.width:
+    shortest = SHORTEST_FOCAL * min(camera.width, camera.height)
+    if camera.fx < shortest:
         yield Finding(
             "camera.focal_length", "warning",
-            f"{camera.name}: fx = {camera.fx:g} px is less than {percent(SHORTEST_FOCAL)} of the width of the image, "
-            "as of no lens: the focal length seems to be in millimetres",
-            camera.fx, SHORTEST_FOCAL * camera.width, camera.name,
+            f"{camera.name}: fx = {camera.fx:g} px is less than {percent(SHORTEST_FOCAL)} of the smaller side of the "
+            "image, as of no lens: the focal length seems to be in millimetres",
+            camera.fx, shortest, camera.name,
             "divide it by the pixel pitch: focal length [px] = focal length [mm] * image width [px] / sensor width "
             "[mm]", "focal_length_millimetres",
         )  # fmt: skip

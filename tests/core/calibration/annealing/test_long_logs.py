@@ -105,3 +105,16 @@ def test_stretches_are_longer_than_clocks_are_apart() -> None:
     for apart, parts in ((1.0, 2), (40.0, 1)):
         unknown = ParameterSet(made.parameters.cameras, (Parameter("clock_offset", "right", 0.0, apart),))
         assert len(parts_of(recording, settings, unknown)) == parts
+
+
+@pytest.mark.parametrize("rare_s", [[1200.0, 2400.0], np.arange(100.0, 3600.0, 600.0)])
+def test_a_camera_with_hardly_any_frames_does_not_decide_the_part(rare_s: list[float]) -> None:
+    """It keeps them, and the others their share of the whole log."""
+    times = np.arange(0.0, 3600.0, 0.5)
+    recording = frames_at(times, times, np.asarray(rare_s))
+    for share in (0.1, 0.37):
+        chosen = recording.spread(share)
+        of_rare = recording.cameras[chosen] == 2
+        assert of_rare.sum() == len(rare_s)
+        assert (~of_rare).sum() / (2 * len(times)) == pytest.approx(share, rel=0.1)
+        assert np.ptp(recording.times[chosen]) > 3000.0
