@@ -268,7 +268,7 @@ def _clauses(report: Mapping[str, Any], evaluation: Mapping[str, Any] | None) ->
         limit = used.get("limited_by")
         if limit and limit not in (report.get("reason") or "") and used["detections_used"] < used["detections"]:
             part = f"{used['detections_used']:,} of {used['detections']:,} detections"
-            yield f"they were fitted to a part of the log, {part} ({limit})"
+            yield f"they were fitted to a part of the log with {part} ({limit})"
     tracking = tracking_part(report)
     if tracking:
         tracks = tracking["tracks"]

@@ -1,8 +1,14 @@
 """Threads: of linear algebra, by the variables of the environment that it reads when it is loaded, and of our own."""
 
+from __future__ import annotations
+
 import os
 from collections.abc import Callable, Iterable
-from typing import TypeVar
+from functools import cache
+from typing import TYPE_CHECKING, TypeVar
+
+if TYPE_CHECKING:
+    from concurrent.futures import Executor
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -24,7 +30,12 @@ def in_threads(function: Callable[[Item], Result], items: Iterable[Item], thread
     """Call a function that leaves the interpreter for most of its time for each item; return the results in order."""
     if threads == 1:
         return list(map(function, items))
+    return list(_pool(threads).map(function, items))
+
+
+@cache
+def _pool(threads: int) -> Executor:
+    """Return threads that wait for calls: to start them takes as long as a small event of a filter."""
     from concurrent.futures import ThreadPoolExecutor  # the command line needs this module first
 
-    with ThreadPoolExecutor(threads) as pool:
-        return list(pool.map(function, items))
+    return ThreadPoolExecutor(threads)

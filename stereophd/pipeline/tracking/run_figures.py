@@ -64,7 +64,7 @@ class CameraSums:
                     if (row := place.get(track)) is not None:
                         claimed[row] += probability
         self.placed.append((record.time_s, before.states[:, :3] + moved, np.minimum(claimed, 1.0)))
-        if len(self.placed) >= BATCH:
+        if len(self.placed) * len(moved) >= BATCH:
             self._look(camera)
 
     def _look(self, camera: Camera) -> None:

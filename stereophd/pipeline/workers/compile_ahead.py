@@ -18,7 +18,7 @@ from stereophd.pipeline.workers.places import processes
 def compiling_ahead(kind: str) -> Iterator[bool]:
     """Compile kernels of a kind of filter in a second process during the block.
 
-    Yields whether there is such a process: not if the kernels are kept already or cannot be, or there is one core.
+    Yields whether such a process is begun: not if the kernels are kept already or cannot be, or there is one core.
     """
     from stereophd.core.multi.build import last_kernel
 

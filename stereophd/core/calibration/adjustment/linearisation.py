@@ -154,12 +154,7 @@ class Linearisation:
             matrix[held, held] = parameters.prior_std[held] ** -2
         return replace(sums, cost=cost, by_noise=by_noise)
 
-    def summed(
-        self,
-        path: Interpolation,
-        seen: Seen,
-        loss: Loss | None = None,
-    ) -> NormalEquations:
+    def summed(self, path: Interpolation, seen: Seen, loss: Loss | None = None) -> NormalEquations:
         """Contributions of all detections, from what `residuals` returns; by default with the loss of the problem.
 
         Those by values are zero where the derivatives by values are empty.
@@ -222,14 +217,9 @@ class Linearisation:
         return placement.path, self.seen(placement, values, world, velocities, by_values)
 
     def seen(
-        self,
-        placement: Placement,
-        values: Array,
-        world: Array,
-        velocities: Array,
-        by_values: bool = True,
+        self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True,
         with_bends: bool = False,
-    ) -> Seen:
+    ) -> Seen:  # fmt: skip
         """What is seen of points and velocities (n, 3)."""
         observations, parameters = self.problem.observations, self.problem.parameters
         count = len(observations)
@@ -256,8 +246,8 @@ class Linearisation:
         To their matrix in the normal equations, `bands`, those of the pixels are added: what one camera alone sees
         lies in valleys that the normal equations do not tell. Those are taken where the sum is not positive definite.
         """
-        curved, pulls = bands.copy(), -(self.precisions @ seen.errors[:, :, None])[:, :, 0]
-        normal_equations.add_points(path.knot, path.weights, pulls, seen.bends, curved)
+        curved = bands.copy()
+        normal_equations.add_points(path.knot, path.weights, -self.pulls(seen), seen.bends, curved)
         with suppress(LinAlgError):
             return factor_knots(curved)
         return factor_knots(bands)

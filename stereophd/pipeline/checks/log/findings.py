@@ -194,7 +194,7 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
         yield Finding(
             "camera.focal_length", "warning",
             f"{camera.name}: fx = {camera.fx:g} px is less than {percent(SHORTEST_FOCAL)} of the smaller side of the "
-            "image, as of no lens: the focal length seems to be in millimetres",
+            "image, shorter than that of any lens: the focal length seems to be in millimetres",
             camera.fx, shortest, camera.name,
             "divide it by the pixel pitch: focal length [px] = focal length [mm] * image width [px] / sensor width "
             "[mm]", "focal_length_millimetres",
