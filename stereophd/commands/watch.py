@@ -1,7 +1,7 @@
 """A page that shows a live run in a browser, from a small server on this machine.
 
 The server subscribes to what a live run publishes, and passes it on as server-sent events, at most `FRAMES_PER_S`
-pictures a second. It answers only those who know the token of its address.
+pictures per second. It answers only those who know the token of its address.
 """
 
 import http.server
@@ -18,7 +18,7 @@ from stereophd.errors import InputError
 from stereophd.io.streams.sources import connect
 
 PAGE = "live.html"
-# Pictures a second, and those that wait for a slow browser before it misses some.
+# Pictures per second, and those that wait for a slow browser before it misses some.
 FRAMES_PER_S, MOST_WAITING = 20.0, 100
 
 

@@ -28,7 +28,7 @@ OPTIONAL = {"status": STRING, **{field.name: field.type for field in (*STD, *EXT
 COLUMNS = ("time_s", "camera", "frame", "track_id", "x", "y", "z", "vx", "vy", "vz", "covariance", "existence")
 # Times within this share of the period count as multiples of it.
 REGULAR = 1e-3
-# Most times of a file at a fixed rate: days at hundreds a second.
+# Most times of a file at a fixed rate: days at hundreds per second.
 MOST_TIMES = 50_000_000
 
 

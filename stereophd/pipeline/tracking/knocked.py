@@ -36,7 +36,7 @@ from stereophd.core.two_views.turns import all_turns, frame_ratios, look_at_fram
 
 # Mean time between two false alarms, s, if the model holds: ten days.
 FALSE_ALARM_S = 864_000.0
-# Most looks a second at all cameras; tracks that are looked at, chosen as if at random, by their numbers' multiples of
+# Most looks per second at all cameras; tracks that are looked at, chosen as if at random by their numbers' multiples of
 # the golden ratio; the fewest that must agree.
 MOST_LOOKS, MOST_TRACKS, FEWEST_TRACKS = 80.0, 12, 2.0
 GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)

@@ -441,10 +441,12 @@ def statement_remarks(believed: Believed, is_doubted: bool) -> tuple[Remark, ...
         (s for s in believed.held if not is_shown(s, believed.task.parameters)), key=lambda s: s.moves, default=None
     )
     if contradicted is None and not is_doubted and hidden is not None and hidden.moves > LARGEST_MOVE:
+        names = hidden.group.names
+        priors = dict.fromkeys(f"calibration.priors.{name.rpartition('.')[0]}.focal_std" for name in names)
         text = (
-            f"two cameras do not show whether {' and '.join(hidden.group.names)} are as stated: if they were "
+            f"two cameras do not show whether {' and '.join(names)} are as stated: if they were "
             f"{percent(FOCAL_STD)} off, tracks would be off by {hidden.moves:.1f} of their stated standard deviations "
-            "(remedy: state how well they are known, calibration.priors.NAME.focal_std)"
+            f"(remedy: state how well they are known, {' and '.join(priors)})"
         )
         remarks.append(Remark("sensitivity", text))
     return tuple(remarks)

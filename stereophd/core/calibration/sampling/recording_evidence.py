@@ -32,7 +32,7 @@ from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.numerics.threads import in_threads
 
-# False detections a frame below which a lens that cannot be inverted would make the recording impossible.
+# False detections per frame below which a lens that cannot be inverted would make the recording impossible.
 LEAST_CLUTTER = 1e-6
 
 

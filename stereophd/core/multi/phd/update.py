@@ -92,7 +92,7 @@ def label_shares(
 
         w_i (1 - p_D) of component i missed,    w_i p_D g_ij / kappa_j of component i detected by j.
 
-    With clutter of 10 a frame, p_D = 0.7 and a detection at hand, the missed part has a share of 0.3 in the intensity
+    With clutter of 10 per frame, p_D = 0.7 and a detection at hand, the missed part has a share of 0.3 in the intensity
     and 0.0002 in these odds. Its larger covariance, and its distance from the detected part, would enter the moments of
     what is merged: the stated covariance would be half as large again as the errors.
 

@@ -44,7 +44,7 @@ class EventNumbers(NamedTuple):
     area: float  # Area of the image, px^2
     survival: float  # Probability that an object survives since the last event
     out_of_view_s: float  # Time constant of `keep_surviving_weights`
-    # `clutter`, `births`: Expected number of false detections and of new objects a frame.
+    # `clutter`, `births`: Expected number of false detections and of new objects per frame.
     clutter: float
     births: float
 

@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.adjustment.solver import Adjustment
-from stereophd.core.calibration.annealing.method import Remark, doubt_of_starts, why_none_succeeded
+from stereophd.core.calibration.annealing.method import (
+    Believed,
+    Remark,
+    doubt_of_starts,
+    statement_remarks,
+    why_none_succeeded,
+)
 from stereophd.core.calibration.annealing.starts import agree, best_of, distinct, rival_of
 from stereophd.core.calibration.annealing.task import SUCCEEDED, Fit, Start, Task
 from stereophd.core.calibration.settings import AnnealedSettings
@@ -116,3 +122,14 @@ def test_a_remedy_follows_from_what_is_unknown(is_timed: bool, is_searched: bool
     """Of cameras from nothing it proposed `pose: unknown`, and to compare clocks that are unknown."""
     said = why_none_succeeded([start(0, None)], is_timed, is_searched)
     assert ("compares clocks" in said, "pose: unknown" in said) == (is_timed, not is_searched)
+
+
+def test_what_two_cameras_do_not_show_has_a_remedy_to_paste() -> None:
+    group = SimpleNamespace(names=("left.focal", "right.focal"), quantity="focal")
+    held = SimpleNamespace(group=group, is_contradicted=False, expected_move=0.5, moves=3.0)
+    pose = SimpleNamespace(camera="right", name="rotation_x")
+    task = SimpleNamespace(parameters=SimpleNamespace(cameras=("left", "right"), parameters=(pose,)))
+    believed = cast("Believed", SimpleNamespace(held=(held,), given_up=(), task=task))
+    (remark,) = statement_remarks(believed, is_doubted=False)
+    assert remark.topic == "sensitivity"
+    assert "calibration.priors.left.focal_std and calibration.priors.right.focal_std" in remark.text
