@@ -31,7 +31,7 @@ def test_a_full_disk_has_a_number_where_rows_are_spooled(tmp_path: Path) -> None
     if not Path("/dev/full").exists():
         pytest.skip("the system has no full device")
     with open("/dev/full", "wb", buffering=0) as stream:
-        rows = Piece("left", np.zeros((5000, 2)), frame=np.arange(5000))
+        rows = Piece(tmp_path, "left", np.zeros((5000, 2)), frame=np.arange(5000))
         with pytest.raises(OSError, match="No space") as raised:
             _append(Spool(tmp_path / "rows", stream), rows, "rows")  # type: ignore[arg-type]
     assert raised.value.errno == errno.ENOSPC

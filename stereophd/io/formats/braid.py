@@ -135,7 +135,7 @@ def _detections(
                 pixels = np.stack([mine["x"], mine["y"]], axis=1)
                 if name in skewed:
                     pixels = skewed[name].upright(pixels)
-                yield Piece(name, pixels, mine["frame"], time)
+                yield Piece(path, name, pixels, mine["frame"], time)
         source = "the trigger" if all(is_triggered.values()) else "the arrival of the images at the computer"
         recording.assumed.append(f"times are those of {source}")
 

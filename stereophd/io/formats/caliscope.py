@@ -150,7 +150,7 @@ def _counted(path: Path, options: ImportOptions) -> Iterator[Piece]:
     for number in np.unique(camera):
         mine = np.sort(time[camera == number])
         frames = np.arange(len(mine), dtype=np.float64)
-        yield Piece(options.name(f"cam{number:.0f}"), np.full((len(mine), 2), np.nan), frames, mine)
+        yield Piece(path, options.name(f"cam{number:.0f}"), np.full((len(mine), 2), np.nan), frames, mine)
 
 
 def _rows(path: Path, options: ImportOptions, has_points: bool, sync: Sequence[str]) -> Iterator[Piece]:
@@ -170,7 +170,7 @@ def _rows(path: Path, options: ImportOptions, has_points: bool, sync: Sequence[s
             if has_points:
                 pixels = np.stack([mine["u"], mine["v"]], axis=1)
                 extra["object_id"] = mine["point"] + POINTS_OF_A_GROUP * mine.get("object", np.zeros(1))
-            yield Piece(options.name(f"cam{camera:.0f}"), pixels, mine["frame"], mine["time"], extra)
+            yield Piece(path, options.name(f"cam{camera:.0f}"), pixels, mine["frame"], mine["time"], extra)
 
 
 FORMAT = Format(

@@ -62,7 +62,7 @@ def _split(
         # the second shift marks boxes, which are measured from a corner
         pixels = table[:, 1:3] - table[:, 5:6]
         extra = {"score": table[:, 3], "object_id": table[:, 4], "width_px": table[:, 6], "height_px": table[:, 7]}
-        yield Piece(camera, native_pixels(pixels, camera, options, recording), table[:, 0], extra=extra)
+        yield Piece(path, camera, native_pixels(pixels, camera, options, recording), table[:, 0], extra=extra)
 
 
 def _frame_numbers(path: Path, images: Sequence[Annotation], recording: ForeignRecording) -> list[float]:

@@ -144,7 +144,7 @@ def _split(
         where = f"{path}: column {columns.get('time_s')}"
         time = in_seconds(mine["time_s"], options, where) if "time_s" in mine else None
         extra = {key: mine[key] for key in EXTRA_COLUMNS if key in mine}
-        yield Piece(camera, native_pixels(pixels, camera, options, recording), mine.get("frame"), time, extra)
+        yield Piece(path, camera, native_pixels(pixels, camera, options, recording), mine.get("frame"), time, extra)
 
 
 def _inert(cell: Any) -> Any:

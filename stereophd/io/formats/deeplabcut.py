@@ -56,7 +56,7 @@ def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignR
                 if (part, "likelihood") in index:
                     scores[:, k] = values[:, index[part, "likelihood"]]
             flat = native_pixels(points.reshape(-1, 2), camera, options, recording)
-            yield point_rows(camera, frames, flat.reshape(points.shape), scores)
+            yield point_rows(path, camera, frames, flat.reshape(points.shape), scores)
 
 
 def _csv(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:

@@ -213,7 +213,7 @@ def _pieces(
     recording.labels.update(enumerate(names))
     for frames, points in _batches(path, len(views)):
         for k, view in enumerate(views):
-            yield point_rows(view.name, frames, view.native(points[:, :, k]), None)
+            yield point_rows(path, view.name, frames, view.native(points[:, :, k]), None)
 
 
 def _columns(path: Path, cameras: int) -> tuple[list[tuple[str, int]], list[str]]:

@@ -80,10 +80,12 @@ def _pieces(files: dict[str, Path], options: ImportOptions, recording: ForeignRe
             raise InputError(f"{path}: expected rows of {', '.join(COLUMNS)}, found {len(words)} columns")
         names = [*COLUMNS, *(f"more_{k}" for k in range(len(words) - len(COLUMNS)))][: len(words)]
         for row in number_batches(path, separator, names[: len(COLUMNS)], str(path), names):
-            yield _piece(camera, row, options, recording)
+            yield _piece(path, camera, row, options, recording)
 
 
-def _piece(camera: str, row: dict[str, Array], options: ImportOptions, recording: ForeignRecording) -> Piece:
+def _piece(
+    path: Path, camera: str, row: dict[str, Array], options: ImportOptions, recording: ForeignRecording
+) -> Piece:
     # a box covers the pixels left ... left + width - 1, all counted from 1
     u = row["left"] + (row["width"] - 1.0) / 2
     down = row["height"] - 1.0
@@ -94,7 +96,7 @@ def _piece(camera: str, row: dict[str, Array], options: ImportOptions, recording
     if "score" in row:
         extra["score"] = row["score"]
     native = native_pixels(np.stack([u, v], axis=1), camera, options, recording, origin="one")
-    return Piece(camera, native, row["frame"], extra=extra)
+    return Piece(path, camera, native, row["frame"], extra=extra)
 
 
 def write_tracks(tracks: Path, target: Path, options: ExportOptions) -> list[str]:

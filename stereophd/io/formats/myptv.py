@@ -41,7 +41,7 @@ def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignR
         camera = options.name(path.stem.removeprefix("blobs_"))
         for row, column, *_, frame in _batches(path, COLUMNS):
             pixels = native_pixels(np.stack([column, row], axis=1), camera, options, recording)
-            yield Piece(camera, pixels, frame)
+            yield Piece(path, camera, pixels, frame)
 
 
 def _batches(path: Path, names: Sequence[str]) -> Iterator[list[Array]]:

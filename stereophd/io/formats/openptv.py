@@ -306,7 +306,7 @@ def _pieces(targets: dict[str, list[tuple[int, Path]]]) -> Iterator[Piece]:
             pixels = _read_targets(path) - 0.5
             if not len(pixels):
                 pixels = np.full((1, 2), np.nan)
-            yield Piece(name, pixels, np.full(len(pixels), float(frame)))
+            yield Piece(path, name, pixels, np.full(len(pixels), float(frame)))
 
 
 def _read_targets(path: Path) -> Array:

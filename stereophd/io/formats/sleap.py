@@ -45,10 +45,12 @@ def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignR
         camera = options.name(stem)
         with expecting("an analysis file of SLEAP (tracks, node_names)", path), h5py.File(path, "r") as file:
             check_hdf5(file, path)
-            yield from _file_pieces(file, camera, options, recording)
+            yield from _file_pieces(path, file, camera, options, recording)
 
 
-def _file_pieces(file: Any, camera: str, options: ImportOptions, recording: ForeignRecording) -> Iterator[Piece]:
+def _file_pieces(
+    path: Path, file: Any, camera: str, options: ImportOptions, recording: ForeignRecording
+) -> Iterator[Piece]:
     tracks = file["tracks"]
     axes = tuple(json.loads(tracks.attrs["dims"])) if "dims" in tracks.attrs else USUAL_AXES
     axes = tuple("xy" if axis == "xy" else axis.rstrip("s") for axis in axes)
@@ -67,7 +69,7 @@ def _file_pieces(file: Any, camera: str, options: ImportOptions, recording: Fore
             who = labels[k // nodes] if k // nodes < len(labels) else f"track{k // nodes}"
             recording.labels[k] = f"{who}.{names[k % nodes]}"
         flat = native_pixels(points.reshape(-1, 2), camera, options, recording)
-        yield point_rows(camera, frames.astype(np.float64), flat.reshape(points.shape), scores)
+        yield point_rows(path, camera, frames.astype(np.float64), flat.reshape(points.shape), scores)
 
 
 def _in_order(values: Any, axes: tuple[str, ...], frames: Integers) -> Array:

@@ -80,7 +80,7 @@ def _pieces(files: dict[str, dict[int, Path]], options: ImportOptions, recording
             else:
                 extra |= {"width_px": extent[:, 0], "height_px": extent[:, 1]}
             pixels = native_pixels(middle, camera, options, recording, origin="corner")
-            yield Piece(camera, pixels, np.full(len(rows), float(frame)), extra=extra)
+            yield Piece(path, camera, pixels, np.full(len(rows), float(frame)), extra=extra)
 
 
 FORMAT = Format("YOLO: detections (text, a file for each frame)", read=read)

@@ -19,7 +19,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.settings import LARGEST_TIME_S
 from stereophd.errors import InputError
 from stereophd.io.documents import check_instant
-from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, ImportOptions, Piece
+from stereophd.io.interchange.base import EXTRA_COLUMNS, ForeignRecording, ImportOptions, Piece, named_files
 from stereophd.io.logs.checks import repeated_rows
 from stereophd.io.logs.rows import log_schema
 from stereophd.io.tables.writing import TableWriter
@@ -40,6 +40,7 @@ class Spool:
 
     path: Path
     stream: BinaryIO
+    files: dict[Path, None] = field(default_factory=dict)  # Those that have rows, in order
     rows: int = 0
     last: float = -math.inf
     in_order: bool = True
@@ -71,12 +72,13 @@ def spool_pieces(recording: ForeignRecording, folder: Path, options: ImportOptio
             is_low = piece.extra["score"] < options.least_score
             gaps = {name: np.where(is_low, np.nan, values) for name, values in piece.extra.items()}
             piece = replace(piece, pixels=np.where(is_low[:, None], np.nan, piece.pixels), extra=gaps)
-        _append(spool, piece, f"{recording.source}: camera {piece.camera}")
+        _append(spool, piece, f"{piece.file}: camera {piece.camera}")
     return spools
 
 
 def _append(spool: Spool, piece: Piece, where: str) -> None:
     count = len(piece.pixels)
+    spool.files[piece.file] = None
     rows = np.full((count, WIDTH), np.nan)
     if piece.frame is not None:
         rows[:, FRAME] = piece.frame
@@ -195,7 +197,7 @@ class _Camera:
         self, name: str, spool: Spool, recording: ForeignRecording, options: ImportOptions, summary: CameraSummary
     ) -> None:
         self._name, self._spool, self._summary = name, spool, summary
-        self._where = where = f"{recording.source}: camera {name}"
+        self._where = where = f"{named_files(spool.files)}: camera {name}"
         summary.has_whole_times = spool.has_whole_times
         if spool.half:
             recording.warnings.append(

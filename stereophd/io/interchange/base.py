@@ -21,11 +21,15 @@ from stereophd.io.interchange.options import PerCamera as PerCamera
 #: Optional columns of a log that a format may fill.
 EXTRA_COLUMNS = ("sigma_u_px", "sigma_v_px", "width_px", "height_px", "score", "object_id")
 
+# Most files that a message names.
+MOST_NAMED = 4
+
 
 @dataclass(frozen=True)
 class Piece:
     """Some detections of one camera."""
 
+    file: Path  # The file that has them
     camera: str  # Native name
     pixels: Array  # Native pixels (n, 2); a row of NaN is a frame without detections
     frame: Array | None = None  # Frame numbers (n,), or None where the source has times only
@@ -73,7 +77,13 @@ class ForeignRecording:
     @property
     def source(self) -> str:
         """The names of its files, for messages."""
-        return ", ".join(map(str, self.files)) or "the source"
+        return named_files(self.files)
+
+
+def named_files(files: Iterable[Path]) -> str:
+    """Name files in a message: the first ones, where there are many."""
+    first, *others = dict.fromkeys(map(str, files)) or ["the source"]
+    return ", ".join([first, *others]) if len(others) < MOST_NAMED else f"{first} and {len(others)} other files"
 
 
 Reader = Callable[[Sequence[Path], ImportOptions], ForeignRecording]

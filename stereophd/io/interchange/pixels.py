@@ -1,5 +1,7 @@
 """Pixels of other programs in native ones: where pixel (0, 0) lies, and from which side rows count."""
 
+from pathlib import Path
+
 import numpy as np
 
 from stereophd.core.arrays import Array
@@ -30,7 +32,7 @@ def native_pixels(
     return result
 
 
-def point_rows(camera: str, frames: Array, points: Array, scores: Array | None) -> Piece:
+def point_rows(file: Path, camera: str, frames: Array, points: Array, scores: Array | None) -> Piece:
     """Return the detections of a camera; a frame without any is one row of NaN.
 
     Frame numbers are (n,), native pixels (n, points, 2), NaN where a point is not seen, scores (n, points). The number
@@ -46,4 +48,4 @@ def point_rows(camera: str, frames: Array, points: Array, scores: Array | None) 
     if scores is not None:
         extra["score"] = np.concatenate([scores[frame_index, point_index], gaps])[order]
     pixels = np.concatenate([points[frame_index, point_index], np.full((len(empty), 2), np.nan)])
-    return Piece(camera, pixels[order], number[order], extra=extra)
+    return Piece(file, camera, pixels[order], number[order], extra=extra)

@@ -369,6 +369,6 @@ def test_a_truth_as_parquet_of_own_columns_is_read(tmp_path: Path, imported: Imp
 def test_a_point_with_one_coordinate_is_a_bad_row_in_every_format() -> None:
     """Formats of points took it for one that is not seen, in silence."""
     points = np.array([[[1.0, 2.0], [3.0, np.nan]], [[np.nan, np.nan], [np.nan, np.nan]]])
-    piece = point_rows("left", np.array([4.0, 5.0]), points, None)
+    piece = point_rows(Path("points.csv"), "left", np.array([4.0, 5.0]), points, None)
     np.testing.assert_array_equal(piece.pixels, [[1.0, 2.0], [3.0, np.nan], [np.nan, np.nan]])
     np.testing.assert_array_equal(piece.frame, [4.0, 4.0, 5.0])

@@ -16,8 +16,9 @@ import pytest
 
 from stereophd.commands.importing import import_recording
 from stereophd.errors import InputError
+from stereophd.io.formats import csv
 from stereophd.io.interchange.assembly import spool_pieces
-from stereophd.io.interchange.base import ForeignRecording, ImportOptions, PerCamera, Piece
+from stereophd.io.interchange.base import ForeignRecording, ImportOptions, PerCamera, Piece, named_files
 from stereophd.io.interchange.registry import find, names, recognise_cameras
 
 READERS = [name for name in names() if find(name).read is not None]
@@ -107,8 +108,22 @@ def test_a_score_that_is_no_number_is_refused(score: float) -> None:
 
 def test_a_camera_that_is_named_but_has_no_rows_is_left_out(tmp_path: Path) -> None:
     """As an importer makes it of a column of ports with a gap."""
-    pieces = [Piece("a", np.array([[1.0, 2.0]]), np.array([0.0])), Piece("nan", np.empty((0, 2)), np.empty(0))]
+    rows = (np.array([[1.0, 2.0]]), np.array([0.0]))
+    pieces = [Piece(tmp_path, "a", *rows), Piece(tmp_path, "nan", np.empty((0, 2)), np.empty(0))]
     spools = spool_pieces(ForeignRecording(pieces=pieces), tmp_path, ImportOptions())
     assert list(spools) == ["a"]
     for spool in spools.values():
         spool.discard()
+
+
+def test_a_message_names_the_file_with_the_row_and_no_other(tmp_path: Path) -> None:
+    for name, frame in (("left", "1"), ("right", "0.5")):
+        (tmp_path / f"{name}.csv").write_text(f"frame,u,v\n{frame},2,3\n")
+    recording = csv.read([tmp_path / "left.csv", tmp_path / "right.csv"], ImportOptions())
+    with pytest.raises(InputError, match=r"^\S*right\.csv: camera right: expected whole frame numbers, found 0\.5$"):
+        spool_pieces(recording, tmp_path, ImportOptions())
+
+
+def test_of_many_files_a_message_names_the_first() -> None:
+    assert named_files(map(Path, "aab")) == "a, b"
+    assert named_files(map(Path, "abcdef")) == "a and 5 other files"
