@@ -82,10 +82,10 @@ def _depth_samples(geometry: Geometry, least_score: float) -> tuple[Array, Array
     for pair, given in zip(geometry.pairs, geometry.given, strict=True):
         a, b = views[pair.a], views[pair.b]
         apart = replace(pair.elsewhere(a.camera), pixels_b=pair.pixels_b[1:])
-        measured = distances(replace(pair, pixels_b=pair.pixels_b[:1]), a, b), distances(apart, a, b)
+        measured = distances(pair.unshifted, a, b), distances(apart, a, b)
         distance, depth = (np.concatenate(each) for each in zip(*measured, strict=True))
         meets = given.score >= least_score
-        near = (distance <= (given.tolerance if meets else TOLERANCES[0])) & np.isfinite(depth) & (depth > 0.0)
+        near = (np.abs(distance) <= (given.tolerance if meets else TOLERANCES[0])) & np.isfinite(depth) & (depth > 0.0)
         counts = near.sum(axis=(1, 2))
         spread = float(np.hypot(counts[1:].std(ddof=1), np.sqrt(max(counts[1:].mean(), 1.0))))
         # in a crowd every detection has a partner by chance, but not as many

@@ -520,7 +520,7 @@ def _many(count: int, few_frames: int = 0, alone: int = 0) -> Geometry:
     for a, b in pairs_of(count):
         if b < count - alone:
             pairs.append(Candidates(a, b, none, np.empty(0), nowhere, np.empty((1, 0, 0, 2))))
-    met = Meeting(0.9, 0.1, 0.9, 9.0, 3.0, np.ones(100, dtype=bool))
+    met = Meeting(0.9, 0.1, 0.9, 9.0, 3.0, 0.9, np.ones(100, dtype=bool))
     return Geometry(samples, tuple(pairs), (met,) * len(pairs), (0.9,) * len(pairs))
 
 
@@ -544,7 +544,7 @@ def test_pairs_and_clocks_that_are_left_out_are_stated(count: int, few_frames: i
 
 def test_a_small_promise_is_not_called_a_small_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stereophd.pipeline.checks.geometry.findings.best_explanation", lambda *_, **__: None)
-    little = replace(_many(2), given=(Meeting(0.3, 0.28, 0.02, 1.0, 3.0, np.ones(100, dtype=bool)),), expected=(0.05,))
+    little = replace(_many(2), given=(Meeting(0.3, 0.28, 0.02, 1.0, 3.0, 0.02, np.ones(100, dtype=bool)),), expected=(0.05,))
     (found,) = check_geometry(little, thorough=False)
     assert (found.status, found.remedy) == ("not checked", None)
     assert "hardly more than chance" in found.message
@@ -553,7 +553,7 @@ def test_a_small_promise_is_not_called_a_small_overlap(monkeypatch: pytest.Monke
 
 def test_chance_that_varies_is_not_called_a_small_promise() -> None:
     # three seconds of right cameras: chance varies by 13 %, so that wrong ones could not be told
-    short = replace(_many(2), given=(Meeting(0.86, 0.22, 0.82, 5.0, 3.0, np.ones(100, dtype=bool)),))
+    short = replace(_many(2), given=(Meeting(0.86, 0.22, 0.82, 5.0, 3.0, 0.82, np.ones(100, dtype=bool)),))
     (found,) = check_geometry(short, thorough=False)
     assert found.status == "not checked"
     assert "chance varies by 13 %" in found.message

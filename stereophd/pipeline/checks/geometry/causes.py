@@ -28,7 +28,6 @@ from stereophd.pipeline.checks.geometry.rays import (
     meeting,
     pairs_of,
     pixels_at,
-    signed_of_rays,
 )
 from stereophd.pipeline.checks.log.sample import CameraSample
 
@@ -95,9 +94,9 @@ def best_explanation(
     least = NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried, 1))
     explained = (trial.explain(geometry, tolerances) for trial in finalists)
     found = [one for one in explained if one is not None and one.is_decisive(least)]
-    best = max((one.met.excess for one in found), default=0.0)
-    # of those that explain as much the first that meets most sharply: the list begins with the likely ones
-    alike = sorted((one for one in found if one.met.excess >= best - 0.03), key=lambda one: one.met.tolerance)
+    best = max((one.met.sharpness for one in found), default=0.0)
+    # of those that explain as much the first: the list begins with the likely ones
+    alike = [one for one in found if one.met.sharpness >= best - 0.03]
     return next((one for one in alike[:1] if _is_confirmed(one, geometry, tolerances, least)), None)
 
 
@@ -173,8 +172,9 @@ class Explanation:
 
 def _mean(meetings: list[Meeting]) -> Meeting:
     """Return the means of meetings, and their best score."""
-    means = np.mean([(one.share, one.chance, one.excess) for one in meetings], axis=0).tolist()
-    return replace(max(meetings, key=lambda one: one.score), share=means[0], chance=means[1], excess=means[2])
+    names = ("share", "chance", "excess", "sharpness")
+    means = {name: float(np.mean([getattr(one, name) for one in meetings])) for name in names}
+    return replace(max(meetings, key=lambda one: one.score), **means)
 
 
 def _camera_trials(geometry: Geometry) -> Iterator[Trial]:
@@ -212,8 +212,8 @@ def _trial(geometry: Geometry, alternative: Alternative, scope: tuple[int, ...])
 def _pose_trial(geometry: Geometry, camera: int) -> Trial | None:
     """Return the trial of another pose of one camera: what errors of several kinds may pass for; None without rays.
 
-    A mistake that a pose explains better is none. The pose is the one at which rays miss each other least, those of a
-    detection and of the nearest one of another camera; far misses count less and less.
+    A mistake that a pose explains better is none. The pose is the one at which rays miss each other least in front of
+    both cameras, those of a detection and of the nearest one of another camera; far misses count less and less.
     """
     stated, centers = geometry.samples[camera].camera, [s.camera.pose.center for s in geometry.samples]
     size = max(float(np.linalg.norm(centers[camera] - other)) for other in centers)
@@ -228,7 +228,7 @@ def _pose_trial(geometry: Geometry, camera: int) -> Trial | None:
         found, of = [by / POSE_STD], views(by)
         for k in concerned:
             pair, (rays_a, rays_b) = geometry.pairs[k], geometry.rays[k]
-            signed = signed_of_rays(of[pair.a].camera, of[pair.b].camera, rays_a[:, None], rays_b[0])
+            signed = distances(pair.unshifted, of[pair.a], of[pair.b], (rays_a, rays_b[:1]))[0][0]
             signed = np.where(np.isfinite(signed), signed, FARTHEST)
             found.append(np.take_along_axis(signed, np.abs(signed).argmin(axis=1)[:, None], axis=1)[:, 0])
         return np.concatenate(found)
@@ -238,6 +238,7 @@ def _pose_trial(geometry: Geometry, camera: int) -> Trial | None:
         [(*turn, 0.0, 0.0, 0.0) for step in POSE_TURNS_DEG for turn in product((0.0, -step, step), repeat=3)]
     )
     from scipy.optimize import least_squares  # costly to import, and seldom needed
+
 
     by = min(turns, key=lambda turn: float(np.log1p((misses(turn) / POSE_SCALES[0]) ** 2).sum()))
     if (misses(by)[len(by) :] == FARTHEST).all():  # as of cameras at one place
@@ -398,6 +399,6 @@ def _met_at(geometry: Geometry, k: int, camera: int, shifts: Array) -> Array:
         at = few.times + (1.0 if camera == pair.a else -1.0) * shifts[block, None]
         seen = pixels_at(geometry.samples[pair.b], at.ravel())
         there = replace(few, pixels_b=seen.reshape(*at.shape, *seen.shape[1:]))
-        least = distances(there, first, second)[0].min(axis=2)
+        least = np.abs(distances(there, first, second)[0]).min(axis=2)
         met[block] = (least <= np.array((*SHARP, *TOLERANCES))[:, None, None]).mean(axis=2).sum(axis=0)
     return met

@@ -75,6 +75,11 @@ class Candidates:
             np.ascontiguousarray(self.pixels_b[: 1 + shifts, kept]),
         )  # fmt: skip
 
+    @property
+    def unshifted(self) -> Candidates:
+        """Those at the same times alone."""
+        return replace(self, pixels_b=self.pixels_b[:1])
+
     def elsewhere(self, camera: Camera) -> Candidates:
         """Return the detections of A, the given camera, at other places of the image, each in its own direction."""
         angle = GOLDEN_ANGLE * np.arange(len(self.pixels_a))
@@ -95,6 +100,7 @@ class Meeting:
     excess: float  # ``(share - chance) / (1 - chance)``: the share that meets for a reason
     score: float  # `share` minus `chance` in standard deviations of chance
     tolerance: float  # In standard deviations of the distance
+    sharpness: float  # Mean of the excess over all tolerances: of rays that meet as often, the sharper ones meet better
     meets: Booleans  # (n,): Which of A's detections have one
 
 
@@ -164,7 +170,7 @@ def _wide(table: Array, width: int) -> Array:
 
 
 def distances(found: Candidates, first: Reading, second: Reading, known: Rays = (None, None)) -> tuple[Array, Array]:
-    """Return distances in standard deviations, and depths before A, both (1 + s, n, k).
+    """Return distances in standard deviations, with their sign, and depths before A, both (1 + s, n, k).
 
     Infinite where the rays do not meet in front of both cameras. `known`: the rays of A's and B's detections, if they
     have been computed (see `rays_of`).
@@ -176,7 +182,7 @@ def distances(found: Candidates, first: Reading, second: Reading, known: Rays = 
         rays_b = _rays_there(found, second)
     pose_a, pose_b = first.camera.pose, second.camera.pose
     rays_a = rays_a[:, None]
-    distance = np.abs(signed_of_rays(first.camera, second.camera, rays_a, rays_b))
+    distance = signed_of_rays(first.camera, second.camera, rays_a, rays_b)
     depth_a, depth_b, sines = nearest_depths(
         rays_a @ pose_a.rotation, rays_b @ pose_b.rotation, pose_b.center - pose_a.center
     )
@@ -214,17 +220,17 @@ def meeting(
     known: Rays = (None, None),
 ) -> Meeting:
     """Return how often the rays meet, at the tolerance with the highest score (`known`: see `distances`)."""
-    least = distances(found, first, second, known)[0].min(axis=2)
+    least = np.abs(distances(found, first, second, known)[0]).min(axis=2)
     count = len(least[0])
     meets = least <= np.array(tolerances)[:, None, None]
     shares = meets.mean(axis=2)
     chances, stds = shares[:, 1:].mean(axis=1), shares[:, 1:].std(axis=1, ddof=1)
-    met = []
-    for k, (share, chance, std) in enumerate(zip(shares[:, 0].tolist(), chances.tolist(), stds.tolist(), strict=True)):
-        spread = math.hypot(std, math.sqrt(max(chance * (1 - chance), 0.25 / count) / count))
-        excess = (share - chance) / max(1.0 - chance, 1e-9)
-        met.append(Meeting(share, chance, excess, (share - chance) / max(spread, 1e-9), tolerances[k], meets[k, 0]))
-    return max(met, key=lambda one: one.score)
+    excesses = (shares[:, 0] - chances) / np.maximum(1.0 - chances, 1e-9)
+    spreads = np.hypot(stds, np.sqrt(np.maximum(chances * (1.0 - chances), 0.25 / count) / count))
+    scores = (shares[:, 0] - chances) / np.maximum(spreads, 1e-9)
+    best = int(np.argmax(scores))
+    figures = np.stack([shares[:, 0], chances, excesses, scores])[:, best].tolist()
+    return Meeting(*figures, tolerances[best], float(excesses.mean()), meets[best, 0])
 
 
 def expected_excess(found: Candidates, samples: list[CameraSample], depths: tuple[float, float]) -> float:
