@@ -774,3 +774,35 @@ def test_a_dead_pixel_is_named_and_a_resting_board_is_not() -> None:
     board = rng.uniform(0.0, 300.0, (20, 2)).round() + 0.5
     resting = [Frame(k / 10.0, 0, k, board + rng.normal(0.0, 0.05, board.shape)) for k in range(100)]
     assert not [one for one in check_files(sample_log(resting, (CAMERAS[0],))) if one.name == "log.places"]
+
+
+def _far_away(seed: int) -> tuple[list[Frame], list[Camera]]:
+    """One object 130 away from two cameras 20 apart, whose lenses and pose are stated wrong; and these cameras."""
+    rng = np.random.default_rng(seed)
+    stated = [
+        replace(build_camera(name, [x, 0.0, 0.0], [0.0, turn, 0.0], focal=800.0, frame_rate_hz=RATE), lens=Lens())
+        for name, x, turn in (("left", -10.0, -0.07), ("right", 10.0, 0.07))
+    ]
+    phase, frequency = rng.uniform(0.0, 6.0, (3, 3)), rng.uniform(0.1, 0.5, (3, 3))
+    size = np.array([[30.0], [15.0], [20.0]]) / [1.0, 2.0, 3.0]
+    frames = []
+    for k in range(200):
+        for c, camera in enumerate(stated):
+            time = k / RATE + 0.03 * c
+            point = np.array([0.0, 0.0, 130.0]) + np.sum(size * np.sin(frequency * time + phase), axis=1)
+            pixels = replace(camera, lens=Lens("radial", k1=-0.3)).project(point[None])
+            found = pixels + rng.normal(0.0, 0.3, pixels.shape)
+            frames.append(Frame(time, c, k, found[camera.contains(found)]))
+    turn, move = rng.normal(size=(2, 3))
+    rotation = rotation_from_vector(np.deg2rad(5.0) * turn / np.linalg.norm(turn)) @ stated[1].pose.rotation
+    center = stated[1].pose.center + 2.0 * move / np.linalg.norm(move)
+    return frames, [stated[0], _turned(stated[1], rotation, center)]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_guessed_pose_passes_for_no_mistake_far_away(seed: int) -> None:
+    """Rays that met behind the cameras counted, and so did those that met at a wide tolerance only."""
+    frames, cameras = _far_away(seed)
+    geometry = measure(sample_log(frames, cameras), (50.0, 300.0))
+    causes = {found.cause for found in check_geometry(geometry, thorough=True) if found.status == "warning"}
+    assert causes <= {"rays_do_not_meet"}
