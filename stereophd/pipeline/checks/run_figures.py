@@ -267,8 +267,8 @@ def check_rows(counts: Mapping[str, int]) -> Iterator[Finding]:
 def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Iterator[Finding]:
     """Yield a warning for each kind of data that a run left out.
 
-    Of the figures of the run, as in ``report.json``, ``events``, ``left_out`` and ``detections`` by camera are used. The
-    counts are those of the log: ``rows``, the kinds of bad rows, ``not_invertible``.
+    Of the figures of the run, as in ``report.json``, ``events``, ``left_out`` and ``detections`` by camera are used.
+    The counts are those of the log: ``rows``, the kinds of bad rows, ``not_invertible``.
     """
     dropped, each = bad_rows(counts)
     if dropped:
@@ -279,7 +279,7 @@ def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Itera
         yield Finding("input.lens", "warning", text, count, 0, None, "check the coefficients of the lens", "lens")
     left_out, events = summary["left_out"], summary["events"]
     detections = sum(camera["detections"] for camera in summary["cameras"].values())
-    undecided = left_out["undecided_detections"] / max(detections, 1)
+    undecided = 100.0 * left_out["undecided_detections"] / max(detections, 1)
     for count, name, text, remedy, cause in (
         (
             left_out["events"], "filter.max_components",
@@ -288,10 +288,10 @@ def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Itera
             "filter_full",
         ),
         (
-            left_out["hypothesis_events"] if undecided > MOST_UNDECIDED else 0, "filter.max_hypotheses",
+            left_out["hypothesis_events"] if undecided > 100.0 * MOST_UNDECIDED else 0, "filter.max_hypotheses",
             f"after {{}} of {events} events the tracks had more hypotheses than filter.max_hypotheses, up to "
-            f"{left_out['most_hypotheses']} more: these would have decided {100.0 * undecided:.1f} % of all detections, so that "
-            "tracks take more events to settle, and are less accurate until then",
+            f"{left_out['most_hypotheses']} more: these would have decided {undecided:.1f} % of all detections, so "
+            "that tracks take more events to settle, and are less accurate until then",
             "raise filter.max_hypotheses; events take longer then", "hypotheses_full",
         ),
         (

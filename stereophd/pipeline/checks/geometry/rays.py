@@ -95,7 +95,7 @@ class Meeting:
     excess: float  # ``(share - chance) / (1 - chance)``: the share that meets for a reason
     score: float  # `share` minus `chance` in standard deviations of chance
     tolerance: float  # In standard deviations of the distance
-    meets: Booleans  # (n,): Which of A's detections have one
+    meets: Booleans  # (1 + s, n): Which of A's detections have one, at the same times and at shifted ones
 
 
 def candidates(
@@ -223,7 +223,7 @@ def meeting(
     for k, (share, chance, std) in enumerate(zip(shares[:, 0].tolist(), chances.tolist(), stds.tolist(), strict=True)):
         spread = math.hypot(std, math.sqrt(max(chance * (1 - chance), 0.25 / count) / count))
         excess = (share - chance) / max(1.0 - chance, 1e-9)
-        met.append(Meeting(share, chance, excess, (share - chance) / max(spread, 1e-9), tolerances[k], meets[k, 0]))
+        met.append(Meeting(share, chance, excess, (share - chance) / max(spread, 1e-9), tolerances[k], meets[k]))
     return max(met, key=lambda one: one.score)
 
 

@@ -82,7 +82,7 @@ def test_a_bound_that_does_not_act_changes_nothing() -> None:
 
 
 def test_what_is_left_out_would_have_decided_the_squares_of_its_shares() -> None:
-    """Two tracks and two detections, of which four outcomes stay: of track 0 its miss goes, of track 1 one detection."""
+    """Two tracks and two detections, of which four outcomes stay: the miss of track 0 goes, and a detection of 1."""
     owned, made = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1])
     weights = np.array([0.1, 0.11, 0.5, 0.2, 0.09, 0.4, 0.15, 0.05])
     labels = np.array([0, 1, 0, 0, 1, 1, 2, 3])
