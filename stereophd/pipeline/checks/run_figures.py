@@ -31,6 +31,8 @@ TOO_SURE, TOO_SURE_ERRORS, CONTRADICT = 0.25, 4.0, -0.75
 LEAST_FRAMES, CLUTTER_FACTOR, CLUTTER_ERRORS, LEAST_UNEXPLAINED = 30, 2.0, 4.0, 0.3
 # Tracks in view from which their misses are judged: against this many times the stated ones, or fewer, and this more.
 LEAST_IN_VIEW, MISSES_FACTOR, LEAST_MISSES = 200, 2.0, 0.1
+# Detections that hypotheses beyond their bound would have decided, over all, from which tracks suffer.
+MOST_UNDECIDED = 0.005
 # A track is one camera's if this share of its detections is; reported if most estimates belong to such tracks.
 ONE_CAMERA, MOST_ALONE = 0.95, 0.5
 
@@ -265,8 +267,8 @@ def check_rows(counts: Mapping[str, int]) -> Iterator[Finding]:
 def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Iterator[Finding]:
     """Yield a warning for each kind of data that a run left out.
 
-    Of the figures of the run, as in ``report.json``, ``events`` and ``left_out`` are used. The counts are those of the
-    log: ``rows``, the kinds of bad rows, ``not_invertible``.
+    Of the figures of the run, as in ``report.json``, ``events``, ``left_out`` and ``detections`` by camera are used.
+    The counts are those of the log: ``rows``, the kinds of bad rows, ``not_invertible``.
     """
     dropped, each = bad_rows(counts)
     if dropped:
@@ -276,27 +278,30 @@ def check_losses(summary: Mapping[str, Any], counts: Mapping[str, int]) -> Itera
         text = f"{count} detections lie where the lens model cannot be inverted: left out"
         yield Finding("input.lens", "warning", text, count, 0, None, "check the coefficients of the lens", "lens")
     left_out, events = summary["left_out"], summary["events"]
-    for key, name, text, remedy, cause in (
+    detections = sum(camera["detections"] for camera in summary["cameras"].values())
+    undecided = 100.0 * left_out["undecided_detections"] / max(detections, 1)
+    for count, name, text, remedy, cause in (
         (
-            "events", "filter.max_components",
+            left_out["events"], "filter.max_components",
             f"after {{}} of {events} events the least probable tracks or components were left out, up to "
             f"{left_out['most']} at once", "raise filter.max_components, or leave it to the memory (null)",
             "filter_full",
         ),
         (
-            "hypothesis_events", "filter.max_hypotheses",
-            f"after {{}} of {events} events the tracks had more hypotheses than filter.max_hypotheses: up to "
-            f"{left_out['most_hypotheses']} of the least probable at once remain undecided, so that tracks take more "
-            "events to settle", "raise filter.max_hypotheses for fewer events, which take longer", "hypotheses_full",
+            left_out["hypothesis_events"] if undecided > 100.0 * MOST_UNDECIDED else 0, "filter.max_hypotheses",
+            f"after {{}} of {events} events the tracks had more hypotheses than filter.max_hypotheses, up to "
+            f"{left_out['most_hypotheses']} more: these would have decided {undecided:.1f} % of all detections, so "
+            "that tracks take more events to settle, and are less accurate until then",
+            "raise filter.max_hypotheses; events take longer then", "hypotheses_full",
         ),
         (
-            "burst_frames", "filter.bursts",
+            left_out["burst_frames"], "filter.bursts",
             f"{{}} of {events} frames have more detections beyond those of known objects than "
             f"filter.birth.max_per_frame: these {left_out['burst_detections']} count as clutter, and start no track",
             "raise filter.birth.max_per_frame if they are objects", "burst",
         ),
     ):  # fmt: skip
-        if count := left_out[key]:
+        if count:
             yield Finding(name, "warning", text.format(count), count, 0, None, remedy, cause)
 
 

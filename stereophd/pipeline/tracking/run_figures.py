@@ -129,6 +129,7 @@ class Losses:
     burst_detections: int = 0
     hypothesis_events: int = 0
     most_hypotheses: int = 0
+    undecided_detections: float = 0.0
 
     def add(self, record: Record) -> None:
         """Take in a record."""
@@ -140,6 +141,7 @@ class Losses:
         self.burst_frames += info.burst > 0
         self.burst_detections += info.burst
         self.hypothesis_events += info.hypotheses_left_out > 0
+        self.undecided_detections += info.undecided_detections
         self.most_hypotheses = max(self.most_hypotheses, info.hypotheses_left_out)
 
 

@@ -438,9 +438,13 @@ def test_tracks_of_one_camera_are_reported() -> None:
 
 def test_what_a_run_leaves_out_is_a_warning() -> None:
     nothing = dict.fromkeys(
-        ["events", "most", "burst_frames", "burst_detections", "hypothesis_events", "most_hypotheses"], 0
-    )
-    summary = {"events": 9, "left_out": nothing}
+        [
+            "events", "most", "burst_frames", "burst_detections", "hypothesis_events", "most_hypotheses",
+            "undecided_detections",
+        ], 0
+    )  # fmt: skip
+    cameras = {"left": {"detections": 300}, "right": {"detections": 100}}
+    summary = {"events": 9, "left_out": nothing, "cameras": cameras}
     counts = {"rows": 60, "not_invertible": 0, "duplicate_row": 0}
     assert list(check_losses(summary, counts)) == []
     summary["left_out"] = dict.fromkeys(nothing, 3) | {"burst_detections": 400, "most_hypotheses": 777}
@@ -449,8 +453,12 @@ def test_what_a_run_leaves_out_is_a_warning() -> None:
         "input.rows", "input.lens", "filter.max_components", "filter.max_hypotheses", "filter.bursts"
     ]  # fmt: skip
     assert "777" in found[3].message
+    assert "0.8 %" in found[3].message
     assert {one.status for one in found} == {"warning"}
     assert found[0].message == "1 of 60 rows dropped (duplicate_row 1)"
+    # hypotheses beyond the bound that would have decided next to nothing
+    summary["left_out"] = {**nothing, "hypothesis_events": 9, "most_hypotheses": 777, "undecided_detections": 1.0}
+    assert list(check_losses(summary, counts)) == []
 
 
 def test_estimated_detectors_that_need_care_are_warnings() -> None:
@@ -544,7 +552,9 @@ def test_pairs_and_clocks_that_are_left_out_are_stated(count: int, few_frames: i
 
 def test_a_small_promise_is_not_called_a_small_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("stereophd.pipeline.checks.geometry.findings.best_explanation", lambda *_, **__: None)
-    little = replace(_many(2), given=(Meeting(0.3, 0.28, 0.02, 1.0, 3.0, 0.02, np.ones(100, dtype=bool)),), expected=(0.05,))
+    little = replace(
+        _many(2), given=(Meeting(0.3, 0.28, 0.02, 1.0, 3.0, 0.02, np.ones(100, dtype=bool)),), expected=(0.05,)
+    )
     (found,) = check_geometry(little, thorough=False)
     assert (found.status, found.remedy) == ("not checked", None)
     assert "hardly more than chance" in found.message

@@ -308,7 +308,7 @@ def test_signed_distances_are_those_of_the_checks() -> None:
     found = signed_distances(CAMERAS[0], CAMERAS[1], a, b)
     met = np.isfinite(expected[0, :, 0])
     assert met.sum() > 5
-    np.testing.assert_allclose(abs(found[met]), expected[0, met, 0], rtol=1e-12)
+    np.testing.assert_allclose(found[met], expected[0, met, 0], rtol=1e-12)
 
 
 def _fit(tracks: np.ndarray, distance: np.ndarray, *slopes: np.ndarray) -> CauseFit:

@@ -62,7 +62,7 @@ def update_intensity(
     every[end:] = born * per_area / totals
     outcomes = Outcomes(labels, every, components, detections, birth_means, birth_covariances)
     out = make_components(
-        mixture, moved, event, numbers, outcomes, ChosenOutcomes(np.arange(len(labels)), every, 0)
+        mixture, moved, event, numbers, outcomes, ChosenOutcomes(np.arange(len(labels)), every, 0, 0.0)
     )  # fmt: skip
     shares = out.weights
     if reduction.by_label:

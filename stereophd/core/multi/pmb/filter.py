@@ -84,7 +84,7 @@ class PmbFilter(DisparityFilter):
         integers = np.empty(0, dtype=np.int64)
         return (
             (association_marginals, (integers, integers, np.empty(0), 0, 0)),
-            (reduce_tracks, (empty_mixture(self.state_size), Existences(integers, np.empty(0), 0.0), self.reduction)),
+            (reduce_tracks, (empty_mixture(self.state_size), Existences(integers, np.empty(0)), self.reduction)),
         )
 
     def compile_tests(self) -> None:
@@ -139,7 +139,7 @@ class PmbFilter(DisparityFilter):
         counters: tuple[int, int], undetected: Undetected, burst: int,
     ) -> tuple[FilterState, Info]:  # fmt: skip
         """Return the state after an event of which `_update` returns what it `updated`, and its diagnostics."""
-        log_likelihood, expected, labels, detections, claims, fewer = updated
+        log_likelihood, expected, labels, detections, claims, fewer, undecided = updated
         history, place = None, (event.camera, event.time_s)
         if self._exchanges:
             readings = event.readings(self.rig.space(*place))
@@ -151,7 +151,7 @@ class PmbFilter(DisparityFilter):
             left_out = max(int(np.count_nonzero(tracks != UNLABELLED)) - room, 0)
         return (
             FilterState(mixture, event.time_s, state.n_events + 1, *counters, undetected, history),
-            Info(log_likelihood, expected, mixture.size, labels, claims, left_out, burst, fewer),
+            Info(log_likelihood, expected, mixture.size, labels, claims, left_out, burst, fewer, undecided),
         )
 
 
@@ -166,7 +166,7 @@ def _step(
     search: Bare,
     report: Bare,
     samples: Array,
-) -> tuple[Selection, Integers, Undetected, int, float, float, Integers, Integers, Claims | None, int]:
+) -> tuple[Selection, Integers, Undetected, int, float, float, Integers, Integers, Claims | None, int, float]:
     """`predict_event`, `_update`, `swap_candidates` and `select_objects`.
 
     Returns objects, pairs to be tested for a swap, what is undetected, the burst of clutter, and what `_update` returns
@@ -175,7 +175,7 @@ def _step(
     weights, moved, homes, births, undetected, burst = predict_event(mixture, given)
     numbers, _, _, _, motion, _, views, _, _, before, _, _ = given
     known, predicted, event = GaussianMixture(*mixture), GaussianMixture(weights, *mixture[1:]), EventNumbers(*numbers)
-    reduced, log_likelihood, expected, found, detections, claims, fewer = _update(
+    reduced, log_likelihood, expected, found, detections, claims, fewer, undecided = _update(
         predicted, moved, Detections(*detected), FirstSight(*prior), event, (births, burst),
         before[2][event.camera], PmbReduction(*reduction), with_claims
     )  # fmt: skip
@@ -189,7 +189,7 @@ def _step(
             number, most
         )  # fmt: skip
     selection = select_objects(reduced, Report(*report), rows, homes, MotionArrays(*motion), samples)
-    return selection, pairs, undetected, burst, log_likelihood, expected, found, detections, claims, fewer
+    return selection, pairs, undetected, burst, log_likelihood, expected, found, detections, claims, fewer, undecided
 
 
 @compiled
@@ -218,7 +218,7 @@ def _update(
     peak: float,
     stated: PmbReduction,
     with_claims: bool,
-) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None, int]:
+) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None, int, float]:
     """`associate_tracks`, which labels were detected and by which detections, and `reduce_tracks`.
 
     The numbers are those without births, and `born` has the births and the burst of clutter; `peak` is that of the
@@ -240,7 +240,7 @@ def _update(
     reduced, expected = reduce_tracks(
         make_components(mixture, moved, event, numbers, outcomes, choice), tracks, reduction
     )  # fmt: skip
-    return reduced, log_likelihood, expected, labels, detections, claims, choice.left_out
+    return reduced, log_likelihood, expected, labels, detections, claims, choice.left_out, choice.undecided
 
 
 FILTER = PmbFilter

@@ -20,8 +20,6 @@ from stereophd.core.numerics.sorting import group, largest, picked, places, stab
 BY_DETECTIONS = 0
 HYPOTHESES_A_DETECTION = 16
 LEAST_BOUND = 8192
-# Where the bound acts, tracks of a smaller existence than this are recycled.
-RECYCLE_BELOW = 0.02
 
 
 class PmbReduction(NamedTuple):
@@ -41,7 +39,6 @@ class Existences(NamedTuple):
 
     names: Integers  # (t,) of int: Labels in rising order, -1 among them
     existence: Array  # (t,): Sum of the weights of the outcomes of each
-    recycle_below: float  # Tracks of a smaller existence join the intensity of undetected objects
 
 
 @compiled
@@ -49,7 +46,7 @@ def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[Chose
     """Outcomes to keep, in order: those of the most probable tracks that are not a negligible part of their track.
 
     With them, of the intensity of undetected objects, what is not below the pruning weight; and all tracks. Where they
-    are too many, the likeliest are kept (`_likeliest`), and more tracks are recycled.
+    are too many, the likeliest are kept (`_likeliest`).
     """
     prune_weight, least_share = settings.prune_weight, settings.least_share
     labels, weights = outcomes.labels, outcomes.weights
@@ -73,13 +70,12 @@ def choose_hypotheses(outcomes: Outcomes, settings: PmbReduction) -> tuple[Chose
         most = max(LEAST_BOUND, HYPOTHESES_A_DETECTION * len(outcomes.new_means))
     if count <= most:
         index = index[:count]
-        return ChosenOutcomes(index, picked(weights, index), 0), Existences(names, existence, settings.recycle_below)
-    recycle_below = max(settings.recycle_below, RECYCLE_BELOW)
-    return _likeliest(outcomes, index[:count], member, n_groups, most), Existences(names, existence, recycle_below)
+        return ChosenOutcomes(index, picked(weights, index), 0, 0.0), Existences(names, existence)
+    return _likeliest(outcomes, index[:count], member, existence, most), Existences(names, existence)
 
 
 @compiled
-def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, n_groups: int, most: int) -> ChosenOutcomes:
+def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, existence: Array, most: int) -> ChosenOutcomes:
     """Return the heaviest of the outcomes with these indices.
 
     A detection that a hypothesis does not get remains undecided for it: its weight goes to the hypothesis as if the
@@ -99,7 +95,7 @@ def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, n_groups: 
         k = index[i]
         if not heaviest[i] and n_components <= k < n_components + n_pairs:
             weights[outcomes.owned[k - n_components]] += weights[k]
-    heads = np.full(n_groups, -1)
+    heads = np.full(len(existence), -1)
     for k in range(len(weights)):
         # with what it got, a missed hypothesis may be one of the heaviest
         kept[k] = kept[k] or (k < n_components and weights[k] >= lightest)
@@ -110,11 +106,14 @@ def _likeliest(outcomes: Outcomes, index: Integers, member: Integers, n_groups: 
     for head in heads:
         if head >= 0:
             kept[head] = True
-    left_out = 0
+    left_out, undecided = 0, 0.0
     for k in index:
-        left_out += 0 if kept[k] else 1
+        if not kept[k]:
+            left_out += 1
+            # one of many that are as probable would hardly have moved its track
+            undecided += outcomes.weights[k] ** 2 / existence[member[k]]
     chosen = places(kept)
-    return ChosenOutcomes(chosen, picked(weights, chosen), left_out)
+    return ChosenOutcomes(chosen, picked(weights, chosen), left_out, undecided)
 
 
 @compiled

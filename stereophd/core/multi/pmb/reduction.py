@@ -39,11 +39,11 @@ def reduce_tracks(mixture: GaussianMixture, known: Existences, settings: PmbRedu
     """
     prune_weight, hypothesis_distance = settings.prune_weight, settings.hypothesis_distance
     weights, labels = mixture.weights, mixture.labels
-    names, existence, recycle_below = known
+    names, existence = known
     member = np.searchsorted(names, labels)
     index, kept_weights = _drop_negligible(mixture, member, existence, prune_weight, settings.least_share)
     hypotheses = _merge_hypotheses(mixture, index, kept_weights, hypothesis_distance)
-    held = existence[np.searchsorted(names, hypotheses.labels)] >= recycle_below
+    held = existence[np.searchsorted(names, hypotheses.labels)] >= settings.recycle_below
     tracks = places(held)
     undetected = places((labels == UNLABELLED) & (weights >= prune_weight))
     recycled = places(~held & (hypotheses.weights >= prune_weight))

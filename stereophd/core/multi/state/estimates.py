@@ -64,3 +64,5 @@ class Info:
     burst: int = field(default=0, compare=False)
     # Hypotheses of tracks beyond the bound on their number (PMB).
     hypotheses_left_out: int = field(default=0, compare=False)
+    # Detections that these would have decided: the sum of their weights, each times its share of its track.
+    undecided_detections: float = field(default=0.0, compare=False)

@@ -34,6 +34,7 @@ class ChosenOutcomes(NamedTuple):
     chosen: Integers  # (k,) of int: Their places among all outcomes, in rising order
     weights: Array  # (k,): Of each
     left_out: int  # Number of others that were worth making but for the bound on hypotheses
+    undecided: float  # Detections that these would have decided: sum of weights, each times its share of its track
 
 
 @compiled

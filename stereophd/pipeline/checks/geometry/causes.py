@@ -33,6 +33,8 @@ from stereophd.pipeline.checks.log.sample import CameraSample
 
 # An alternative is named if it raises the excess by this much, to this multiple.
 LEAST_GAIN, LEAST_RATIO = 0.08, 1.4
+# Blocks of time that are taken to be independent of one another.
+BLOCKS = 8
 # Share of the logs of right set-ups in which chance may let any of the alternatives pass.
 FALSE_ALARMS = 0.005
 # Clock offsets that are tried: up to this many seconds, in this many steps.
@@ -87,16 +89,20 @@ def best_explanation(
     best_first = sorted(promising, key=lambda look: -look[1].met.excess)[:FINALISTS]
     chosen = {id(trial) for trial, _ in best_first}
     finalists = [trial for trial in trials if id(trial) in chosen]
-    if not clocks_only:
-        scope = best_first[0][0].scope[:FINALISTS] if best_first else _least_met(geometry)[:1]
-        finalists += [trial for camera in scope if (trial := _pose_trial(geometry, camera)) is not None]
+    scope = best_first[0][0].scope[:FINALISTS] if best_first else _least_met(geometry)[: not clocks_only]
+    finalists += [trial for camera in scope if (trial := _pose_trial(geometry, camera)) is not None]
     tried = sum(1 if trial.samples is None else steps for trial in trials)
-    least = NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried, 1))
-    explained = (trial.explain(geometry, tolerances) for trial in finalists)
-    found = [one for one in explained if one is not None and one.is_decisive(least)]
-    best = max((one.met.sharpness for one in found), default=0.0)
-    # of those that explain as much the first: the list begins with the likely ones
-    alike = [one for one in found if one.met.sharpness >= best - 0.03]
+    # a rate is found from two offsets
+    least, of_rate = (NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried * n, 1)) for n in (1, steps))
+    explained = [one for trial in finalists if (one := trial.explain(geometry, tolerances)) is not None]
+    best = max((one.met.sharpness for one in explained), default=0.0)
+    # of those that explain as much the first: the list begins with the likely ones; another one that explains more, and
+    # is not certain, lets none be named
+    alike = [
+        one for one in explained
+        if one.met.sharpness >= best - 0.03
+        and one.is_decisive(of_rate if one.trial.cause == "frame_rate" else least)
+    ]  # fmt: skip
     return next((one for one in alike[:1] if _is_confirmed(one, geometry, tolerances, least)), None)
 
 
@@ -140,10 +146,8 @@ class Trial:
                 given = geometry.given_at(k, met.tolerance)
                 after.append(met)
                 before.append(given)
-                change = met.meets.astype(float) - given.meets[np.isin(pair.detections, found.detections)]
-                by_chance = (met.chance * (1.0 - met.chance) + given.chance * (1.0 - given.chance)) * len(change)
-                variance = (change != 0.0).sum() + by_chance / (len(found.pixels_b) - 1)
-                changed.append((change.sum() - (met.chance - given.chance) * len(change), variance))
+                kept = np.isin(pair.detections, found.detections)
+                changed.append(_changed(met.meets.astype(float) - given.meets[:, kept]))
         if not after:
             return None
         gain, variance = np.sum(changed, axis=0).tolist()
@@ -160,7 +164,7 @@ class Explanation:
     given: Meeting
     # Detections that meet with the change and not as stated, less those that meet only as stated and what chance adds,
     # in standard deviations if either were as probable (Q. McNemar, "Note on the sampling error of the difference
-    # between correlated proportions or percentages", 1947).
+    # between correlated proportions or percentages", 1947), where successive detections count as one (`_changed`).
     certainty: float
 
     def is_decisive(self, least: float) -> bool:
@@ -168,6 +172,22 @@ class Explanation:
         met, given = self.met, self.given.excess
         is_more = met.excess >= max(given + LEAST_GAIN, LEAST_RATIO * given) and met.score >= LEAST_SCORE
         return is_more and self.certainty >= least
+
+
+def _changed(change: Array) -> tuple[float, float]:
+    """Return how many more detections meet with a change than chance lets them, and the variance of that by chance.
+
+    Whether they meet with the change, less whether they do as stated, is given at the same times and at shifted ones,
+    (1 + s, n), in the order of time. Objects that move along one epipolar line meet by chance again and again: sums
+    over blocks at shifted times show how many detections count as one. The median leaves out a shift at which those
+    of a wrong clock meet.
+    """
+    by_chance = change[1:] - change[1:].mean()
+    blocks = np.unique(np.linspace(0, change.shape[1], BLOCKS, endpoint=False).astype(int))
+    squares = (by_chance**2).sum(axis=1)
+    lasting = np.median((np.add.reduceat(by_chance, blocks, axis=1) ** 2).sum(axis=1) / np.maximum(squares, 1e-9))
+    count = (change[0] != 0.0).sum() + squares.mean() / len(by_chance)
+    return float((change[0] - change[1:].mean()).sum()), float(max(lasting, 1.0) * count)
 
 
 def _mean(meetings: list[Meeting]) -> Meeting:
@@ -238,7 +258,6 @@ def _pose_trial(geometry: Geometry, camera: int) -> Trial | None:
         [(*turn, 0.0, 0.0, 0.0) for step in POSE_TURNS_DEG for turn in product((0.0, -step, step), repeat=3)]
     )
     from scipy.optimize import least_squares  # costly to import, and seldom needed
-
 
     by = min(turns, key=lambda turn: float(np.log1p((misses(turn) / POSE_SCALES[0]) ** 2).sum()))
     if (misses(by)[len(by) :] == FARTHEST).all():  # as of cameras at one place

@@ -9,7 +9,6 @@ clocks fit the log.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -101,7 +100,7 @@ class Meeting:
     score: float  # `share` minus `chance` in standard deviations of chance
     tolerance: float  # In standard deviations of the distance
     sharpness: float  # Mean of the excess over all tolerances: of rays that meet as often, the sharper ones meet better
-    meets: Booleans  # (n,): Which of A's detections have one
+    meets: Booleans  # (1 + s, n): Which of A's detections have one, at the same times and at shifted ones
 
 
 def candidates(
@@ -230,7 +229,7 @@ def meeting(
     scores = (shares[:, 0] - chances) / np.maximum(spreads, 1e-9)
     best = int(np.argmax(scores))
     figures = np.stack([shares[:, 0], chances, excesses, scores])[:, best].tolist()
-    return Meeting(*figures, tolerances[best], float(excesses.mean()), meets[best, 0])
+    return Meeting(*figures, tolerances[best], float(excesses.mean()), meets[best])
 
 
 def expected_excess(found: Candidates, samples: list[CameraSample], depths: tuple[float, float]) -> float:

@@ -8,22 +8,27 @@ import pytest
 from stereophd.core.disparity.events import Event, make_event
 from stereophd.core.multi.association.belief import propagate_beliefs
 from stereophd.core.multi.pmb.filter import PmbFilter
-from stereophd.core.multi.pmb.hypotheses import LEAST_BOUND, RECYCLE_BELOW
+from stereophd.core.multi.pmb.hypotheses import LEAST_BOUND, choose_hypotheses
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
+from stereophd.core.multi.state.outcomes import Outcomes
+from stereophd.pipeline.checks.run_figures import MOST_UNDECIDED
 from tests.core.multi.pmb.test_pmb import assert_sound, make_pmb
 from tests.core.multi.scenes import PRIOR
 
 OBJECTS = 60
 
 
+def places() -> np.ndarray:
+    """Still objects at different depths."""
+    return np.random.default_rng(8).uniform([-20.0, -15.0, 90.0], [20.0, 15.0, 200.0], (OBJECTS, 3))
+
+
 def crowd(multi_filter: PmbFilter, count: int, clutter: int = 20) -> list[Event]:
-    """Frames of the cameras in turn: still objects at different depths, and clutter."""
-    rng = np.random.default_rng(8)
-    places = rng.uniform([-20.0, -15.0, 90.0], [20.0, 15.0, 200.0], (OBJECTS, 3))
-    events = []
+    """Frames of the cameras in turn: the objects, and clutter."""
+    rng, events = np.random.default_rng(9), []
     for k in range(count):
         camera = k % len(multi_filter.rig.cameras)
-        pixels = multi_filter.rig.cameras[camera].project(places)
+        pixels = multi_filter.rig.cameras[camera].project(places())
         pixels = pixels + rng.standard_normal(pixels.shape)
         pixels = np.concatenate([pixels, rng.uniform([0.0, 0.0], [799.0, 599.0], (clutter, 2))])
         events.append(make_event(multi_filter.rig.cameras[camera], camera, 0.5 * k, pixels))
@@ -41,7 +46,7 @@ def existences(mixture: GaussianMixture) -> dict[int, float]:
 
 @pytest.mark.parametrize("most", [90, 200, 400])
 def test_a_bound_keeps_existences(most: int) -> None:
-    """The first event at which it acts: fewer hypotheses, of which each track that is not recycled has its existence.
+    """The first event at which it acts: fewer hypotheses, of which each track has its existence.
 
     Tracks are not joined here, because which of them agree depends on their hypotheses.
     """
@@ -57,9 +62,8 @@ def test_a_bound_keeps_existences(most: int) -> None:
     assert after.mixture.size <= most + 2 * len(np.unique(whole.mixture.labels)) < whole.mixture.size
     assert limited.hypotheses_left_out >= 0.5 * (whole.mixture.size - after.mixture.size)
     assert limited.log_likelihood == info.log_likelihood
-    expected = {label: value for label, value in existences(whole.mixture).items() if value >= RECYCLE_BELOW}
-    assert len(expected) > OBJECTS
-    assert tracks == pytest.approx(expected, rel=1e-9)
+    assert len(tracks) > OBJECTS
+    assert tracks == pytest.approx(existences(whole.mixture), rel=1e-9)
 
 
 def test_a_bound_that_does_not_act_changes_nothing() -> None:
@@ -77,16 +81,36 @@ def test_a_bound_that_does_not_act_changes_nothing() -> None:
         np.testing.assert_array_equal(one, other)
 
 
-def test_objects_are_found_within_a_bound() -> None:
-    """States are sound at every event, and the objects are found in the end, some of them later."""
-    multi_filter = make_pmb(max_hypotheses=150)
-    state, acted = multi_filter.init(), 0
+def test_what_is_left_out_would_have_decided_the_squares_of_its_shares() -> None:
+    """Two tracks and two detections, of which four outcomes stay: the miss of track 0 goes, and a detection of 1."""
+    owned, made = np.array([0, 0, 1, 1]), np.array([0, 1, 0, 1])
+    weights = np.array([0.1, 0.11, 0.5, 0.2, 0.09, 0.4, 0.15, 0.05])
+    labels = np.array([0, 1, 0, 0, 1, 1, 2, 3])
+    outcomes = Outcomes(labels, weights, owned, made, np.zeros((2, 3)), np.zeros((2, 3, 3)))
+    choice, tracks = choose_hypotheses(outcomes, make_pmb(max_hypotheses=4).reduction)
+    np.testing.assert_allclose(tracks.existence, [0.8, 0.6, 0.15, 0.05])
+    # the detection that track 1 does not get remains undecided; every new object stays
+    assert dict(zip(choice.chosen.tolist(), choice.weights.tolist(), strict=True)) == pytest.approx(
+        {1: 0.2, 2: 0.5, 3: 0.2, 5: 0.4, 6: 0.15, 7: 0.05}
+    )
+    assert (choice.left_out, choice.undecided) == (2, pytest.approx(0.1**2 / 0.8 + 0.09**2 / 0.6))
+
+
+@pytest.mark.parametrize(("most", "is_harmed"), [(150, False), (30, True)])
+def test_a_bound_harms_where_what_it_leaves_out_would_have_decided_much(most: int, is_harmed: bool) -> None:
+    """States are sound at every event, and the objects are found in the end, but with a bound below their number."""
+    multi_filter = make_pmb(max_hypotheses=most)
+    state, acted, undecided, detections = multi_filter.init(), 0, 0.0, 0
     for event in crowd(multi_filter, 24):
         state, info, estimates = multi_filter.step(state, event)
         assert_sound((state, info, estimates))
         acted += info.hypotheses_left_out > 0
+        undecided, detections = undecided + info.undecided_detections, detections + len(event.points)
     assert acted > 3
-    assert 0.9 * OBJECTS < len(estimates.track_ids) < 1.1 * OBJECTS
+    apart = np.linalg.norm(estimates.states[:, None, :3] - places(), axis=2).min(axis=0)
+    assert (np.count_nonzero(apart < 6.0) < 0.8 * OBJECTS) == is_harmed
+    assert (undecided > MOST_UNDECIDED * detections) == is_harmed
+    assert 0.9 * OBJECTS < len(estimates.track_ids) < 1.1 * OBJECTS or is_harmed
 
 
 def test_sweeps_over_very_many_pairs_are_bounded() -> None:
