@@ -16,7 +16,8 @@ from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, order_by_label
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import copy_gaussian, group, picked, places, stable_order
+from stereophd.core.numerics.moments import add_part
+from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
 
 class Report(NamedTuple):
@@ -80,19 +81,19 @@ def select_objects(
     changed = (known.copy(), known_tracks.copy(), known_reported.copy())
     count = len(weights)
     index, existence, unsure = np.empty(count, dtype=np.int64), np.empty(count), np.empty(count, dtype=np.bool_)
-    chosen, next_label, next_track = _select(weights, known, report, changed, index, existence, unsure)
-    index, existence = index[:chosen].copy(), existence[:chosen].copy()
-    owner = _owners(changed[0], index)
+    owner = np.full(count, -1)
+    chosen, next_label, next_track = _select(weights, known, report, changed, owner, index, existence, unsure)
+    index = index[:chosen].copy()
     members = places(owner >= 0)
     world_means, world_covariances = np.empty((len(members), 6)), np.empty((len(members), 6, 6))
     world_components(
         members, picked(rows, members), means, covariances, homes, motion, samples, world_means, world_covariances
     )  # fmt: skip
     best = np.searchsorted(members, index)
-    order = np.empty(chosen, dtype=np.int64)
+    by_identity, order = stable_order(picked(changed[1], index)), np.empty(chosen, dtype=np.int64)
     placed, confirmed = 0, 0
     for tentative in (False, True):
-        for i in range(chosen):
+        for i in by_identity:
             # the mean of an object at infinity is NaN throughout
             if unsure[i] == tentative and math.isfinite(world_means[best[i], 0]):
                 order[placed] = i
@@ -107,16 +108,6 @@ def select_objects(
         copy_gaussian(world_means, errors, best[order[i]], to_means, to_covariances, i)
     named = GaussianMixture(weights, means, covariances, cameras, times, changed[0], changed[1], changed[2])
     return Selection(named, confirmed, index, existence, to_means, to_covariances, next_label, next_track)
-
-
-@compiled
-def _owners(labels: Integers, index: Integers) -> Integers:
-    """Which of the chosen components `index` (c,) has the label of each component (n,), -1 for none; one a label."""
-    number, known = group(labels)
-    owner = np.full(known, -1)
-    for i in range(len(index)):
-        owner[number[index[i]]] = i
-    return picked(owner, number)
 
 
 @compiled
@@ -141,10 +132,7 @@ def _errors(weights: Array, means: Array, covariances: Array, owner: Integers, b
         if counts[k]:
             i = best[owner[k]]
             share = weights[k] / totals[owner[k]]
-            for a in range(6):
-                for b in range(6):
-                    apart = (means[k, a] - means[i, a]) * (means[k, b] - means[i, b])
-                    errors[i, a, b] += share * (covariances[k, a, b] + apart)
+            add_part(share, means[k], covariances[k], means[i], errors[i])
     return errors
 
 
@@ -154,14 +142,15 @@ def _select(
     known: Integers,
     report: Report,
     changed: Identities,
+    owner: Integers,
     index: Integers,
     existence: Array,
     unsure: NDArray[np.bool_],
 ) -> tuple[int, int, int]:
     """Change labels, identities and flags of the components (n,); return how many are chosen, and both counters.
 
-    The chosen ones, their existence, and whether they are tentative fill the beginnings of the last three arrays (n,),
-    in order of identity; `known` holds the labels before.
+    The chosen ones, their existence, and whether they are tentative fill the beginnings of the last three arrays (n,);
+    `known` holds the labels before. `owner` (n,), -1 before, gets which of the chosen ones has the label of each.
     """
     confirm, release, tentative, split, next_label, next_track = report
     labels, tracks, reported = changed
@@ -193,13 +182,10 @@ def _select(
                 track = next_track
                 next_track += 1
             index[chosen], existence[chosen], unsure[chosen] = order[start], total, not shown
+            for i in range(start, end):
+                owner[order[i]] = chosen
             chosen += 1
         for i in range(start, end):
             tracks[order[i]], reported[order[i]] = track, shown
         start = end
-    shown_order = stable_order(picked(tracks, index[:chosen]))
-    by_label, totals, doubts = index[:chosen].copy(), existence[:chosen].copy(), unsure[:chosen].copy()
-    for i in range(chosen):
-        place = shown_order[i]
-        index[i], existence[i], unsure[i] = by_label[place], totals[place], doubts[place]
     return chosen, next_label, next_track
