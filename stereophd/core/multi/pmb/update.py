@@ -202,12 +202,11 @@ def mix_gaussians(
     members keeps its base.
     """
     size = base_means.shape[1]
-    totals, base_shares = base_weights.copy(), np.ones(len(base_weights))
+    totals = base_weights.copy()
     out_means, out_covariances = np.empty_like(base_means), np.zeros_like(base_covariances)
     for p in range(len(groups)):
         totals[groups[p]] += weights[p]
-    for p in range(len(groups)):
-        base_shares[groups[p]] = base_weights[groups[p]] / totals[groups[p]]
+    base_shares = np.where(totals > 0.0, base_weights / totals, 1.0)
     for g in range(len(base_weights)):
         for a in range(size):
             out_means[g, a] = base_shares[g] * base_means[g, a]
