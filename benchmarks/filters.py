@@ -175,7 +175,7 @@ def score(run: Run, settings: Sequence[str]) -> list[float]:
     last_half = float(scores.ospa.distance[late].mean())
     return [
         float(report["ospa"]["mean"]),
-        float(score_scans(both, run.truth, ORDER, CUTOFF).ospa.mean()),
+        float(score_scans(both, run.truth, ORDER, CUTOFF).ospa.distance.mean()),
         last_half,
         last_half,
         float(report["ospa2"]["mean"]),

@@ -16,7 +16,8 @@ from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, order_by_label
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import copy_gaussian, picked, stable_order
+from stereophd.core.numerics.moments import add_part
+from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
 
 class Report(NamedTuple):
@@ -67,10 +68,10 @@ def select_objects(
 ) -> Selection:
     """Choose the components that are reported, give identities in order of the first report, and place them.
 
-    The components of a label are alternatives for one object: their weights add up, and the heaviest
-    gives the estimate. A further component of a label that alone reaches the confirmation threshold is
-    another object (two objects were merged while they were close), and gets a label of its own. An object at infinity
-    has no position, and is left out.
+    The components of a label are alternatives for one object: their weights add up, the heaviest gives the estimate,
+    and all of them its covariance (`_errors`). A further component of a label that alone reaches the confirmation
+    threshold is another object (two objects were merged while they were close), and gets a label of its own. An object
+    at infinity has no position, and is left out.
 
     The mixture is that after an event. Component k has the packed home space ``homes[rows[k]]`` and, from its time to
     that of the report, the interval ``rows[k]`` of the motion; `samples` (rows, s) are as in
@@ -80,29 +81,59 @@ def select_objects(
     changed = (known.copy(), known_tracks.copy(), known_reported.copy())
     count = len(weights)
     index, existence, unsure = np.empty(count, dtype=np.int64), np.empty(count), np.empty(count, dtype=np.bool_)
-    chosen, next_label, next_track = _select(weights, known, report, changed, index, existence, unsure)
-    world_means, world_covariances = np.empty((chosen, 6)), np.empty((chosen, 6, 6))
-    index, existence = index[:chosen].copy(), existence[:chosen].copy()
+    owner = np.full(count, -1)
+    chosen, next_label, next_track = _select(weights, known, report, changed, owner, index, existence, unsure)
+    index = index[:chosen].copy()
+    members = places(owner >= 0)
+    world_means, world_covariances = np.empty((len(members), 6)), np.empty((len(members), 6, 6))
     world_components(
-        index, picked(rows, index), means, covariances, homes, motion, samples, world_means, world_covariances
+        members, picked(rows, members), means, covariances, homes, motion, samples, world_means, world_covariances
     )  # fmt: skip
-    order = np.empty(chosen, dtype=np.int64)
+    best = np.searchsorted(members, index)
+    by_identity, order = stable_order(picked(changed[1], index)), np.empty(chosen, dtype=np.int64)
     placed, confirmed = 0, 0
     for tentative in (False, True):
-        for i in range(chosen):
+        for i in by_identity:
             # the mean of an object at infinity is NaN throughout
-            if unsure[i] == tentative and math.isfinite(world_means[i, 0]):
+            if unsure[i] == tentative and math.isfinite(world_means[best[i], 0]):
                 order[placed] = i
                 placed += 1
         if not tentative:
             confirmed = placed
     order = order[:placed]
     index, existence = picked(index, order), picked(existence, order)
+    errors = _errors(picked(weights, members), world_means, world_covariances, picked(owner, members), best)
     to_means, to_covariances = np.empty((placed, 6)), np.empty((placed, 6, 6))
     for i in range(placed):
-        copy_gaussian(world_means, world_covariances, order[i], to_means, to_covariances, i)
+        copy_gaussian(world_means, errors, best[order[i]], to_means, to_covariances, i)
     named = GaussianMixture(weights, means, covariances, cameras, times, changed[0], changed[1], changed[2])
     return Selection(named, confirmed, index, existence, to_means, to_covariances, next_label, next_track)
+
+
+@compiled
+def _errors(weights: Array, means: Array, covariances: Array, owner: Integers, best: Integers) -> Array:
+    """Covariances (m, 6, 6) of alternatives, of the `best` (c,) ones those of their errors as estimates of the object.
+
+    Weights, means and covariances of the alternatives (m,) are in the world; alternative k is one for object
+    ``owner[k]``. The object is at one of them, not at the mean m of the heaviest: two pairings of detections put it at
+    places that are many standard deviations of either apart. The expected square of the error is
+
+        P = sum_k w_k (P_k + (m_k - m) (m_k - m)^T) / sum_k w_k.
+
+    An alternative that is nowhere (NaN) does not count.
+    """
+    totals, errors, counts = picked(weights, best), covariances.copy(), np.empty(len(weights), dtype=np.bool_)
+    for k in range(len(weights)):
+        counts[k] = k != best[owner[k]] and math.isfinite(means[k, 0])
+        totals[owner[k]] += weights[k] if counts[k] else 0.0
+    for i in range(len(best)):
+        errors[best[i]] *= weights[best[i]] / totals[i]
+    for k in range(len(weights)):
+        if counts[k]:
+            i = best[owner[k]]
+            share = weights[k] / totals[owner[k]]
+            add_part(share, means[k], covariances[k], means[i], errors[i])
+    return errors
 
 
 @compiled
@@ -111,14 +142,15 @@ def _select(
     known: Integers,
     report: Report,
     changed: Identities,
+    owner: Integers,
     index: Integers,
     existence: Array,
     unsure: NDArray[np.bool_],
 ) -> tuple[int, int, int]:
     """Change labels, identities and flags of the components (n,); return how many are chosen, and both counters.
 
-    The chosen ones, their existence, and whether they are tentative fill the beginnings of the last three arrays (n,),
-    in order of identity; `known` holds the labels before.
+    The chosen ones, their existence, and whether they are tentative fill the beginnings of the last three arrays (n,);
+    `known` holds the labels before. `owner` (n,), -1 before, gets which of the chosen ones has the label of each.
     """
     confirm, release, tentative, split, next_label, next_track = report
     labels, tracks, reported = changed
@@ -150,13 +182,10 @@ def _select(
                 track = next_track
                 next_track += 1
             index[chosen], existence[chosen], unsure[chosen] = order[start], total, not shown
+            for i in range(start, end):
+                owner[order[i]] = chosen
             chosen += 1
         for i in range(start, end):
             tracks[order[i]], reported[order[i]] = track, shown
         start = end
-    shown_order = stable_order(picked(tracks, index[:chosen]))
-    by_label, totals, doubts = index[:chosen].copy(), existence[:chosen].copy(), unsure[:chosen].copy()
-    for i in range(chosen):
-        place = shown_order[i]
-        index[i], existence[i], unsure[i] = by_label[place], totals[place], doubts[place]
     return chosen, next_label, next_track

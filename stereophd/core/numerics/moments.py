@@ -1,4 +1,4 @@
-"""Compiled moments of weighted samples."""
+"""Compiled moments of weighted samples, and of mixtures."""
 
 from stereophd.core.arrays import Array
 from stereophd.core.numerics.compilation.compiled import compiled, compiled_fast
@@ -15,6 +15,14 @@ def weighted_moments(points: Array, weights: Array | None, total: float, mean: A
         _moving_moments(points, weights, total, mean, covariance)
     else:
         _any_moments(points, weights, total, mean, covariance)
+
+
+@compiled
+def add_part(share: float, mean: Array, covariance: Array, about: Array, total: Array) -> None:
+    """Add to `total` (d, d) the share of a Gaussian (d,), (d, d) in the second moments of a mixture about a point."""
+    for a in range(len(about)):
+        for b in range(len(about)):
+            total[a, b] += share * (covariance[a, b] + (mean[a] - about[a]) * (mean[b] - about[b]))
 
 
 @compiled

@@ -171,7 +171,8 @@ class TrackErrors:
             own, variances = np.flatnonzero(names == name), np.asarray(camera.detector.sigma) ** 2
             found = residuals_of(camera, [self.waiting[row] for row in own.tolist()])
             left = np.diag(variances) - found.jacobians @ covariances[own] @ found.jacobians.swapaxes(1, 2)
-            kept = found.usual & (left[:, 0, 0] > 0.0) & (np.linalg.det(left) > 0.0)  # else it is not linear there
+            kept = np.flatnonzero(found.usual & (left[:, 0, 0] > 0.0))
+            kept = kept[np.linalg.det(left[kept]) > 0.0]  # else it is not linear there
             weighted = found.jacobians[kept] / variances[:, None]
             scores[own[kept]] = np.einsum("nij,ni->nj", weighted, found.residuals[kept])
             spreads[own[kept]] = weighted.swapaxes(1, 2) @ left[kept] @ weighted

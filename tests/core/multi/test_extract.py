@@ -150,6 +150,32 @@ def test_objects_are_placed_and_confirmed_ones_come_first() -> None:
     np.testing.assert_array_equal(chosen.covariances, covariances)
 
 
+def test_alternatives_count_in_the_covariance_and_not_in_the_estimate() -> None:
+    """P = sum_k w_k (P_k + (m_k - m) (m_k - m)^T) / sum_k w_k about the heaviest; one at infinity does not count."""
+    rng = np.random.default_rng(8)
+    drawn = random_mixture(rng, 5, charts=2)
+    means = drawn.means + np.array([400.0, 300.0, 20.0, 0.0, 0.0, 0.0])
+    means[:, 2] += [0.0, 4.0, -4.0, 0.0, 0.0]
+    means[3, 2] = -1.0
+    mixture = make_mixture([0.2, 0.45, 0.1, 0.15, 0.9], means, drawn.covariances, drawn.cameras, labels=[4, 4, 4, 4, 2])
+    chosen = select(mixture, HALF, 5, 0)
+    assert chosen.components.tolist() == [4, 1]
+    multi_filter, finite = make_filter(), [0, 1, 2, 4]
+    placed, covariances = world_moments(
+        mixture.means[finite], mixture.covariances[finite],
+        multi_filter.rig.spaces(mixture.cameras[finite], np.zeros(4)), np.full(4, 0.5), multi_filter.motion,
+        multi_filter.sets, 0,
+    )  # fmt: skip
+    np.testing.assert_array_equal(chosen.means, placed[[3, 1]])
+    np.testing.assert_array_equal(chosen.covariances[0], covariances[3])  # it has no alternative
+    shares = np.array([0.2, 0.45, 0.1]) / 0.75
+    apart = placed[:3] - placed[1]
+    expected = np.einsum("k,kij->ij", shares, covariances[:3] + apart[:, :, None] * apart[:, None, :])
+    np.testing.assert_allclose(chosen.covariances[1], expected, rtol=1e-12)
+    # between two places the errors of the heaviest are far beyond its own covariance
+    assert np.trace(chosen.covariances[1, :3, :3]) > 2.0 * np.trace(covariances[1, :3, :3])
+
+
 @settings(max_examples=100)
 @given(seed=st.integers(0, 2**32), count=st.integers(1, 12))
 def test_order_of_components_does_not_matter(seed: int, count: int) -> None:

@@ -98,6 +98,18 @@ def test_every_successive_detection_of_a_track_counts_once(tracks: int) -> None:
     assert counts == pytest.approx([events - 1.0, events - 2.0], rel=0.01)  # but for outliers
 
 
+def test_estimates_that_may_be_behind_the_camera_show_nothing() -> None:
+    """Where a step within the covariance ends behind it there is no derivative: nothing is computed from it."""
+    camera = build_camera("back", (0.0, 0.0, 5.0), (0.0, np.pi, 0.0), noise=NOISE)
+    errors, state, pixels = TrackErrors(), np.zeros(6), camera.project(np.zeros((1, 3)))[0] + 0.1
+    for time_s in range(4):
+        for track_id, variance in enumerate((1e-5, 1e4)):
+            errors.waiting.append(SeenTrack("back", track_id, float(time_s), state, variance * np.eye(3), pixels))
+    with np.errstate(all="raise"):
+        report = errors.report({"back": camera})
+    assert report["same_camera"]["pairs"] == 3
+
+
 def test_nothing_is_checked_without_detections() -> None:
     (found,) = check_errors({"track_errors": TrackErrors().report({})}, (), True)
     assert found.status == "not checked"

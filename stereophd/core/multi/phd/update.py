@@ -12,7 +12,7 @@ from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, take
 from stereophd.core.multi.state.outcomes import ChosenOutcomes, Outcomes, label_outcomes, make_components
 from stereophd.core.multi.state.reduction import merge_sorted
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import group, picked, places, stable_order
+from stereophd.core.numerics.sorting import group, largest, picked, places, stable_order
 
 # Part of the intensity at a detection that is left to others at least, against rounding.
 LEAST_OTHERS = 1e-12
@@ -157,8 +157,5 @@ def reduce_intensity(mixture: GaussianMixture, shares: Array, settings: PhdReduc
         )  # fmt: skip
     left_out = max(len(reduced.weights) - settings.max_components, 0)
     if left_out > 0:
-        kept = np.zeros(len(reduced.weights), dtype=np.bool_)
-        for k in stable_order(-reduced.weights)[: settings.max_components]:
-            kept[k] = True
-        reduced = take_components(reduced, places(kept))
+        reduced = take_components(reduced, places(largest(reduced.weights, settings.max_components)))
     return reduced, left_out

@@ -24,6 +24,7 @@ from stereophd.core.multi.state.inputs import EventArrays, EventNumbers
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.state.outcomes import Outcomes, label_outcomes
 from stereophd.core.numerics.compilation.compiled import compiled
+from stereophd.core.numerics.moments import add_part
 from stereophd.core.numerics.sorting import group, picked, places, stable_order
 
 # A track that must have been detected (certain, in view, detection probability 1) may still be missed
@@ -201,12 +202,11 @@ def mix_gaussians(
     members keeps its base.
     """
     size = base_means.shape[1]
-    totals, base_shares = base_weights.copy(), np.ones(len(base_weights))
-    out_means, out_covariances = np.empty_like(base_means), np.empty_like(base_covariances)
+    totals = base_weights.copy()
+    out_means, out_covariances = np.empty_like(base_means), np.zeros_like(base_covariances)
     for p in range(len(groups)):
         totals[groups[p]] += weights[p]
-    for p in range(len(groups)):
-        base_shares[groups[p]] = base_weights[groups[p]] / totals[groups[p]]
+    base_shares = np.where(totals > 0.0, base_weights / totals, 1.0)
     for g in range(len(base_weights)):
         for a in range(size):
             out_means[g, a] = base_shares[g] * base_means[g, a]
@@ -215,19 +215,8 @@ def mix_gaussians(
         for a in range(size):
             out_means[g, a] += weights[p] / totals[g] * means[p, a]
     for g in range(len(base_weights)):
-        for a in range(size):
-            for b in range(a + 1):
-                spread = base_shares[g] * (base_means[g, a] - out_means[g, a]) * (base_means[g, b] - out_means[g, b])
-                out_covariances[g, a, b] = base_shares[g] * base_covariances[g, a, b] + spread
+        add_part(base_shares[g], base_means[g], base_covariances[g], out_means[g], out_covariances[g])
     for p in range(len(groups)):
         g = groups[p]
-        part = weights[p] / totals[g]
-        for a in range(size):
-            for b in range(a + 1):
-                spread = (means[p, a] - out_means[g, a]) * (means[p, b] - out_means[g, b])
-                out_covariances[g, a, b] += part * (covariances[rows[p], a, b] + spread)
-    for g in range(len(base_weights)):
-        for a in range(size):
-            for b in range(a):
-                out_covariances[g, b, a] = out_covariances[g, a, b]
+        add_part(weights[p] / totals[g], means[p], covariances[rows[p]], out_means[g], out_covariances[g])
     return out_means, out_covariances

@@ -6,6 +6,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, squared_distance
+from stereophd.core.numerics.moments import add_part
 from stereophd.core.numerics.sorting import copy_gaussian
 
 
@@ -28,8 +29,7 @@ def merge_sorted(
     factored = np.zeros(count, dtype=np.bool_)
     factors = np.empty((count, size, size))
     out_weights = np.empty(count)
-    out_means = np.empty((count, size))
-    out_covariances = np.empty((count, size, size))
+    out_means, out_covariances = np.zeros((count, size)), np.zeros((count, size, size))
     leaders = np.empty(count, dtype=np.int64)
     members = np.empty(count, dtype=np.int64)
     difference = np.empty(size)
@@ -84,24 +84,13 @@ def merge_sorted(
             used[members[m]] = True
             total += weights[members[m]]
             whole += shares[members[m]]
-        mean = out_means[merged]
-        for a in range(size):
-            mean[a] = 0.0
+        mean, covariance = out_means[merged], out_covariances[merged]
         for m in range(n_members):
-            part = shares[members[m]] / whole
             for a in range(size):
-                mean[a] += part * means[members[m], a]
-        covariance = out_covariances[merged]
-        for a in range(size):
-            for b in range(size):
-                covariance[a, b] = 0.0
+                mean[a] += shares[members[m]] / whole * means[members[m], a]
         for m in range(n_members):
             k = members[m]
-            part = shares[k] / whole
-            for a in range(size):
-                for b in range(size):
-                    spread = (means[k, a] - mean[a]) * (means[k, b] - mean[b])
-                    covariance[a, b] += part * (covariances[k, a, b] + spread)
+            add_part(shares[k] / whole, means[k], covariances[k], mean, covariance)
         out_weights[merged] = total
         leaders[merged] = leader
         merged += 1
