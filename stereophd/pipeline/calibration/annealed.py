@@ -85,7 +85,7 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
         found = distinct(starts)
         fits = [mode.fit if scale is None else rescaled(task, mode.fit, scale) for mode in found if mode.fit]
         modes = modes_of(fits, [mode.score for mode in found])
-        return smc_outcome(run, scale, modes, result, details)
+        return smc_outcome(run, believed.task, modes, result, details)
     parameters, adjustment = believed.task.parameters, result.fit.adjustment
     draws = laplace_draws(
         parameters, problem.reference, adjustment.values, adjustment.covariance, LAPLACE_DRAWS,

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.pairing.association import inflated
-from stereophd.core.calibration.sampling import bridging
 from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeSampler, BridgeState
 from stereophd.core.calibration.sampling.likelihood import Evidence
 from stereophd.core.calibration.sampling.paths import BlockPath, Stage
+from stereophd.core.calibration.sampling.runs import run
 from stereophd.core.calibration.settings import SequentialSettings
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
 from tests.core.calibration.problems import make_events, make_parameters, make_template, to_bytes
@@ -70,10 +70,9 @@ def test_the_camera_is_found_and_a_resumed_run_ends_the_same() -> None:
         if len(history) == 5:
             saved.append(pickle.dumps((state, list(history))))
 
-    result = bridging.run(sampler, after_step=save)
-    resumed = bridging.run(sampler, resume=pickle.loads(saved[0]))
-    assert to_bytes(resumed) == to_bytes(result)
-    assert {info.stage for info in result.history} == set(range(len(path.stages)))
+    result, history = run(sampler, after_step=save)
+    assert to_bytes(run(sampler, pickle.loads(saved[0]))) == to_bytes((result, history))
+    assert {info.stage for info in history} == set(range(len(path.stages)))
     pitch = result.values[:, 3]
     assert pitch.std() < 0.5 * path.parameters.prior_std[3]
     assert abs(pitch.mean()) < 5.0 * pitch.std()
