@@ -1,6 +1,7 @@
 """What `calibrate` samples: method sequential, and posterior smc."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,6 @@ import numpy as np
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.fits import HistoryRow, fit_from
-from stereophd.core.calibration.annealing.method import Calibrated
 from stereophd.core.calibration.annealing.starts import NOISE_AS_STATED, RIVAL_DISTANCE, disagreement, explained
 from stereophd.core.calibration.annealing.task import Task
 from stereophd.core.calibration.sampling import runs
@@ -20,7 +20,7 @@ from stereophd.core.calibration.sampling.bridging import (
     least_effective,
 )
 from stereophd.core.calibration.sampling.likelihood import Evidence
-from stereophd.core.calibration.sampling.paths import BlockPath, LogEvidence, TemperedPath
+from stereophd.core.calibration.sampling.paths import LogEvidence, growing_path, tempered_path
 from stereophd.core.calibration.sampling.recording_evidence import RecordingEvidence
 from stereophd.core.calibration.sampling.runs import Info, Sampler, State
 from stereophd.core.calibration.sampling.sequential import SequentialInfo, SequentialSampler, SequentialState
@@ -75,7 +75,7 @@ def _with_moves(run: CalibrationRun) -> Sampled:
     """Particles that moves filter anew: the posterior of more and more of the log."""
     settings, problem = run.section.sequential, run.problem
     evidence = _evidence(run, settings.likelihood, problem.scale, problem.recording, settings.samples)
-    path, seed = BlockPath(evidence, settings), SEQUENTIAL_PARTICLES.seed(run.loaded.config.seed)
+    path, seed = growing_path(evidence, settings), SEQUENTIAL_PARTICLES.seed(run.loaded.config.seed)
     sampler = BridgeSampler(path, settings.resample_below, settings.moves_per_step, seed)
     state, infos, figures = _bridged(run, "sequential", sampler, settings.likelihood)
     last, times = {info.stage: info for info in infos}, np.sort(problem.recording.times)
@@ -134,21 +134,18 @@ def _doubt(run: CalibrationRun, values: Array, covariance: Array, details: dict[
     return f"the optimum next to the particles lies {moved:.0f} standard deviations away: they settled on wrong cameras"
 
 
-def smc_outcome(
-    run: CalibrationRun, task: Task, modes: Modes, annealed: Calibrated, details: dict[str, Any]
-) -> Outcome:
+def smc_outcome(run: CalibrationRun, task: Task, modes: Modes, annealed: Outcome) -> Outcome:
     """Full posterior by tempered particles about the modes found, of the frames that a task tracks."""
-    settings, parameters = run.section.smc, run.problem.parameters
+    settings = run.section.smc
     evidence = _evidence(run, settings.evidence, task.scale, task.recording.part(task.frames))
-    path, seed = TemperedPath(parameters, evidence, modes, settings), TEMPERED_PARTICLES.seed(run.loaded.config.seed)
-    state, _, figures = _bridged(
-        run, "smc", BridgeSampler(path, settings.resample_below, settings.moves, seed), settings.evidence
-    )
+    path, seed = tempered_path(evidence, modes, settings), TEMPERED_PARTICLES.seed(run.loaded.config.seed)
+    sampler = BridgeSampler(path, settings.resample_below, settings.moves, seed)
+    state, _, figures = _bridged(run, "smc", sampler, settings.evidence)
     mean, covariance = weighted_mean_covariance(state.values, state.log_weights)
-    details["smc"] = {**figures, "modes": len(modes.weights)}
-    return Outcome(
-        parameters, mean, covariance, state.values, state.log_weights, annealed.history, "", annealed.doubt,
-        annealed.fit, annealed.remarks, annealed.moves, None, details,
+    details = {**annealed.details, "smc": {**figures, "modes": len(modes.weights)}}
+    return replace(
+        annealed, values=mean, covariance=covariance, particles=state.values, log_weights=state.log_weights,
+        world=None, details=details,
     )  # fmt: skip
 
 

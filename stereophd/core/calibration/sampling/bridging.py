@@ -91,18 +91,17 @@ class BridgeSampler:
 
     def init(self) -> BridgeState:
         """Draw the particles from the first density."""
-        count = self.path.particles[0]
-        values = self.path.draw(count, step_generator(self.seed, 0))
+        values = self.path.draw(step_generator(self.seed, 0))
         begin, end = self.path.log_densities(values, 0, True)
-        return BridgeState(values, begin, end, np.arange(count), 0, 0.0, 0, 1.0, 0.0, 1)
+        return BridgeState(values, begin, end, np.arange(len(values)), 0, 0.0, 0, 1.0, 0.0, 1)
 
     def done(self, state: BridgeState) -> bool:
         """Whether the particles represent the last density."""
-        return state.stage_done and state.stage == len(self.path.particles) - 1
+        return state.stage_done and state.stage == len(self.path.stages) - 1
 
     def progress(self, state: BridgeState) -> tuple[int, int]:
         """Return how many thousandths of a stage are done, of those of all stages."""
-        return int(1000 * (state.stage + state.temperature)), 1000 * len(self.path.particles)
+        return int(1000 * (state.stage + state.temperature)), 1000 * len(self.path.stages)
 
     def step(self, state: BridgeState) -> tuple[BridgeState, BridgeInfo]:
         """Make a move, or a tempering step when none is left."""
@@ -121,7 +120,7 @@ class BridgeSampler:
         gain = state.log_end - state.log_begin
         rise = temperature_rise(gain, 1.0 - state.temperature, self.resample_below)
         log_weights, total = normalised(rise * gain)
-        chosen = systematic(np.exp(log_weights), rng.random(1), self.path.particles[state.stage])
+        chosen = systematic(np.exp(log_weights), rng.random(1), self.path.stages[state.stage].particles)
         temperature = 1.0 if rise >= 1.0 - state.temperature else state.temperature + rise
         after = replace(
             state,

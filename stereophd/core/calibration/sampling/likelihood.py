@@ -44,10 +44,6 @@ class Evidence:
         """Number of events."""
         return len(self.events)
 
-    def __call__(self, values: Array) -> Array:
-        """Return the log-likelihoods (k,) of values (k, m)."""
-        return np.asarray(self.after(values, [len(self.events)])[0])
-
     def after(self, values: Array, counts: Sequence[int], inflation: float = 1.0) -> Array:
         """Return the log-likelihoods (s, k) of values (k, m) after the first events, for each of several counts.
 

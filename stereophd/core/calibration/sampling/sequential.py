@@ -47,16 +47,13 @@ class SequentialState:
 class SequentialInfo:
     """Diagnostics of an event."""
 
-    # `time_s`, `camera`: Time, s, and camera of the event.
-    time_s: float
-    camera: int
+    time_s: float  # Of the event, s
     # `mean`, `covariance`: arrays (m,), (m, m): Moments of the particles, before resampling.
     mean: Array
     covariance: Array
     effective_sample_size: float  # Before resampling
     resampled: bool
     log_likelihood: float  # Log-likelihood of the event given those before, the cameras integrated out
-    components: float  # Mean number of components of a conditional intensity
 
 
 @dataclass(frozen=True)
@@ -104,10 +101,7 @@ class SequentialSampler:
             values, filters = roughened(values[chosen], settings.roughening, rng), filters.take(chosen)
             log_weights = np.full(len(values), -np.log(len(values)))
         after = SequentialState(values, log_weights, filters, state.log_evidence + log_likelihood)
-        return after, SequentialInfo(
-            event.time_s, event.camera, mean, covariance, effective, resampled, log_likelihood,
-            float(filters.counts.mean()),
-        )  # fmt: skip
+        return after, SequentialInfo(event.time_s, mean, covariance, effective, resampled, log_likelihood)
 
 
 def roughened(values: Array, factor: float, rng: np.random.Generator) -> Array:
