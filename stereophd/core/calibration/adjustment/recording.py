@@ -177,12 +177,6 @@ class Scans:
         rows = [np.arange(self.first[i], self.first[i + 1]) for i in numbers]
         return _joined([self.events[i] for i in numbers], self.source[np.concatenate(rows)], self.recording)
 
-    def places(self, detections: Integers) -> Integers:
-        """Places of detections of the recording among those of the events."""
-        place = np.full(len(self.recording.pixels), -1)
-        place[self.source] = np.arange(len(self.source))
-        return np.asarray(place[detections])
-
 
 def _events_of(
     recording: Recording, camera: Camera, number: int, frames: Integers, times: Array
