@@ -83,7 +83,6 @@ class Quantity(ABC):
     named: ClassVar[bool] = False  # Whether the prior names the components (``{k1: 0.1}``): not one value, or one each
     prior_unit: ClassVar[float] = 1.0  # The unit of that key in units of the values (degrees: pi / 180)
     largest_std: ClassVar[float] = LARGEST_LENGTH  # Largest value of that key: beyond what any set-up can mean
-    has_pack: ClassVar[bool] = False  # Whether `pack` is defined
 
     def available(self, camera: Camera) -> tuple[str, ...]:
         """Return the components that a camera has."""
@@ -106,7 +105,7 @@ class Quantity(ABC):
         """Derivative (n, 2, k) of the raw pixels of a view, with respect to the values."""
 
     def pack(self, spaces: Array, camera: Camera, values: Array) -> None:
-        """Apply values (h, k) to h packed copies (h, 28 or more) of a camera in place."""
+        """Apply values (h, k) to h packed copies (h, 28 or more) of a camera in place; of poses alone."""
         raise NotImplementedError
 
     @abstractmethod

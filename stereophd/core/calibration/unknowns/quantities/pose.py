@@ -37,7 +37,6 @@ class Center(Offset):
     description = "standard deviation of the centre, length; one value or x, y, z"
     on_path = False
     of_the_frame = True
-    has_pack = True
 
     def _difference(self, camera: Camera, other: Camera) -> Array:
         """Return what moves one centre to the other, both at the time of the first pose."""
@@ -70,7 +69,6 @@ class Rotation(Quantity):
     )
     on_path = False
     of_the_frame = True
-    has_pack = True
 
     def _apply(self, camera: Camera, values: Array) -> Camera:
         """Turn the camera by a rotation vector (3,), rad."""
