@@ -34,8 +34,10 @@ from numpy.typing import NDArray
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.sampling import sequential
 from stereophd.core.calibration.sampling.likelihood import hypothesis_spaces
+from stereophd.core.calibration.sampling.runs import run
+from stereophd.core.calibration.sampling.sequential import SequentialSampler
+from stereophd.core.calibration.settings import SequentialSettings
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.trips import motion_noise, moving_trips, view_mask
@@ -136,12 +138,13 @@ def measure(options: argparse.Namespace) -> dict[str, object]:
         parameters, phd, events = scene(options, Path(folder))
     batch = FilterBatch(phd, options.threads)
     seed = np.random.SeedSequence(options.seed)
-    settings = sequential.SequentialSettings(particles=options.particles, roughening=options.roughening)
+    settings = SequentialSettings(particles=options.particles, roughening=options.roughening)
     with ThreadPoolExecutor(options.threads) as pool:
-        small = sequential.SequentialSettings(particles=8)
-        state, _ = sequential.run(parameters, events[:10], batch, small, seed)  # compiles
+        small = SequentialSettings(particles=8)
+        state, _ = run(SequentialSampler(parameters, events[:10], batch, small, seed))  # compiles
         floor(phd, state.filters, events[0], hypothesis_spaces(parameters, state.values, phd.rig), pool)
-        state = sequential.init(parameters, batch, settings, seed)
+        sampler = SequentialSampler(parameters, events, batch, settings, seed)
+        state = sampler.init()
         filter_time, floor_time = Spent(), Spent()
         trips, components = 0, 0
         for event in events:
@@ -151,7 +154,7 @@ def measure(options: argparse.Namespace) -> dict[str, object]:
             floor_time.add(since)
             components += int(state.filters.counts.sum())
             since = now()
-            state, _ = sequential.step(parameters, batch, settings, seed, state, event)
+            state, _ = sampler.step(state)
             filter_time.add(since)
     work = options.particles * len(events)
     return {

@@ -139,7 +139,7 @@ WAYS = {
     "smc of a lens and a clock": (
         (
             "calibration.posterior=smc",
-            "calibration.smc={particles: 8, moves: 1, max_events: 30}",
+            "calibration.smc={particles: 8, moves: 1}",
             "calibration.priors.right.focal_std=0.05",
             "calibration.priors.right.clock_offset_std_s=0.05",
             *ONE_START,

@@ -114,6 +114,3 @@ class TemperedSettings:
     spread: Annotated[float, Interval(ge=0.1, le=1e3), FINITE] = parameter(
         "the first particles are drawn this much wider than the Laplace modes", default=1.5
     )
-    max_events: Count = parameter(
-        "frames used; of a longer log instants that are spread over it, the same of all cameras", default=4000
-    )

@@ -14,7 +14,6 @@ from stereophd.core.calibration.annealing.method import (
     AS_STATED,
     Calibrated,
     Choices,
-    KnownMeasure,
     Remark,
     calibrated,
     why_none_succeeded,
@@ -33,6 +32,7 @@ from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.unknowns.held import with_unmeasured
 from stereophd.core.calibration.unknowns.observability import laplace_draws
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRATION_STARTS, POSTERIOR_DRAWS
 from stereophd.io.outputs.json_text import finite_or_none
@@ -80,23 +80,21 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
         names = ", ".join(problem.parameters.names[stated:])
         text = f"no start agrees with cameras as stated: {names} were estimated (calibration.model: as_stated forbids)"
         result = replace(result, remarks=(Remark("model", text, is_reservation=True), *result.remarks))
-    if section.posterior == "smc":
-        scale = believed.task.scale
-        found = distinct(starts)
-        fits = [mode.fit if scale is None else rescaled(task, mode.fit, scale) for mode in found if mode.fit]
-        modes = modes_of(fits, [mode.score for mode in found])
-        return smc_outcome(run, scale, modes, result, details)
     parameters, adjustment = believed.task.parameters, result.fit.adjustment
     draws = laplace_draws(
         parameters, problem.reference, adjustment.values, adjustment.covariance, LAPLACE_DRAWS,
         np.random.default_rng(POSTERIOR_DRAWS.seed(run.loaded.config.seed)),
     )  # fmt: skip
-    weights = np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS))
-    return Outcome(
-        parameters, adjustment.values, adjustment.covariance, draws, weights, result.history, "", result.doubt,
-        result.fit, result.remarks, result.moves, result.world, details,
+    outcome = Outcome(
+        parameters, adjustment.values, adjustment.covariance, draws, np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS)),
+        result.history, "", result.doubt, result.fit, result.remarks, result.moves, result.world, details,
         1.0 if problem.noise_in_log else believed.contradicted_noise,
     )  # fmt: skip
+    if section.posterior == "laplace":
+        return outcome
+    scale, found = believed.task.scale, distinct(starts)
+    fits = [mode.fit if scale is None else rescaled(task, mode.fit, scale) for mode in found if mode.fit]
+    return smc_outcome(run, believed.task, modes_of(fits, [mode.score for mode in found]), outcome)
 
 
 def _task(run: CalibrationRun) -> Task:
@@ -116,9 +114,9 @@ def choices_of(section: CalibrationConfig) -> Choices:
     """Return what of a section decides between starts and result."""
     known = None
     if isinstance(section.scale, SpeedScale):
-        known = KnownMeasure("speed", section.scale.speed, section.scale.std)
+        known = ScaleMeasurement("speed", section.scale.speed, section.scale.std)
     elif isinstance(section.scale, LengthScale):
-        known = KnownMeasure("length", section.scale.length, section.scale.std)
+        known = ScaleMeasurement("length", section.scale.length, section.scale.std)
     return Choices(section.model, known, section.posterior == "smc")
 
 

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from stereophd.config.calibration import BaselineScale, CalibrationConfig
 from stereophd.config.loading import LoadedConfig
@@ -57,14 +56,9 @@ class CalibrationProblem:
     control: WorldControl | None = None
     noise_in_log: bool = False  # Whether the log states the noise of every detection
 
-    def frames(self, most: int | None = None) -> NDArray[np.int64]:
-        """Return the frames of the recording, at most about `most`."""
-        count = len(self.recording.cameras)
-        return self.recording.spread(1.0 if most is None else most / max(count, 1))
-
-    def scans(self, most: int | None = None) -> Scans:
-        """Return the events by the cameras of the prior mean, at most about `most`."""
-        return Scans.of(self.recording, self.parameters.cameras, self.frames(most))
+    def scans(self) -> Scans:
+        """Return the events by the cameras of the prior mean."""
+        return Scans.of(self.recording, self.parameters.cameras)
 
 
 @dataclass(frozen=True)

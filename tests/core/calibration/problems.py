@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -70,6 +71,11 @@ def make_events(cameras: tuple[Camera, ...], count: int, seed: int = 3, clutter:
         false = rng.uniform([0.0, 0.0], [799.0, 599.0], (rng.poisson(clutter), 2))
         events.append(make_event(camera, number, time_s, np.concatenate([pixels[seen], false])))
     return events
+
+
+def of_log(evidence: Any, values: Array) -> Array:
+    """Evidence (k,) of the whole log at values (k, m)."""
+    return np.asarray(evidence.after(values, [evidence.n_events])[0])
 
 
 def to_bytes(value: object) -> bytes:

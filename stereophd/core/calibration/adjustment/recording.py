@@ -147,10 +147,7 @@ class Scans:
     times: Array
     cameras: Integers
     first: Integers  # Event i has the detections first[i] to first[i + 1] - 1
-    # `points`, `precisions`: arrays (n, 2), (n, 2, 2): Undistorted pixels of all detections, as in the events, and
-    # the inverse of their covariances.
-    points: Array
-    precisions: Array
+    points: Array  # (n, 2): Undistorted pixels of all detections, as in the events
     event_of: Integers  # (n,) of int: Event of each detection
     detection_times: Array  # (n,): Time of each detection, s: of its event, and with a rolling shutter of its row
     source: Integers  # (n,) of int: Which detection of the recording each one is
@@ -176,12 +173,6 @@ class Scans:
         numbers = np.flatnonzero(self.cameras == camera)
         rows = [np.arange(self.first[i], self.first[i + 1]) for i in numbers]
         return _joined([self.events[i] for i in numbers], self.source[np.concatenate(rows)], self.recording)
-
-    def places(self, detections: Integers) -> Integers:
-        """Places of detections of the recording among those of the events."""
-        place = np.full(len(self.recording.pixels), -1)
-        place[self.source] = np.arange(len(self.source))
-        return np.asarray(place[detections])
 
 
 def _events_of(
@@ -219,7 +210,6 @@ def _joined(events: list[Event], source: Integers, recording: Recording) -> Scan
         np.array([event.camera for event in events], dtype=np.int64),
         np.concatenate([[0], np.cumsum(counts)]),
         np.concatenate([np.empty((0, 2)), *(event.points for event in events)]),
-        np.linalg.inv(np.concatenate([np.empty((0, 2, 2)), *(event.covariances for event in events)])),
         np.repeat(np.arange(len(events)), counts),
         np.concatenate([np.empty(0), *delayed]),
         source,

@@ -17,7 +17,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.trajectories import interpolation, positions
 from stereophd.core.calibration.annealing.fits import adjusted_to
 from stereophd.core.calibration.annealing.task import Fit, Task
-from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, log_scale, scale_is_free
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, log_scale
 
 # Steps in which the length of a path is measured, and times at which distances are.
 SPEED_STEPS, DISTANCE_TIMES = 200, 1000
@@ -78,27 +78,24 @@ class ObjectPairs:
         return np.asarray(near.sum() * np.where(rates < slow, linear, share))
 
 
-def measured_scale(task: Task, fit: Fit, kind: str, value: float, std: float) -> ScaleMeasurement | None:
-    """Measure the scale by the known speed of most objects, or by a known distance that pairs of objects keep.
+def measured_scale(task: Task, fit: Fit, known: ScaleMeasurement) -> ScaleMeasurement | None:
+    """Measure the scale, which is free, by a known speed or length.
 
     The kind is ``speed`` (mean speed of most objects) or ``length`` (the most probable distance that two or more keep).
     Speeds and distances in units of the scene's scale do not depend on it, so each of them measures its logarithm as
     log s + log(known / found). The speeds of k objects are independent measurements.
 
-    None if no two objects keep their distance, if neither distances nor speeds agree on a scale, or if the centres of
-    two cameras are known, which fix the scale.
+    None if no two objects keep their distance, or if neither distances nor speeds agree on a scale.
     """
-    if not scale_is_free(task.parameters):
-        return None
     logarithm, gradient = log_scale(task.parameters, task.reference, fit.adjustment.values)
-    if kind == "speed":
-        found = known_speed(mean_speeds(fit), value, std)
+    if known.kind == "speed":
+        found = known_speed(mean_speeds(fit), known.value, known.std)
         return None if found is None else ScaleMeasurement("log_scale", logarithm + found[0], found[1])
     spread = float(np.sqrt((gradient**2 * task.parameters.prior_std**2).sum()))
-    found = known_distance(object_pairs(fit), value, -logarithm, spread)
+    found = known_distance(object_pairs(fit), known.value, -logarithm, spread)
     if found is None:
         return None
-    return ScaleMeasurement("log_scale", logarithm + found[0], float(np.hypot(std / value, found[1])))
+    return ScaleMeasurement("log_scale", logarithm + found[0], float(np.hypot(known.std / known.value, found[1])))
 
 
 def rescaled(task: Task, fit: Fit, measurement: ScaleMeasurement) -> Fit:

@@ -47,7 +47,7 @@ from stereophd.core.calibration.time_limit import within
 from stereophd.core.calibration.unknowns.held import FOCAL_STD, EnlargedSet, enlarge
 from stereophd.core.calibration.unknowns.observability import posed_cameras
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.calibration.unknowns.scale import scale_is_free
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement, scale_is_free
 from stereophd.core.numerics.covariance_factors import covariance_factor
 from stereophd.core.numerics.random_streams import NOISE_SEED
 from stereophd.wording import percent
@@ -73,20 +73,11 @@ LARGEST_SPREAD = 0.15
 
 
 @dataclass(frozen=True)
-class KnownMeasure:
-    """A speed or a length of the scene that is known: ``speed`` or ``length``, its value and standard deviation."""
-
-    kind: str
-    value: float
-    std: float
-
-
-@dataclass(frozen=True)
 class Choices:
     """What decides between starts and result."""
 
     model: str = LENSES  # What may be given up of what is stated.
-    known: KnownMeasure | None = None
+    known: ScaleMeasurement | None = None  # A speed or a length of the scene: of the kind ``speed`` or ``length``
     is_sampled: bool = False  # Whether a sampler states the posterior afterwards.
     control: WorldControl | None = None
 
@@ -211,14 +202,14 @@ def why_none_succeeded(starts: list[Start], is_timed: bool = True, is_searched: 
     return f"none of {len(starts)} starts agrees with the data; most often ({count}): {'; '.join([often, *tries])}"
 
 
-def at_known_scale(task: Task, fit: Fit, known: KnownMeasure | None) -> tuple[Task, Fit, tuple[Remark, ...]]:
+def at_known_scale(task: Task, fit: Fit, known: ScaleMeasurement | None) -> tuple[Task, Fit, tuple[Remark, ...]]:
     """Adjust again where speeds or a length of the scene are known; the task holds their measurement of the scale."""
     if known is None:
         return task, fit, ()
     if not scale_is_free(task.parameters):
         why = f"the centres of two cameras are known, which fixes the scale: the known {known.kind} was not used"
         return task, fit, (Remark("scale", why),)
-    measured = measured_scale(task, fit, known.kind, known.value, known.std)
+    measured = measured_scale(task, fit, known)
     if measured is None:
         reasons = {
             "speed": "the objects do not agree on one speed: the known speed was not used",

@@ -95,34 +95,27 @@ def track_detections(multi_filter: PmbFilter, scans: Scans, inflation: float) ->
 
 
 def detected_pixels(camera: Camera, states: Array, event: Event) -> Array:
-    """Undistorted pixels (n, m, 2) of objects, positions and velocities (n, 6), at the times of m detections.
+    """Undistorted pixels (n, m or 1, 2) of objects, positions and velocities (n, 6), at the times of m detections.
 
     With a rolling shutter a detection is later than its event by the delay of its row. The pixels are those of the
     camera at the event; that the camera moves on until then is as if the objects moved the other way.
     """
     pinhole = replace(camera, lens=Lens())
-    moves = event.delays is not None and states.shape[1] == 6
-    if event.delays is None or not (moves or event.travels is not None):
+    if event.delays is None:
         return np.asarray(pinhole.project(states[:, :3])[:, None, :])
-    moved = np.repeat(states[:, None, :3], len(event.points), axis=1)
-    if moves:
-        moved = moved + event.delays[None, :, None] * states[:, None, 3:]
+    moved = states[:, None, :3] + event.delays[None, :, None] * states[:, None, 3:]
     if event.travels is not None:
         moved = moved - event.travels
     return pinhole.project(moved.reshape(-1, 3)).reshape(len(states), len(event.points), 2)
 
 
-def squared_distances(pixels: Array, event: Event) -> Array:
-    """Squared Mahalanobis distances (n, m) of pixels (n, m or 1, 2) from an event's detections; infinite for NaN."""
-    difference = pixels - event.points[None, :, :]
-    inverse = np.linalg.inv(event.covariances)
-    distance = np.einsum("nmi,mij,nmj->nm", difference, inverse, difference)
-    return np.asarray(np.where(np.isfinite(distance), distance, np.inf))
-
-
 def match(pixels: Array, event: Event, gate: float) -> tuple[Integers, Integers]:
-    """Assign pixels to detections one to one, at the least sum of squared distances within the gate."""
-    cost = np.minimum(squared_distances(pixels, event), gate)
+    """Assign pixels (n, m or 1, 2) to an event's m detections one to one, at the least sum of squared distances.
+
+    They are Mahalanobis distances, within the gate; NaN is beyond it.
+    """
+    difference = pixels - event.points
+    cost = np.fmin(np.einsum("nmi,mij,nmj->nm", difference, np.linalg.inv(event.covariances), difference), gate)
     rows, columns = linear_sum_assignment(cost)
     kept = cost[rows, columns] < gate
     return rows[kept].astype(np.int64), columns[kept].astype(np.int64)

@@ -12,12 +12,9 @@ acceptance. Where modes are known, each mode has the covariance of its own parti
 that is nearest in the mode's covariance. The acceptance ratio of a move between modes includes both proposal densities,
 so that detailed balance holds. The product of the mean incremental weights estimates the ratio of the integrals of f_n
 and f_0.
-
-The sampler is `init` and `step` over a frozen state of arrays; random numbers depend on the seed and the number of the
-step alone, so that a run continued from any state gives the same result as an uninterrupted one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,13 +34,20 @@ class BridgeState:
     # stage.
     log_begin: Array
     log_end: Array
-    ancestors: Integers  # (k,) of int: First particle that each descends from
+    # (k,) of int: First particle that each descends from; few of them mean that the first density missed most of the
+    # last.
+    ancestors: Integers
     stage: int  # Stage of the path, from 0
     temperature: float  # How far the particles are through the stage, 0 to 1
     moves_left: int  # Moves to make before the next tempering step
     step_size: float  # Factor of the proposals, in units of `OPTIMAL_STEP` / sqrt(m)
     log_evidence: float  # Estimate so far
     n_steps: int  # Steps so far: picks the random numbers
+
+    @property
+    def log_weights(self) -> Array:
+        """Normalised log-weights (k,), all equal."""
+        return np.full(len(self.values), -np.log(len(self.values)))
 
     @property
     def stage_done(self) -> bool:
@@ -67,25 +71,6 @@ class BridgeInfo:
     covariance: Array
 
 
-@dataclass(frozen=True)
-class BridgeResult:
-    """Outcome of a run."""
-
-    values: Array  # (k, m): Particles of the last density, all of the same weight
-    log_densities: Array  # (k,): The last log-density of each
-    log_evidence: float  # Logarithm of the ratio of the integrals of the last density and the first
-    acceptance: float  # Share of accepted proposals of the moves at the last density itself
-    effective_sample_size: float  # The smallest of the tempering steps, as a share of the particles
-    # First particles that still have descendants: few mean that the first density missed most of the last.
-    ancestors: int
-    history: tuple[BridgeInfo, ...]
-
-    @property
-    def log_weights(self) -> Array:
-        """Normalised log-weights (k,), all equal."""
-        return np.full(len(self.values), -np.log(len(self.values)))
-
-
 # Of Gaussian random walks in m dimensions: 2.38 / sqrt(m) moves best (G. O. Roberts, A. Gelman, W. R. Gilks 1997).
 OPTIMAL_STEP = 2.38
 # The acceptance that the factor of the proposals is steered to, and how fast.
@@ -93,9 +78,6 @@ TARGET_ACCEPTANCE, ADAPTATION = 0.3, 1.0
 SMALLEST_STEP, LARGEST_STEP = 0.05, 4.0
 # Bisections of a tempering step: b to about one part in a million million.
 BISECTIONS = 40
-
-# Called after every step with the state and the history so far.
-AfterStep = Callable[[BridgeState, Sequence[BridgeInfo]], None]
 
 
 @dataclass(frozen=True)
@@ -109,14 +91,17 @@ class BridgeSampler:
 
     def init(self) -> BridgeState:
         """Draw the particles from the first density."""
-        count = self.path.particles[0]
-        values = self.path.draw(count, step_generator(self.seed, 0))
+        values = self.path.draw(step_generator(self.seed, 0))
         begin, end = self.path.log_densities(values, 0, True)
-        return BridgeState(values, begin, end, np.arange(count), 0, 0.0, 0, 1.0, 0.0, 1)
+        return BridgeState(values, begin, end, np.arange(len(values)), 0, 0.0, 0, 1.0, 0.0, 1)
 
     def done(self, state: BridgeState) -> bool:
         """Whether the particles represent the last density."""
-        return state.stage_done and state.stage == len(self.path.particles) - 1
+        return state.stage_done and state.stage == len(self.path.stages) - 1
+
+    def progress(self, state: BridgeState) -> tuple[int, int]:
+        """Return how many thousandths of a stage are done, of those of all stages."""
+        return int(1000 * (state.stage + state.temperature)), 1000 * len(self.path.stages)
 
     def step(self, state: BridgeState) -> tuple[BridgeState, BridgeInfo]:
         """Make a move, or a tempering step when none is left."""
@@ -135,7 +120,7 @@ class BridgeSampler:
         gain = state.log_end - state.log_begin
         rise = temperature_rise(gain, 1.0 - state.temperature, self.resample_below)
         log_weights, total = normalised(rise * gain)
-        chosen = systematic(np.exp(log_weights), rng.random(1), self.path.particles[state.stage])
+        chosen = systematic(np.exp(log_weights), rng.random(1), self.path.stages[state.stage].particles)
         temperature = 1.0 if rise >= 1.0 - state.temperature else state.temperature + rise
         after = replace(
             state,
@@ -239,31 +224,12 @@ def _log_normal(differences: Array, factors: Array) -> Array:
     return np.asarray(-0.5 * (scaled**2).sum(axis=1) - log_determinant)
 
 
-def run(
-    sampler: BridgeSampler,
-    resume: tuple[BridgeState, Sequence[BridgeInfo]] | None = None,
-    after_step: AfterStep | None = None,
-) -> BridgeResult:
-    """Sample the last density of the path.
+def acceptance_of(history: Sequence[BridgeInfo]) -> float:
+    """Share of accepted proposals of the moves at the last density itself."""
+    last = [info for info in history if info.stage == history[-1].stage and info.temperature >= 1.0]
+    return float(np.mean([info.acceptance for info in last if info.kind == "move"]))
 
-    `resume` has the state and the history that `after_step` was given: the run continues there, to the same result.
-    `after_step` serves progress and checkpoints; an exception that it raises ends the run.
-    """
-    state = sampler.init() if resume is None else resume[0]
-    history: list[BridgeInfo] = [] if resume is None else list(resume[1])
-    while not sampler.done(state):
-        state, info = sampler.step(state)
-        history.append(info)
-        if after_step is not None:
-            after_step(state, history)
-    last = [info for info in history if info.stage == state.stage]
-    moves = [info.acceptance for info in last if info.kind == "move" and info.temperature >= 1.0]
-    return BridgeResult(
-        values=state.values,
-        log_densities=state.log_end,
-        log_evidence=state.log_evidence,
-        acceptance=float(np.mean(moves)),
-        effective_sample_size=min(info.effective_sample_size for info in history if info.kind == "temper"),
-        ancestors=len(np.unique(state.ancestors)),
-        history=tuple(history),
-    )
+
+def least_effective(history: Sequence[BridgeInfo]) -> float:
+    """Smallest effective sample size of the tempering steps, as a share of the particles."""
+    return min(info.effective_sample_size for info in history if info.kind == "temper")

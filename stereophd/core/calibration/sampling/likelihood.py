@@ -44,10 +44,6 @@ class Evidence:
         """Number of events."""
         return len(self.events)
 
-    def __call__(self, values: Array) -> Array:
-        """Return the log-likelihoods (k,) of values (k, m)."""
-        return np.asarray(self.after(values, [len(self.events)])[0])
-
     def after(self, values: Array, counts: Sequence[int], inflation: float = 1.0) -> Array:
         """Return the log-likelihoods (s, k) of values (k, m) after the first events, for each of several counts.
 
@@ -80,13 +76,11 @@ def log_density_of_scale(
 
 
 def hypothesis_spaces(parameters: ParameterSet, values: Array, rig: Rig) -> Array:
-    """Packed disparity spaces (k, c, 30) of the cameras of parameter values (k, m).
+    """Packed disparity spaces (k, c, 30) of the cameras of parameter values (k, m), poses of cameras that stand still.
 
-    The same as packing the cameras of `ParameterSet.build` row by row, for all rows at once where the quantities
-    can be packed: thousands of hypotheses that move after an event would spend more time on that than on the event.
+    The same as packing the cameras of `ParameterSet.build` row by row, for all rows at once: thousands of hypotheses
+    that move after an event would spend more time on that than on the event.
     """
-    if not all(quantity.has_pack for quantity in parameters.quantities):
-        return np.stack([make_rig(parameters.build(row), rig.baseline, rig.rectification).packed for row in values])
     packed = make_rig(parameters.cameras, rig.baseline, rig.rectification).packed
     spaces = np.repeat(packed[None], len(values), axis=0)
     for number, camera in enumerate(parameters.cameras):

@@ -5,9 +5,7 @@ static cameras need no jitter. Metropolis moves replace it: each runs the condit
 and leaves the posterior invariant.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -19,8 +17,6 @@ from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 
 LogEvidence = Evidence | RecordingEvidence
-# Log-likelihoods (k,) of parameter values (k, m).
-LogLikelihood = Callable[[Array], Array]
 # The last stage may add more events than those so far, by this factor, so that no short one is left.
 LAST_GROWTH = 2.5
 
@@ -31,70 +27,46 @@ class Stage:
 
     n_events: int
     inflation: float
+    particles: int  # That lead there
 
 
 @dataclass(frozen=True)
-class BlockPath:
-    """The single-cluster PHD filter of the paper (section VII-B) with moves: the posterior as the log grows.
+class DensityPath:
+    """The densities p(s) L_k(first events | s) at the ends of stages, with factors k on the noise of the detections.
 
-    Of a wide prior few particles fit the first events. Tempering the likelihood leads into wrong modes. Inflating the
-    noise of the detections does not, because detections with wide noise find their objects with any cameras. The path
-    is therefore
-
-        p(s),  p(s) L_k(first block | s) for falling factors k on the noise, down to 1,
-        then p(s) L_1(events so far | s) for twice as many events from stage to stage, to the whole log.
-
-    Each particle always carries the intensity of the filter conditional on it: moves recompute it, resampling copies
-    it.
+    L is the multi-object evidence of the filters conditional on s. A move runs the filter again with the same sample
+    sets, which makes L a function of s. Each particle always carries the intensity of the filter conditional on it:
+    moves recompute it, resampling copies it. The first density is the prior, or that of modes which another method has
+    found. The estimate of the evidence is that of the log, s integrated out.
     """
 
     evidence: LogEvidence  # Evidence of the whole log
-    settings: SequentialSettings
-
-    modes = None
+    stages: tuple[Stage, ...]
+    modes: Modes | None = None  # Without them the particles start from the prior, which takes many more steps
+    spread: float = 1.0  # Factor on the standard deviations of the modes
 
     @property
     def parameters(self) -> ParameterSet:
         """Unknowns and their priors."""
         return self.evidence.parameters
 
-    @cached_property
-    def stages(self) -> tuple[Stage, ...]:
-        """What the density at the end of each stage counts."""
-        count = self.evidence.n_events
-        first = min(self.settings.block_events, count)
-        annealed = [Stage(first, factor) for factor in self.settings.inflation]
-        if not annealed or annealed[-1].inflation != 1.0:
-            annealed.append(Stage(first, 1.0))
-        # the cost of a stage is that of its events, and a bridge takes as many steps as the data need
-        ends = []
-        while first < count:
-            first = count if LAST_GROWTH * first >= count else 2 * first
-            ends.append(Stage(first, 1.0))
-        return (*annealed, *ends)
-
-    @cached_property
-    def particles(self) -> tuple[int, ...]:
-        """Number of particles in each stage: more while the noise is inflated."""
-        settings = self.settings
-        return tuple(
-            max(settings.first_particles, settings.particles) if stage.inflation > 1.0 else settings.particles
-            for stage in self.stages
-        )
-
-    def draw(self, count: int, rng: np.random.Generator) -> Array:
-        """Draw values (count, m) from the prior."""
-        return self.parameters.sample(rng, count)
+    def draw(self, rng: np.random.Generator) -> Array:
+        """Draw the values (k, m) of the first stage's particles from the modes, or from the prior."""
+        count = self.stages[0].particles
+        if self.modes is None:
+            return self.parameters.sample(rng, count)
+        return self.modes.draw(count, self.spread, rng)
 
     def log_densities(self, values: Array, stage: int, begin: bool) -> tuple[Array, Array]:
-        """Log-densities (k,) of the prior times the evidence at the beginning and the end of a stage.
+        """Log-densities (k,) at the beginning and the end of a stage.
 
         Both are of values (k, m), up to a constant. With `begin` False the first is not needed, and any array will do.
         """
         prior = self.parameters.log_prior(values)
         end = self.stages[stage]
         if stage == 0:
-            return prior, prior + self._likelihoods(values, end)[0]
+            first = prior if self.modes is None else self.modes.log_density(values, self.spread)
+            return first, prior + self._likelihoods(values, end)[0]
         start = self.stages[stage - 1]
         if start.inflation != end.inflation:
             before = self._likelihoods(values, start)[0] if begin else np.zeros(len(values))
@@ -107,36 +79,26 @@ class BlockPath:
         return self.evidence.after(values, [stage.n_events for stage in stages], stages[-1].inflation)
 
 
-@dataclass(frozen=True)
-class TemperedPath:
-    """One stage, from modes that another method has found, or from the prior, to the posterior p(x) L(Z | x).
+def growing_path(evidence: LogEvidence, settings: SequentialSettings) -> DensityPath:
+    """Return the single-cluster PHD filter of the paper (section VII-B) with moves: the posterior as the log grows.
 
-    L is the multi-object evidence of the filters conditional on x. A move runs the filter over the whole log again with
-    the same sample sets, which makes L a function of x. The estimate of the evidence is that of the log, x integrated
-    out.
+    Of a wide prior few particles fit the first events. Tempering the likelihood leads into wrong modes. Inflating the
+    noise of the detections does not, because detections with wide noise find their objects with any cameras. From the
+    prior the path therefore leads over the first block at falling factors on the noise, down to 1, and then at this one
+    to twice as many events from stage to stage, to the whole log. There are more particles while the noise is inflated.
     """
-
-    parameters: ParameterSet  # Unknowns and their priors
-    log_likelihood: LogLikelihood  # Evidence of parameter values
-    modes: Modes | None  # Without them the particles start from the prior, which takes many more steps
-    settings: TemperedSettings
-
-    @property
-    def particles(self) -> tuple[int, ...]:
-        """Number of particles of the one stage."""
-        return (self.settings.particles,)
-
-    def draw(self, count: int, rng: np.random.Generator) -> Array:
-        """Draw values (count, m) from the modes, or from the prior."""
-        if self.modes is None:
-            return self.parameters.sample(rng, count)
-        return self.modes.draw(count, self.settings.spread, rng)
-
-    def log_densities(self, values: Array, stage: int, begin: bool) -> tuple[Array, Array]:
-        """Log-densities (k,) of the proposal and of the posterior, the latter not normalised."""
-        prior = self.parameters.log_prior(values)
-        first = prior if self.modes is None else self.modes.log_density(values, self.settings.spread)
-        return first, prior + self.log_likelihood(values)
+    count, many = evidence.n_events, max(settings.first_particles, settings.particles)
+    first = min(settings.block_events, count)
+    stages = [Stage(first, k, many if k > 1.0 else settings.particles) for k in settings.inflation]
+    if not stages or stages[-1].inflation != 1.0:
+        stages.append(Stage(first, 1.0, settings.particles))
+    # the cost of a stage is that of its events, and a bridge takes as many steps as the data need
+    while first < count:
+        first = count if LAST_GROWTH * first >= count else 2 * first
+        stages.append(Stage(first, 1.0, settings.particles))
+    return DensityPath(evidence, tuple(stages))
 
 
-DensityPath = BlockPath | TemperedPath
+def tempered_path(evidence: LogEvidence, modes: Modes | None, settings: TemperedSettings) -> DensityPath:
+    """Return the path of one stage from modes, or from the prior, to the posterior of the whole log."""
+    return DensityPath(evidence, (Stage(evidence.n_events, 1.0, settings.particles),), modes, settings.spread)

@@ -59,10 +59,6 @@ class RecordingEvidence:
         """Number of frames."""
         return len(self.frames)
 
-    def __call__(self, values: Array) -> Array:
-        """Return the log-likelihoods (k,) of values (k, m)."""
-        return np.asarray(self.after(values, [len(self.frames)])[0])
-
     def after(self, values: Array, counts: Sequence[int], inflation: float = 1.0) -> Array:
         """See `calibration.sampling.likelihood.Evidence.after`; the first events are those of the first frames."""
 

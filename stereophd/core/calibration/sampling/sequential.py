@@ -13,12 +13,9 @@ Cameras that stand still leave resampled particles on top of one another. Two re
 parameter j after resampling, E_j being the range of the particles, m the number of parameters; and camera motion
 noise, a random walk over the time between events. Both are jitter: neither makes up for a prior of which only a
 particle or two fit the first frames, where the filter settles on a wrong pose (see calibration_methods.md).
-
-The sampler is `init` and `step` over a frozen state of arrays; random numbers depend on the seed and the number of the
-event alone, so that a run continued from any state gives the same result as an uninterrupted one.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,60 +47,61 @@ class SequentialState:
 class SequentialInfo:
     """Diagnostics of an event."""
 
-    # `time_s`, `camera`: Time, s, and camera of the event.
-    time_s: float
-    camera: int
+    time_s: float  # Of the event, s
     # `mean`, `covariance`: arrays (m,), (m, m): Moments of the particles, before resampling.
     mean: Array
     covariance: Array
     effective_sample_size: float  # Before resampling
     resampled: bool
     log_likelihood: float  # Log-likelihood of the event given those before, the cameras integrated out
-    components: float  # Mean number of components of a conditional intensity
 
 
-# Called after every event with its number (from 1), the state and the history so far.
-AfterEvent = Callable[[int, SequentialState, Sequence[SequentialInfo]], None]
+@dataclass(frozen=True)
+class SequentialSampler:
+    """One pass over a log: the last state has the posterior, and there is one info for each event."""
 
+    parameters: ParameterSet
+    events: Sequence[Event]  # In order of time
+    batch: FilterBatch
+    settings: SequentialSettings
+    seed: np.random.SeedSequence
+    # (m,), optional: Standard deviation of the random walk of each parameter over one second, in its unit.
+    motion_std: Array | None = None
 
-def init(
-    parameters: ParameterSet, batch: FilterBatch, settings: SequentialSettings, seed: np.random.SeedSequence
-) -> SequentialState:
-    """Draw the particles from the prior."""
-    count = settings.particles
-    values = parameters.sample(step_generator(seed, PRIOR_STREAM), count)
-    return SequentialState(values, np.full(count, -np.log(count)), batch.init(count), 0.0)
+    def init(self) -> SequentialState:
+        """Draw the particles from the prior."""
+        count = self.settings.particles
+        values = self.parameters.sample(step_generator(self.seed, PRIOR_STREAM), count)
+        return SequentialState(values, np.full(count, -np.log(count)), self.batch.init(count), 0.0)
 
+    def done(self, state: SequentialState) -> bool:
+        """Whether all events have been seen."""
+        return state.filters.n_events == len(self.events)
 
-def step(
-    parameters: ParameterSet,
-    batch: FilterBatch,
-    settings: SequentialSettings,
-    seed: np.random.SeedSequence,
-    state: SequentialState,
-    event: Event,
-    motion_std: Array | None = None,
-) -> tuple[SequentialState, SequentialInfo]:
-    """Move the cameras, update every conditional filter and the weights, resample if need be."""
-    rng = step_generator(seed, FIRST_EVENT_STREAM + state.filters.n_events)
-    values = state.values
-    if motion_std is not None and state.filters.time_s is not None:
-        walk = motion_std * np.sqrt(max(event.time_s - state.filters.time_s, 0.0))
-        values = values + walk * rng.standard_normal(values.shape)
-    spaces = hypothesis_spaces(parameters, values, batch.template.rig)
-    filters, log_likelihoods = batch.step(state.filters, event, spaces)
-    log_weights, log_likelihood = normalised(state.log_weights + log_likelihoods)
-    mean, covariance = weighted_mean_covariance(values, log_weights)
-    effective = effective_sample_size(log_weights)
-    resampled = effective < settings.resample_below * len(values)
-    if resampled:
-        chosen = systematic(np.exp(log_weights), rng.random(1))
-        values, filters = roughened(values[chosen], settings.roughening, rng), filters.take(chosen)
-        log_weights = np.full(len(values), -np.log(len(values)))
-    after = SequentialState(values, log_weights, filters, state.log_evidence + log_likelihood)
-    return after, SequentialInfo(
-        event.time_s, event.camera, mean, covariance, effective, resampled, log_likelihood, float(filters.counts.mean())
-    )
+    def progress(self, state: SequentialState) -> tuple[int, int]:
+        """Return how many events have been seen, of how many."""
+        return state.filters.n_events, len(self.events)
+
+    def step(self, state: SequentialState) -> tuple[SequentialState, SequentialInfo]:
+        """Move the cameras, update every conditional filter and the weights by the next event, resample if need be."""
+        event, settings = self.events[state.filters.n_events], self.settings
+        rng = step_generator(self.seed, FIRST_EVENT_STREAM + state.filters.n_events)
+        values = state.values
+        if self.motion_std is not None and state.filters.time_s is not None:
+            walk = self.motion_std * np.sqrt(max(event.time_s - state.filters.time_s, 0.0))
+            values = values + walk * rng.standard_normal(values.shape)
+        spaces = hypothesis_spaces(self.parameters, values, self.batch.template.rig)
+        filters, log_likelihoods = self.batch.step(state.filters, event, spaces)
+        log_weights, log_likelihood = normalised(state.log_weights + log_likelihoods)
+        mean, covariance = weighted_mean_covariance(values, log_weights)
+        effective = effective_sample_size(log_weights)
+        resampled = effective < settings.resample_below * len(values)
+        if resampled:
+            chosen = systematic(np.exp(log_weights), rng.random(1))
+            values, filters = roughened(values[chosen], settings.roughening, rng), filters.take(chosen)
+            log_weights = np.full(len(values), -np.log(len(values)))
+        after = SequentialState(values, log_weights, filters, state.log_evidence + log_likelihood)
+        return after, SequentialInfo(event.time_s, mean, covariance, effective, resampled, log_likelihood)
 
 
 def roughened(values: Array, factor: float, rng: np.random.Generator) -> Array:
@@ -113,30 +111,3 @@ def roughened(values: Array, factor: float, rng: np.random.Generator) -> Array:
     count, size = values.shape
     std = factor * np.ptp(values, axis=0) * count ** (-1.0 / size)
     return np.asarray(values + std * rng.standard_normal(values.shape))
-
-
-def run(
-    parameters: ParameterSet,
-    events: Sequence[Event],
-    batch: FilterBatch,
-    settings: SequentialSettings,
-    seed: np.random.SeedSequence,
-    resume: tuple[SequentialState, Sequence[SequentialInfo]] | None = None,
-    after_event: AfterEvent | None = None,
-    motion_std: Array | None = None,
-) -> tuple[SequentialState, list[SequentialInfo]]:
-    """Calibrate by one pass over a log, whose events are in order of time; return the last state and the history.
-
-    Its `values` (k, m) and `log_weights` (k,) are the posterior; there is one info for each event. `resume` has
-    the state and the history that `after_event` was given: the run continues there, to the same result. `after_event`
-    serves progress and checkpoints; an exception that it raises ends the run. `motion_std` (m,) is the standard
-    deviation of the random walk of each parameter over one second, in its unit.
-    """
-    state = init(parameters, batch, settings, seed) if resume is None else resume[0]
-    history = [] if resume is None else list(resume[1])
-    for number in range(state.filters.n_events, len(events)):
-        state, info = step(parameters, batch, settings, seed, state, events[number], motion_std)
-        history.append(info)
-        if after_event is not None:
-            after_event(number + 1, state, history)
-    return state, history

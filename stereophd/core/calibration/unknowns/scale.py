@@ -34,7 +34,9 @@ LEAST_PROBABILITY_OF_NEARNESS = 1e-8
 class ScaleMeasurement:
     """What is known of the scale."""
 
-    kind: str  # The distance of two cameras, or the logarithm of s above
+    # The distance of two cameras (``baseline``), or the logarithm of s above (``log_scale``), which a ``speed`` or a
+    # ``length`` of the scene measures once trajectories are fitted
+    kind: str
     # `value`, `std`: Length and length, or pure numbers.
     value: float
     std: float

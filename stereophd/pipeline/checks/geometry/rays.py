@@ -171,14 +171,10 @@ def _wide(table: Array, width: int) -> Array:
 def distances(found: Candidates, first: Reading, second: Reading, known: Rays = (None, None)) -> tuple[Array, Array]:
     """Return distances in standard deviations, with their sign, and depths before A, both (1 + s, n, k).
 
-    Infinite where the rays do not meet in front of both cameras. `known`: the rays of A's and B's detections, if they
-    have been computed (see `rays_of`).
+    Infinite where the rays do not meet in front of both cameras. `known`: those that have been computed (see
+    `rays_of`).
     """
-    rays_a, rays_b = known
-    if rays_a is None:
-        rays_a = first.rays(found.pixels_a)
-    if rays_b is None:
-        rays_b = _rays_there(found, second)
+    rays_a, rays_b = rays_of(found, first, second, known)
     pose_a, pose_b = first.camera.pose, second.camera.pose
     rays_a = rays_a[:, None]
     distance = signed_of_rays(first.camera, second.camera, rays_a, rays_b)
@@ -189,13 +185,14 @@ def distances(found: Candidates, first: Reading, second: Reading, known: Rays = 
     return np.where(in_front & np.isfinite(distance), distance, np.inf), depth_a
 
 
-def rays_of(found: Candidates, first: Reading, second: Reading) -> tuple[Array, Array]:
+def rays_of(found: Candidates, first: Reading, second: Reading, known: Rays = (None, None)) -> tuple[Array, Array]:
     """Return the rays (n, 3) of A's detections and (1 + s, n, k, 3) of B's, each in its camera's frame."""
-    return first.rays(found.pixels_a), _rays_there(found, second)
-
-
-def _rays_there(found: Candidates, second: Reading) -> Array:
-    return second.rays(found.pixels_b.reshape(-1, 2)).reshape(*found.pixels_b.shape[:3], 3)
+    rays_a, rays_b = known
+    if rays_a is None:
+        rays_a = first.rays(found.pixels_a)
+    if rays_b is None:
+        rays_b = second.rays(found.pixels_b.reshape(-1, 2)).reshape(*found.pixels_b.shape[:3], 3)
+    return rays_a, rays_b
 
 
 def signed_distances(first: Camera, second: Camera, pixels_a: Array, pixels_b: Array) -> Array:

@@ -138,11 +138,6 @@ class CameraSample:
         reached[self.links[self.links >= 0]] = True
         return reached
 
-    @property
-    def linked(self) -> Booleans:
-        """Whether each detection (n,) belongs to a chain of frames."""
-        return self.reached | (self.links >= 0)
-
     def carried(self, steps: int) -> tuple[Array, Array]:
         """Return where one-camera tracks are in every frame, and where so many frames later, both (f, *, 2).
 
@@ -176,7 +171,7 @@ class CameraSample:
         """
         if not len(self.times):
             return 0.0
-        alone = ~(self.linked | _leaping(self))
+        alone = (self.links < 0) & ~self.reached & ~_leaping(self)
         return float(np.median(np.bincount(self.frame_of[alone], minlength=len(self.times))))
 
     @cached_property

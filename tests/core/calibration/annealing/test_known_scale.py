@@ -12,9 +12,10 @@ from stereophd.core.calibration.annealing.known_scale import (
     ObjectPairs,
     known_distance,
     known_speed,
-    measured_scale,
     object_pairs,
 )
+from stereophd.core.calibration.annealing.method import at_known_scale
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 
 MOTION = ConstantVelocity(0.5)
@@ -200,8 +201,11 @@ def test_where_two_centres_are_known_neither_speeds_nor_lengths_measure_the_scal
     parameters = SimpleNamespace(cameras=cameras, index=lambda _name, _quantity: np.full(3, -1))
     task: Any = SimpleNamespace(parameters=parameters, reference=0)
     fit = fit_of(board_paths(1))
-    assert measured_scale(task, fit, "length", 0.06, 0.001) is None
-    assert measured_scale(task, fit, "speed", 0.1, 0.001) is None
+    for known in (ScaleMeasurement("length", 0.06, 0.001), ScaleMeasurement("speed", 0.1, 0.001)):
+        same, again, (remark,) = at_known_scale(task, fit, known)
+        assert same is task
+        assert again is fit
+        assert f"the known {known.kind} was not used" in remark.text
 
 
 def test_objects_of_another_speed_do_not_move_the_scale() -> None:

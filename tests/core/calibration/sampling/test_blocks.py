@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.pairing.association import inflated
-from stereophd.core.calibration.sampling import bridging
 from stereophd.core.calibration.sampling.bridging import BridgeInfo, BridgeSampler, BridgeState
 from stereophd.core.calibration.sampling.likelihood import Evidence
-from stereophd.core.calibration.sampling.paths import BlockPath, Stage
+from stereophd.core.calibration.sampling.paths import DensityPath, Stage, growing_path
+from stereophd.core.calibration.sampling.runs import run
 from stereophd.core.calibration.settings import SequentialSettings
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
-from tests.core.calibration.problems import make_events, make_parameters, make_template, to_bytes
+from tests.core.calibration.problems import make_events, make_parameters, make_template, of_log, to_bytes
 
 SEED = np.random.SeedSequence(5)
 SMALL = SequentialSettings(
@@ -24,10 +24,10 @@ SMALL = SequentialSettings(
 )
 
 
-def make_path(events: int, settings: SequentialSettings) -> BlockPath:
+def make_path(events: int, settings: SequentialSettings) -> DensityPath:
     parameters = make_parameters()
     batch = FilterBatch(make_template(parameters.cameras, "pmb"), 2)
-    return BlockPath(Evidence(parameters, make_events(parameters.cameras, events, clutter=2.0), batch, 0), settings)
+    return growing_path(Evidence(parameters, make_events(parameters.cameras, events, clutter=2.0), batch, 0), settings)
 
 
 @pytest.mark.parametrize(
@@ -38,18 +38,18 @@ def test_stages_anneal_the_first_block_and_then_double_the_events(events: int, e
     path = make_path(events, SMALL)
     assert [stage.n_events for stage in path.stages] == ends
     assert [stage.inflation for stage in path.stages] == [4.0, 2.0] + [1.0] * (len(ends) - 2)
-    assert list(path.particles) == [48, 48] + [24] * (len(ends) - 2)
-    assert make_path(8, replace(SMALL, inflation=(3.0,))).stages == (Stage(8, 3.0), Stage(8, 1.0))
+    assert [stage.particles for stage in path.stages] == [48, 48] + [24] * (len(ends) - 2)
+    assert make_path(8, replace(SMALL, inflation=(3.0,))).stages == (Stage(8, 3.0, 48), Stage(8, 1.0, 24))
 
 
 def test_densities_are_prior_times_evidence_of_the_first_events_at_the_stage_s_noise() -> None:
     path = make_path(24, SMALL)
-    values = 0.2 * path.draw(3, np.random.default_rng(1))
+    values = 0.2 * path.draw(np.random.default_rng(1))[:3]
     prior = path.parameters.log_prior(values)
 
     def density(stage: Stage) -> np.ndarray:
         events = [inflated(event, stage.inflation) for event in path.evidence.events[: stage.n_events]]
-        return prior + replace(path.evidence, events=events)(values)
+        return prior + of_log(replace(path.evidence, events=events), values)
 
     begin, end = path.log_densities(values, 0, True)
     np.testing.assert_array_equal(begin, prior)
@@ -70,10 +70,9 @@ def test_the_camera_is_found_and_a_resumed_run_ends_the_same() -> None:
         if len(history) == 5:
             saved.append(pickle.dumps((state, list(history))))
 
-    result = bridging.run(sampler, after_step=save)
-    resumed = bridging.run(sampler, resume=pickle.loads(saved[0]))
-    assert to_bytes(resumed) == to_bytes(result)
-    assert {info.stage for info in result.history} == set(range(len(path.stages)))
+    result, history = run(sampler, after_step=save)
+    assert to_bytes(run(sampler, pickle.loads(saved[0]))) == to_bytes((result, history))
+    assert {info.stage for info in history} == set(range(len(path.stages)))
     pitch = result.values[:, 3]
     assert pitch.std() < 0.5 * path.parameters.prior_std[3]
     assert abs(pitch.mean()) < 5.0 * pitch.std()

@@ -19,7 +19,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
 from stereophd.core.multi.pmb.filter import PmbFilter
-from tests.core.calibration.problems import make_events, make_parameters, make_template
+from tests.core.calibration.problems import make_events, make_parameters, make_template, of_log
 
 EVENTS = 24
 STDS = {
@@ -61,7 +61,7 @@ def test_poses_have_the_evidence_of_the_batch(kind: str, reference: int | None) 
     events = Scans.of(one.recording, parameters.cameras).events
     batch = Evidence(parameters, events, FilterBatch(one.template), reference, known)
     values = np.concatenate([np.zeros((1, 6)), parameters.sample(np.random.default_rng(3), 3)])
-    np.testing.assert_allclose(one(values), batch(values), rtol=1e-10)
+    np.testing.assert_allclose(of_log(one, values), of_log(batch, values), rtol=1e-10)
     counts = [7, 12, EVENTS]
     np.testing.assert_allclose(one.after(values, counts, 2.0), batch.after(values, counts, 2.0), rtol=1e-10)
 
@@ -99,7 +99,7 @@ def test_the_true_cameras_are_more_likely_than_wrong_ones(name: str, off: float)
     parameters = one_unknown(name)
     size = parameters.size
     values = off * np.concatenate([np.zeros((1, size)), np.eye(size), -np.eye(size)])
-    found: Array = make_evidence(parameters)(values)
+    found: Array = of_log(make_evidence(parameters), values)
     assert (found[0] > found[1:] + 1.0).all(), found
 
 
@@ -116,9 +116,10 @@ def test_a_detection_that_a_lens_cannot_invert_is_clutter_under_it() -> None:
     assert camera.detector.clutter_per_frame > 0.0
     density = camera.detector.clutter_per_frame / (camera.width * camera.height)
     expected = filtered(evidence, parameters.build(strong[0]), EVENTS, 1.0) + lost * np.log(density)
-    assert evidence(strong)[0] == pytest.approx(expected, rel=1e-12)
+    assert of_log(evidence, strong)[0] == pytest.approx(expected, rel=1e-12)
     clean = replace(parameters, cameras=tuple(without_clutter(one) for one in parameters.cameras))
-    assert -np.inf < replace(evidence, parameters=clean)(strong)[0] < evidence(strong)[0]
+    unlikely = of_log(replace(evidence, parameters=clean), strong)[0]
+    assert -np.inf < unlikely < of_log(evidence, strong)[0]
 
 
 def without_clutter(camera: Camera) -> Camera:

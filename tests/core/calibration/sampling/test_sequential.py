@@ -10,7 +10,13 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.sampling import sequential
-from stereophd.core.calibration.sampling.sequential import SequentialInfo, SequentialSettings, SequentialState
+from stereophd.core.calibration.sampling.runs import run
+from stereophd.core.calibration.sampling.sequential import (
+    SequentialInfo,
+    SequentialSampler,
+    SequentialSettings,
+    SequentialState,
+)
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.disparity.events import Event, make_rig
 from stereophd.core.multi.camera_hypotheses.batch import FilterBatch
@@ -64,7 +70,7 @@ def test_it_is_the_textbooks_filter(parameters: ParameterSet) -> None:
     events = make_events(parameters.cameras, 8)
     known_well = narrowed(parameters, 0.05)
     settings = SequentialSettings(moves="none", resample_below=0.75, particles=12)
-    state, history = sequential.run(known_well, events, FilterBatch(template), settings, SEED)
+    state, history = run(SequentialSampler(known_well, events, FilterBatch(template), settings, SEED))
     values, weights, evidence = textbook(known_well, template, events, settings)
     assert 0 < sum(info.resampled for info in history) < len(events)
     np.testing.assert_allclose(state.values, values, rtol=1e-9)
@@ -79,14 +85,14 @@ def test_resumed_or_on_more_threads_it_is_the_same_to_the_bit(parameters: Parame
     settings, walk = SequentialSettings(moves="none", resample_below=0.75, particles=20), 0.01 * parameters.prior_std
     saved: list[bytes] = []
 
-    def save(number: int, state: SequentialState, history: Sequence[SequentialInfo]) -> None:
-        if number == 6:
+    def save(state: SequentialState, history: Sequence[SequentialInfo]) -> None:
+        if sampler.progress(state) == (6, 10):
             saved.append(pickle.dumps((state, list(history))))
 
-    whole = sequential.run(parameters, events, batch, settings, SEED, after_event=save, motion_std=walk)
-    resumed = sequential.run(parameters, events, batch, settings, SEED, resume=pickle.loads(saved[0]), motion_std=walk)
+    sampler = SequentialSampler(parameters, events, batch, settings, SEED, walk)
+    whole, resumed = run(sampler, after_step=save), run(sampler, pickle.loads(saved[0]))
     assert to_bytes(whole) == to_bytes(resumed)
-    threaded = sequential.run(parameters, events, replace(batch, threads=2), settings, SEED, motion_std=walk)
+    threaded = run(replace(sampler, batch=replace(batch, threads=2)))
     assert to_bytes(whole) == to_bytes(threaded)
     assert len(whole[1]) == 10
 
@@ -110,7 +116,7 @@ def test_camera_motion_noise_grows_with_the_root_of_time(parameters: ParameterSe
     settings = SequentialSettings(moves="none", resample_below=0.75, particles=4000, roughening=0.0)
     batch = FilterBatch(make_template(parameters.cameras, samples=32))
     values = parameters.sample(step_generator(SEED, 0), 4000)
-    state, history = sequential.run(parameters, events, batch, settings, SEED, motion_std=std)
+    state, history = run(SequentialSampler(parameters, events, batch, settings, SEED, std))
     assert not any(info.resampled for info in history)
     # from 0 to 2 s; the standard error of a standard deviation is 1.1 %
     np.testing.assert_allclose((state.values - values).std(axis=0), std * np.sqrt(2.0), rtol=0.055, atol=1e-12)
@@ -121,7 +127,8 @@ def test_a_pose_known_roughly_becomes_better_known(parameters: ParameterSet) -> 
     yaw = ParameterSet(parameters.cameras, (replace(parameters.parameters[4], std=0.05),))
     events = make_events(parameters.cameras, 30, clutter=2.0)
     settings = SequentialSettings(moves="none", resample_below=0.75, particles=200, roughening=0.1)
-    _, history = sequential.run(yaw, events, FilterBatch(make_template(parameters.cameras), 2), settings, SEED)
+    batch = FilterBatch(make_template(parameters.cameras), 2)
+    _, history = run(SequentialSampler(yaw, events, batch, settings, SEED))
     last = history[-1]
     spread = float(np.sqrt(last.covariance[0, 0]))
     assert spread < 0.025

@@ -9,6 +9,7 @@ import pytest
 from stereophd.config.calibration import CameraPrior
 from stereophd.core.calibration.unknowns.quantities.base import TIMES, Quantity
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import bent, look
+from stereophd.core.calibration.unknowns.quantities.pose import Center, Rotation
 from stereophd.core.calibration.unknowns.quantities.registry import component_names, quantities, quantity_of
 from stereophd.core.geometry.camera import Camera, Clock, Detector
 from stereophd.core.geometry.lens import Lens
@@ -180,7 +181,7 @@ def test_pixels_are_those_of_the_camera(lens: str, mounted: bool) -> None:
         np.testing.assert_allclose(view.pixels, camera.at(time_s).project(points), atol=1e-9)
 
 
-@pytest.mark.parametrize("quantity", [q for q in quantities() if q.has_pack], ids=lambda q: q.name)
+@pytest.mark.parametrize("quantity", [Center(), Rotation()], ids=lambda q: q.name)
 def test_packed_cameras_are_those_of_apply(quantity: Quantity) -> None:
     camera = make_camera(moving=False)
     values = np.stack([draw(quantity, camera, seed) for seed in range(3)])

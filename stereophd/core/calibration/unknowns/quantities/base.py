@@ -9,7 +9,8 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Any, ClassVar
 
 import numpy as np
@@ -82,7 +83,6 @@ class Quantity(ABC):
     named: ClassVar[bool] = False  # Whether the prior names the components (``{k1: 0.1}``): not one value, or one each
     prior_unit: ClassVar[float] = 1.0  # The unit of that key in units of the values (degrees: pi / 180)
     largest_std: ClassVar[float] = LARGEST_LENGTH  # Largest value of that key: beyond what any set-up can mean
-    has_pack: ClassVar[bool] = False  # Whether `pack` is defined
 
     def available(self, camera: Camera) -> tuple[str, ...]:
         """Return the components that a camera has."""
@@ -105,7 +105,7 @@ class Quantity(ABC):
         """Derivative (n, 2, k) of the raw pixels of a view, with respect to the values."""
 
     def pack(self, spaces: Array, camera: Camera, values: Array) -> None:
-        """Apply values (h, k) to h packed copies (h, 28 or more) of a camera in place."""
+        """Apply values (h, k) to h packed copies (h, 28 or more) of a camera in place; of poses alone."""
         raise NotImplementedError
 
     @abstractmethod
@@ -123,3 +123,31 @@ class Quantity(ABC):
     def key(self, component: str) -> str:
         """Return how a key of a report names one of the components."""
         return component + SUFFIXES[self.unit][0]
+
+
+class Offset(Quantity):
+    """A number or a vector that a camera holds, and that values are added to."""
+
+    place: ClassVar[tuple[str, ...]]  # Names that lead to it in a `Camera`, and by default in ``cameras.yaml``
+
+    def _apply(self, camera: Camera, values: Array) -> Camera:
+        moved: Camera = _added(camera, self.place, values)
+        return moved
+
+    def _difference(self, camera: Camera, other: Camera) -> Array:
+        return np.atleast_1d(np.asarray(self._held(other) - self._held(camera), dtype=np.float64))
+
+    def _entry(self, camera: Camera) -> Entry:
+        return reduce(lambda inner, name: {name: inner}, reversed(self.place), self._held(camera))
+
+    def _held(self, camera: Camera) -> Any:
+        return reduce(getattr, self.place, camera)
+
+
+def _added(holder: Any, place: tuple[str, ...], values: Array) -> Any:
+    """Return a copy of what holds a number or a vector at a place, with values added to that."""
+    name, *inner = place
+    held = getattr(holder, name)
+    if inner:
+        return replace(holder, **{name: _added(held, tuple(inner), values)})
+    return replace(holder, **{name: held + (values if isinstance(held, np.ndarray) else float(values[0]))})

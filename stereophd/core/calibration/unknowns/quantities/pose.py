@@ -1,7 +1,6 @@
 """Pose of a camera that stands still or moves steadily."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -14,6 +13,7 @@ from stereophd.core.calibration.unknowns.quantities.base import (
     RADIANS_PER_SECOND,
     CameraView,
     Entry,
+    Offset,
     Quantity,
 )
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import turned
@@ -27,25 +27,16 @@ CENTER = ("center_x", "center_y", "center_z")
 ROTATION = ("rotation_x", "rotation_y", "rotation_z")
 
 
-def _with(camera: Camera, **moved: Any) -> Camera:
-    return replace(camera, pose=replace(camera.pose, **moved))
-
-
-class Center(Quantity):
+class Center(Offset):
     """The optical centre of a camera: an offset in the world's axes."""
 
     name = "center"
-    components = CENTER
+    components, place = CENTER, ("pose", "center")
     unit, affects = LENGTH, MOVES
     prior = "center_std"
     description = "standard deviation of the centre, length; one value or x, y, z"
     on_path = False
     of_the_frame = True
-    has_pack = True
-
-    def _apply(self, camera: Camera, values: Array) -> Camera:
-        """Move the centre by values (3,)."""
-        return _with(camera, center=camera.pose.center + values)
 
     def _difference(self, camera: Camera, other: Camera) -> Array:
         """Return what moves one centre to the other, both at the time of the first pose."""
@@ -78,11 +69,11 @@ class Rotation(Quantity):
     )
     on_path = False
     of_the_frame = True
-    has_pack = True
 
     def _apply(self, camera: Camera, values: Array) -> Camera:
         """Turn the camera by a rotation vector (3,), rad."""
-        return _with(camera, rotation=rotation_from_vector(values) @ camera.pose.rotation)
+        turned_pose = replace(camera.pose, rotation=rotation_from_vector(values) @ camera.pose.rotation)
+        return replace(camera, pose=turned_pose)
 
     def _difference(self, camera: Camera, other: Camera) -> Array:
         """Return what turns one camera to the other, both at the time of the first pose."""
@@ -101,23 +92,17 @@ class Rotation(Quantity):
         spaces[:, layout.ROTATION : layout.ROTATION + 9] = (rotations(values) @ camera.pose.rotation).reshape(-1, 9)
 
 
-class Velocity(Quantity):
+class Velocity(Offset):
     """The velocity of a moving camera's centre in the world."""
 
     name = "velocity"
     components = ("velocity_x", "velocity_y", "velocity_z")
+    place = ("pose", "velocity")
     unit, affects = LENGTH_PER_SECOND, MOVES
     prior = "velocity_std"
     description = "standard deviation of the velocity of a camera that moves, length/s; one value or x, y, z"
     on_path = False
     of_the_frame = True
-
-    def _apply(self, camera: Camera, values: Array) -> Camera:
-        """Add values (3,) to the velocity, length/s."""
-        return _with(camera, velocity=camera.pose.velocity + values)
-
-    def _difference(self, camera: Camera, other: Camera) -> Array:
-        return np.asarray(other.pose.velocity - camera.pose.velocity)
 
     def derivative(self, view: CameraView, values: Array) -> Array:
         """The centre moves by the velocity times the time since that of the pose."""
@@ -127,11 +112,12 @@ class Velocity(Quantity):
         return {"pose": {"velocity": camera.pose.velocity.tolist(), "time_s": camera.pose.time_s}}
 
 
-class RotationRate(Quantity):
+class RotationRate(Offset):
     """The angular velocity w of a moving camera about its axes: rotation(t) = exp(-[w]_x (t - t_0)) rotation(t_0)."""
 
     name = "rotation_rate"
     components = ("rotation_rate_x", "rotation_rate_y", "rotation_rate_z")
+    place = ("pose", "rotation_rate")
     unit, affects = RADIANS_PER_SECOND, MOVES
     prior, prior_unit, largest_std = "rotation_rate_std_deg_s", np.pi / 180.0, 1e9
     description = (
@@ -140,13 +126,6 @@ class RotationRate(Quantity):
     )
     on_path = False
     of_the_frame = True
-
-    def _apply(self, camera: Camera, values: Array) -> Camera:
-        """Add values (3,) to the angular velocity, rad/s."""
-        return _with(camera, rotation_rate=camera.pose.rotation_rate + values)
-
-    def _difference(self, camera: Camera, other: Camera) -> Array:
-        return np.asarray(other.pose.rotation_rate - camera.pose.rotation_rate)
 
     def derivative(self, view: CameraView, values: Array) -> Array:
         """d (point in the camera) / d w = (t - t_0) [point]_x J_left(-(t - t_0) w)."""
