@@ -46,7 +46,7 @@ SEARCHED_PART = 0.1
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
 # Steps of the knots, whatever the loss says, before an adjustment.
 SETTLING_STEPS = 3
-# Step, in posterior standard deviations, at which the search for a marginal optimum of a pass has settled.
+# Step, in posterior standard deviations, at which the search for a joint or marginal optimum of a pass has settled.
 SETTLED_IN_PASSES = 1.0
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 25
@@ -334,7 +334,8 @@ def confirmed_fit(
     optimum of that is looked for from these.
     """
     states = _settled(problem, values, states)
-    begun, joint = _at(problem, values, states), adjust(problem, values, states, ANNEALED_ITERATIONS)
+    begun = _at(problem, values, states)
+    joint = adjust(problem, values, states, ANNEALED_ITERATIONS, settled=SETTLED_IN_PASSES)
     weights = np.maximum(problem.weights(begun.distances), problem.weights(joint.distances))
     still = replace(problem.weighted(weights), held=np.ones(len(values), dtype=np.bool_))
     posterior = MarginalPosterior(Linearisation.of(still))
