@@ -228,8 +228,8 @@ def adjusted_to(
 
     To the optimum of the marginal posterior, or, with at most so many steps (`most`) and where all values are held, to
     the joint one. What the fit held is held again. The search begins at the noise of the motion of the fit, which stays
-    in joint ones. Stretches that a joint optimum has put into their camera (`annealing.rejected`) are left out, and the
-    others are adjusted to again.
+    in joint ones. Stretches that a joint optimum has put into their camera (`annealing.rejected`) are left out, where
+    the search begins, as from there they let no knots settle, and where it ends; the others are adjusted to again.
     """
     is_joint = most is not None or (fit.held is not None and bool(fit.held.all()))
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
@@ -240,20 +240,24 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
-    values = fit.adjustment.values
-    states = _settled(problem, values, states)
-    found = None
+    begun = _at(problem, fit.adjustment.values, _settled(problem, fit.adjustment.values, states))
+    found = _fit(task, problem, begun, detections, fit.motion_noise)
+    if (standing := _standing(task, found, most)) is not None:
+        return standing
+    searched = None
     if not is_joint:
         with suppress(LinAlgError):  # the joint optimum is found with damping
-            begun = _at(problem, values, states)
-            found = _searched(task, problem, begun, detections, fit.motion_noise, SETTLED_IN_PASSES)
-    if found is None:
-        joint = adjust(problem, values, states, most or MOST_ITERATIONS)
-        found = _fit(task, problem, joint, detections, fit.motion_noise)
-    standing = ~_collapsed(task, found)
-    if standing.all():
-        return found
-    return _part(task, found, np.flatnonzero(standing), most) or found
+            searched = _searched(task, problem, begun, detections, fit.motion_noise, SETTLED_IN_PASSES)
+    if searched is None:
+        joint = adjust(problem, begun.values, begun.states, most or MOST_ITERATIONS)
+        searched = _fit(task, problem, joint, detections, fit.motion_noise)
+    return _standing(task, searched, most) or searched
+
+
+def _standing(task: Task, fit: Fit, most: int | None) -> Fit | None:
+    """Adjust to what has not collapsed into its camera; None if nothing has, or no object of two cameras is left."""
+    collapsed_rows = _collapsed(task, fit)
+    return _part(task, fit, np.flatnonzero(~collapsed_rows), most) if collapsed_rows.any() else None
 
 
 def _collapsed(task: Task, fit: Fit) -> Booleans:
