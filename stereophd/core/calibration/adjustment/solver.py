@@ -164,10 +164,11 @@ def adjust(
 ) -> Adjustment:  # fmt: skip
     """Minimise from values (m,) and knots (k, 2, 3), trying about `max_iterations` steps at most.
 
-    Converged when a step without damping promises to lower the cost by less than the part `tolerance` of it, or moves
-    the values by less than `settled` posterior standard deviations, whatever a stretch that no other camera holds still
-    does. Ends, too, where so many steps (`STALLED_STEPS`) do not lower it: at the edge of a lens the slope promises
-    what is not there. The covariance is that of the undamped equations; held values keep that of the prior.
+    Converged when a step without damping promises to lower the cost by less than the part `tolerance` of it, and after
+    one that moves the values by less than `settled` posterior standard deviations, whatever a stretch does that no
+    other camera holds. Ends, too, where so many steps (`STALLED_STEPS`) do not lower it: at the edge of a lens the
+    slope promises what is not there. The covariance is that of the undamped equations; held values keep that of the
+    prior.
     """
     linearisation = Linearisation.of(problem)
     current = linearisation.at(values, states)
@@ -181,25 +182,28 @@ def adjust(
             damping, iteration = max(DAMPING_FACTOR * damping, FIRST_DAMPING), iteration + 1
             continue
         promised = float(value_step @ current.value_vector + state_step @ current.state_vector)
-        if promised <= tolerance * max(current.cost, 1.0) or moved_by < settled:
+        if promised <= tolerance * max(current.cost, 1.0):
             if converged := damping == 0.0:
                 break
             damping = 0.0
             continue
         length = float(np.linalg.norm(value_step / problem.parameters.prior_std))
         whole = share = longest / length if length > longest else 1.0
+        is_last = damping <= FIRST_DAMPING and moved_by < settled
         while True:
             moved = states + share * state_step.reshape(states.shape)
             tried = _followed(linearisation, current, values + share * value_step, moved, tolerance)
             iteration += 1
-            if (is_lower := bool(tried[2].cost <= current.cost)) or share <= LEAST_SHARE * whole:
+            if (is_lower := bool(tried[2].cost <= current.cost)) or share <= LEAST_SHARE * whole or is_last:
                 break
             share *= 0.5
-        if not is_lower:
+        if is_lower:
+            longest = (LONGER if share == whole else 1.0) * share * length
+            (values, states, current), damping = tried, damping / DAMPING_FACTOR
+        else:
             damping = max(DAMPING_FACTOR * damping, FIRST_DAMPING)
-            continue
-        longest = (LONGER if share == whole else 1.0) * share * length
-        (values, states, current), damping = tried, damping / DAMPING_FACTOR
+        if converged := is_last:
+            break
         if current.cost < lowest - tolerance * max(lowest, 1.0):
             lowest, lowered = current.cost, iteration
     covariance = posterior_covariance(current, problem.parameters.prior_std)

@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError
+from scipy.linalg import LinAlgError, cho_solve_banded
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, factor_knots
 from stereophd.core.calibration.adjustment.marginal import SETTLED, MarginalPosterior, Point, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
-from stereophd.core.calibration.adjustment.solver import Adjustment, adjust, settled_knots
+from stereophd.core.calibration.adjustment.solver import KNOTS_NEAR, Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
     STATED,
     Knots,
@@ -228,8 +228,8 @@ def adjusted_to(
 
     To the optimum of the marginal posterior, or, with at most so many steps (`most`) and where all values are held, to
     the joint one. What the fit held is held again. The search begins at the noise of the motion of the fit, which stays
-    in joint ones. Stretches that a joint optimum has put into their camera (`annealing.rejected`) are left out, where
-    the search begins, as from there they let no knots settle, and where it ends; the others are adjusted to again.
+    in joint ones. Stretches that a joint optimum has put into their camera (`annealing.rejected`) are left out, and the
+    others are adjusted to again: after the search, or before it where they let no knots settle.
     """
     is_joint = most is not None or (fit.held is not None and bool(fit.held.all()))
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
@@ -242,7 +242,8 @@ def adjusted_to(
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
     begun = _at(problem, fit.adjustment.values, _settled(problem, fit.adjustment.values, states))
     found = _fit(task, problem, begun, detections, fit.motion_noise)
-    if (standing := _standing(task, found, most)) is not None:
+    is_stuck = not is_joint and not _can_settle(problem, begun)
+    if is_stuck and (standing := _standing(task, found, most)) is not None:
         return standing
     searched = None
     if not is_joint:
@@ -369,6 +370,18 @@ def _settled(problem: Problem, values: Array, states: Array) -> Array:
     with suppress(LinAlgError):
         return settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=SETTLING_STEPS)
     return states
+
+
+def _can_settle(problem: Problem, begun: Adjustment) -> bool:
+    """Whether the knots at the beginning of a search find their minimum, to a standard deviation."""
+    linearisation = Linearisation.of(problem.weighted(problem.weights(begun.distances)))
+    try:
+        states = settled_knots(linearisation, begun.values, begun.states)
+        _, bands, vector = linearisation.of_knots(begun.values, states)
+        step = cho_solve_banded((factor_knots(bands), True), vector, check_finite=False)
+    except LinAlgError:
+        return False
+    return float(vector @ step) <= KNOTS_NEAR
 
 
 def _at(problem: Problem, values: Array, states: Array) -> Adjustment:
