@@ -90,6 +90,7 @@ def run_start(task: Task, number: int, values: Array, pairings: list[Pairing]) -
     for place, pairing in enumerate(pairings):
         if best_of(tried) is not None and pairing.gain < AMBIGUOUS * pairings[0].gain:
             break
+        task.limit.begin(f"start {number + 1} of at most {task.most_starts}: cameras are fitted to {PAIRING} {place}")
         found = _follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing))
         tried.append(replace(found, pairing=pairing))
     if best_of(tried) is None:
