@@ -1,5 +1,6 @@
 """Method annealed of `calibrate`: its starts, kept while the run is unfinished, on processes, and its `Outcome`."""
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 from operator import call
@@ -8,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.config.calibration import CalibrationConfig, LengthScale, SpeedScale
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.annealing.known_scale import rescaled
 from stereophd.core.calibration.annealing.method import (
@@ -23,7 +25,10 @@ from stereophd.core.calibration.annealing.starts import (
     best_of,
     distinct,
     enough,
+    followed_before,
+    is_led_to,
     modes_of,
+    paired,
     run_start,
     start_values,
 )
@@ -126,24 +131,46 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
     values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.loaded.config.seed), count)
     seeds = CALIBRATION_PAIRING.seed(run.loaded.config.seed).spawn(count)
     starts: list[Start] = run.unfinished.read(kept, list[Start], {Motion: task.filter.motion}) or []
-    new = range(len(starts), count)
 
     def is_done() -> bool:
         return len(starts) == count or enough(starts, agreeing) or (bool(starts) and run.limit.is_over)
 
-    if is_done():
-        return starts
-    jobs = min(run.jobs, len(new))
-    run.limit.begin(f"up to {count} starts begin")
-    calls = (partial(run_start, task, place, values[place], seeds[place]) for place in new)
-    for start in on_processes(call, calls, jobs, tell=PROGRESS.debug):
-        starts.append(start)
-        if not run.limit.is_over:  # one that the time has cut short is done again
-            run.unfinished.keep(kept, list(starts))
-        run.progress(len(starts), count)
-        if is_done():
-            break
+    if not is_done():
+        run.limit.begin(f"up to {count} starts begin")
+    while not is_done():
+        for start in _next_starts(task, starts, values, seeds, run.jobs):
+            starts.append(start)
+            if not run.limit.is_over:  # one that the time has cut short is done again
+                run.unfinished.keep(kept, list(starts))
+            run.progress(len(starts), count)
+            if is_done():
+                break
     return starts
+
+
+def _next_starts(
+    task: Task, starts: list[Start], values: Array, seeds: list[np.random.SeedSequence], jobs: int
+) -> Iterator[Start]:
+    """Yield the starts after those that there are, as many as there are processes.
+
+    All are paired, and those of one pairing are followed once: they would end alike.
+    """
+    places, std = range(len(starts), min(len(starts) + jobs, len(values))), task.parameters.prior_std
+    calls = [partial(paired, task, place, values[place], seeds[place]) for place in places]
+    pairings = dict(zip(places, on_processes(call, calls, min(jobs, len(calls)), tell=PROGRESS.debug), strict=True))
+    firsts = [
+        place
+        for place in places
+        if followed_before(task, starts, place, values[place], pairings[place]) is None
+        and not any(
+            is_led_to(pairings[place], p, std) for one in places[: place - places[0]] for p in pairings[one][:1]
+        )
+    ]
+    calls_of_firsts = [partial(run_start, task, place, values[place], pairings[place]) for place in firsts]
+    followed = on_processes(call, calls_of_firsts, min(jobs, max(len(firsts), 1)), tell=PROGRESS.debug)
+    for place in places:
+        begun = task, starts, place, values[place], pairings[place]
+        yield next(followed) if place in firsts else followed_before(*begun) or run_start(task, *begun[2:])
 
 
 def _clock_report(task: Task) -> dict[str, Any]:

@@ -11,6 +11,7 @@ import pytest
 from stereophd.core.calibration.adjustment.recording import Recording
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.annealing.task import SUCCEEDED, Fit, Start, Task
+from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.time_limit import ENDLESS, TimeLimit
 from stereophd.core.calibration.unknowns.held import is_of_maker
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
@@ -54,23 +55,29 @@ def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Start]]:
         kept: list[Start] | None = None,
         keep: Callable[[str, list[Start]], None] = lambda *_: None,
         last: int = COUNT + 1,
+        pairings: list[Pairing] | None = None,
+        jobs: int = 1,
     ) -> Any:
         begun = list[int]()
 
         def begin(task: Task, number: int, *_: Any) -> Start:
             begun.append(number)
-            return start(number, places[number])
+            return replace(start(number, places[number]), pairing=pairings[0] if pairings else None)
 
         monkeypatch.setattr(annealed, "start_values", lambda *_: np.zeros((COUNT, 3)))
+        monkeypatch.setattr(annealed, "paired", lambda *_: pairings or [])
         monkeypatch.setattr(annealed, "run_start", begin)
+        prior = SimpleNamespace(prior_std=np.ones(3))
         settings, motion = SimpleNamespace(agreeing_starts=AGREEING), SimpleNamespace(motion=None)
-        task = SimpleNamespace(most_starts=COUNT, settings=settings, parameters=None, filter=motion)
+        task = SimpleNamespace(most_starts=COUNT, settings=settings, parameters=prior, filter=motion)
         unfinished = SimpleNamespace(read=lambda *_: kept, keep=keep)
         of_run = SimpleNamespace(
-            loaded=SimpleNamespace(config=SimpleNamespace(seed=1)), jobs=1, limit=Limit(begun, last),
+            loaded=SimpleNamespace(config=SimpleNamespace(seed=1)), jobs=jobs, limit=Limit(begun, last),
             unfinished=unfinished, progress=lambda *_: None,
         )  # fmt: skip
-        return annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task))
+        monkeypatch.setattr(annealed, "on_processes", lambda call, calls, *_, **__: map(call, calls))
+        found = annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task))
+        return (found, begun) if pairings else found
 
     return run
 
@@ -79,6 +86,25 @@ def test_no_more_starts_are_run_than_are_to_agree(run_all: Any) -> None:
     starts = run_all([None, 5.0, None, None, None, 5.0, 5.0, 5.0])
     assert [one.number for one in starts] == [0, 1, 2, 3, 4, 5]
     assert len(run_all([5.0, *[None] * 7])) == COUNT
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 3])
+@pytest.mark.parametrize(
+    ("places", "second_gain", "expected"),
+    [
+        ([5.0, 9.0], 10.0, [0]),
+        ([5.0, 9.0, 5.0], 95.0, [0, 1, 2]),  # a second pairing nearly as good is followed by each start
+        ([None, 5.0, 9.0], 10.0, [0, 1]),  # a start that failed shows nothing of others
+    ],
+)
+def test_starts_of_one_pairing_are_followed_once(
+    run_all: Any, places: list[float | None], second_gain: float, expected: list[int], jobs: int
+) -> None:
+    pairings = [Pairing(np.zeros(3), np.array([0, 2]), 100.0), Pairing(np.ones(3), np.array([1]), second_gain)]
+    starts, begun = run_all([*places, *[None] * 6], pairings=pairings, jobs=jobs)
+    assert [one.number for one in starts] == list(range(len(places)))
+    assert begun == expected
+    assert {one.fit.adjustment.values[0] for one in starts if one.succeeded} == {places[k] for k in expected} - {None}
 
 
 def test_a_run_that_is_continued_goes_on_after_the_starts_that_are_kept(run_all: Any) -> None:

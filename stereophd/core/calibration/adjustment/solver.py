@@ -110,12 +110,15 @@ class Eliminated:
         return right
 
 
-def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array]:
-    """Steps of values (m,) and knots (6 k,) by damped normal equations; LinAlgError if not positive definite."""
+def solve(equations: NormalEquations, damping: float) -> tuple[Array, Array, float]:
+    """Steps of values (m,) and knots (6 k,) by damped normal equations; LinAlgError if not positive definite.
+
+    The last is the length of the step of the values, in posterior standard deviations.
+    """
     eliminated = Eliminated.of(equations, factor_knots(equations.bands, damping))
     damped = eliminated.schur + damping * np.diag(np.diag(equations.matrix))
     values = cho_solve(cho_factor(damped), eliminated.right)
-    return values, eliminated.knots_after(values)
+    return values, eliminated.knots_after(values), float(np.sqrt(max(values @ eliminated.right, 0.0)))
 
 
 def settled_knots(
@@ -156,13 +159,16 @@ def settled_knots(
 
 
 def adjust(
-    problem: Problem, values: Array, states: Array, max_iterations: int = 200, tolerance: float = 1e-7
-) -> Adjustment:
+    problem: Problem, values: Array, states: Array, max_iterations: int = 200, tolerance: float = 1e-7,
+    settled: float = 0.0,
+) -> Adjustment:  # fmt: skip
     """Minimise from values (m,) and knots (k, 2, 3), trying about `max_iterations` steps at most.
 
-    Converged when a step without damping promises to lower the cost by less than the part `tolerance` of it. Ends, too,
-    where so many steps (`STALLED_STEPS`) do not: at the edge of a lens the slope promises what is not there. The
-    covariance is that of the undamped equations; held values keep that of the prior.
+    Converged when a step without damping promises to lower the cost by less than the part `tolerance` of it, and after
+    one that moves the values by less than `settled` posterior standard deviations, whatever a stretch does that no
+    other camera holds. Ends, too, where so many steps (`STALLED_STEPS`) do not lower it: at the edge of a lens the
+    slope promises what is not there. The covariance is that of the undamped equations; held values keep that of the
+    prior.
     """
     linearisation = Linearisation.of(problem)
     current = linearisation.at(values, states)
@@ -171,7 +177,7 @@ def adjust(
     while iteration < max_iterations and damping < MOST_DAMPING and iteration - lowered < STALLED_STEPS:
         within(f"cameras and trajectories are adjusted, step {iteration + 1}")
         try:
-            value_step, state_step = solve(current, damping)
+            value_step, state_step, moved_by = solve(current, damping)
         except LinAlgError:
             damping, iteration = max(DAMPING_FACTOR * damping, FIRST_DAMPING), iteration + 1
             continue
@@ -183,18 +189,21 @@ def adjust(
             continue
         length = float(np.linalg.norm(value_step / problem.parameters.prior_std))
         whole = share = longest / length if length > longest else 1.0
+        is_last = damping <= FIRST_DAMPING and moved_by < settled
         while True:
             moved = states + share * state_step.reshape(states.shape)
             tried = _followed(linearisation, current, values + share * value_step, moved, tolerance)
             iteration += 1
-            if (is_lower := bool(tried[2].cost <= current.cost)) or share <= LEAST_SHARE * whole:
+            if (is_lower := bool(tried[2].cost <= current.cost)) or share <= LEAST_SHARE * whole or is_last:
                 break
             share *= 0.5
-        if not is_lower:
+        if is_lower:
+            longest = (LONGER if share == whole else 1.0) * share * length
+            (values, states, current), damping = tried, damping / DAMPING_FACTOR
+        else:
             damping = max(DAMPING_FACTOR * damping, FIRST_DAMPING)
-            continue
-        longest = (LONGER if share == whole else 1.0) * share * length
-        (values, states, current), damping = tried, damping / DAMPING_FACTOR
+        if converged := is_last:
+            break
         if current.cost < lowest - tolerance * max(lowest, 1.0):
             lowest, lowered = current.cost, iteration
     covariance = posterior_covariance(current, problem.parameters.prior_std)

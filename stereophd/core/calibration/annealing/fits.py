@@ -5,14 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError
+from scipy.linalg import LinAlgError, cho_solve_banded
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, factor_knots
 from stereophd.core.calibration.adjustment.marginal import SETTLED, MarginalPosterior, Point, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
-from stereophd.core.calibration.adjustment.solver import Adjustment, adjust, settled_knots
+from stereophd.core.calibration.adjustment.solver import KNOTS_NEAR, Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
     STATED,
     Knots,
@@ -46,7 +46,7 @@ SEARCHED_PART = 0.1
 MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
 # Steps of the knots, whatever the loss says, before an adjustment.
 SETTLING_STEPS = 3
-# Step, in posterior standard deviations, at which the search for a marginal optimum of a pass has settled.
+# Step, in posterior standard deviations, at which the search for a joint or marginal optimum of a pass has settled.
 SETTLED_IN_PASSES = 1.0
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 25
@@ -229,7 +229,7 @@ def adjusted_to(
     To the optimum of the marginal posterior, or, with at most so many steps (`most`) and where all values are held, to
     the joint one. What the fit held is held again. The search begins at the noise of the motion of the fit, which stays
     in joint ones. Stretches that a joint optimum has put into their camera (`annealing.rejected`) are left out, and the
-    others are adjusted to again.
+    others are adjusted to again: after the search, or before it where they let no knots settle.
     """
     is_joint = most is not None or (fit.held is not None and bool(fit.held.all()))
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
@@ -240,20 +240,25 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
-    values = fit.adjustment.values
-    states = _settled(problem, values, states)
-    found = None
+    begun = _at(problem, fit.adjustment.values, _settled(problem, fit.adjustment.values, states))
+    found = _fit(task, problem, begun, detections, fit.motion_noise)
+    is_stuck = not is_joint and not _can_settle(problem, begun)
+    if is_stuck and (standing := _standing(task, found, most)) is not None:
+        return standing
+    searched = None
     if not is_joint:
         with suppress(LinAlgError):  # the joint optimum is found with damping
-            begun = _at(problem, values, states)
-            found = _searched(task, problem, begun, detections, fit.motion_noise, SETTLED_IN_PASSES)
-    if found is None:
-        joint = adjust(problem, values, states, most or MOST_ITERATIONS)
-        found = _fit(task, problem, joint, detections, fit.motion_noise)
-    standing = ~_collapsed(task, found)
-    if standing.all():
-        return found
-    return _part(task, found, np.flatnonzero(standing), most) or found
+            searched = _searched(task, problem, begun, detections, fit.motion_noise, SETTLED_IN_PASSES)
+    if searched is None:
+        joint = adjust(problem, begun.values, begun.states, most or MOST_ITERATIONS)
+        searched = _fit(task, problem, joint, detections, fit.motion_noise)
+    return _standing(task, searched, most) or searched
+
+
+def _standing(task: Task, fit: Fit, most: int | None) -> Fit | None:
+    """Adjust to what has not collapsed into its camera; None if nothing has, or no object of two cameras is left."""
+    collapsed_rows = _collapsed(task, fit)
+    return _part(task, fit, np.flatnonzero(~collapsed_rows), most) if collapsed_rows.any() else None
 
 
 def _collapsed(task: Task, fit: Fit) -> Booleans:
@@ -334,7 +339,8 @@ def confirmed_fit(
     optimum of that is looked for from these.
     """
     states = _settled(problem, values, states)
-    begun, joint = _at(problem, values, states), adjust(problem, values, states, ANNEALED_ITERATIONS)
+    begun = _at(problem, values, states)
+    joint = adjust(problem, values, states, ANNEALED_ITERATIONS, settled=SETTLED_IN_PASSES)
     weights = np.maximum(problem.weights(begun.distances), problem.weights(joint.distances))
     still = replace(problem.weighted(weights), held=np.ones(len(values), dtype=np.bool_))
     posterior = MarginalPosterior(Linearisation.of(still))
@@ -364,6 +370,18 @@ def _settled(problem: Problem, values: Array, states: Array) -> Array:
     with suppress(LinAlgError):
         return settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=SETTLING_STEPS)
     return states
+
+
+def _can_settle(problem: Problem, begun: Adjustment) -> bool:
+    """Whether the knots at the beginning of a search find their minimum, to a standard deviation."""
+    linearisation = Linearisation.of(problem.weighted(problem.weights(begun.distances)))
+    try:
+        states = settled_knots(linearisation, begun.values, begun.states)
+        _, bands, vector = linearisation.of_knots(begun.values, states)
+        step = cho_solve_banded((factor_knots(bands), True), vector, check_finite=False)
+    except LinAlgError:
+        return False
+    return float(vector @ step) <= KNOTS_NEAR
 
 
 def _at(problem: Problem, values: Array, states: Array) -> Adjustment:

@@ -27,6 +27,8 @@ from stereophd.core.calibration.annealing.fits import (
 from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
 from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio
 from stereophd.core.calibration.pairing.association import track_detections, with_cameras
+from stereophd.core.calibration.pairing.choice import Pairing
+from stereophd.core.calibration.pairing.refinement import MERGED
 from stereophd.core.calibration.time_limit import TIME_OVER
 from stereophd.core.calibration.unknowns.modes import Modes
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
@@ -50,20 +52,47 @@ RIVAL_SCORE, RIVAL_DISTANCE = 5.0, 5.0
 LEAST_SHARE = 0.05
 
 
-def run_start(task: Task, number: int, values: Array, seed: np.random.SeedSequence) -> Start:
+def paired(task: Task, number: int, values: Array, seed: np.random.SeedSequence) -> list[Pairing]:
+    """Return the pairings that a start of values (m,) may follow, the best first; none where the time is over.
+
+    The number is for the record; the seed is that of the further draws among which one-camera tracks are paired.
+    """
+    is_timely = task.limit.begin(f"start {number + 1} of at most {task.most_starts}: one-camera tracks are paired")
+    return pairings_of(task, values, seed)[:MOST_PAIRINGS] if is_timely else []
+
+
+def is_led_to(pairings: list[Pairing], pairing: Pairing | None, prior_std: Array) -> bool:
+    """Whether a start would follow none of its pairings but this one: the same tracks, at the same cameras."""
+    if pairing is None or not pairings or any(p.gain >= AMBIGUOUS * pairings[0].gain for p in pairings[1:]):
+        return False
+    is_near = (np.abs(pairings[0].values - pairing.values) < MERGED * prior_std).all()
+    return bool(is_near) and set(pairings[0].chosen.tolist()) == set(pairing.chosen.tolist())
+
+
+def followed_before(
+    task: Task, starts: list[Start], number: int, values: Array, pairings: list[Pairing]
+) -> Start | None:
+    """Return what a start finds from pairings if a successful one has followed the same; None if none has."""
+    for start in starts:
+        if start.succeeded and is_led_to(pairings, start.pairing, task.parameters.prior_std):
+            return replace(start, number=number, start=values)
+    return None
+
+
+def run_start(task: Task, number: int, values: Array, pairings: list[Pairing]) -> Start:
     """Follow one start through all passes: from the pairings found, the best first, then from its own values (m,).
 
     A pairing nearly as good as the best is followed too, and the one of the greater evidence counts. Further pairings,
     and the start's own values at the widest noise, are tried only where none has succeeded so far. The number is for
-    the record; the seed is that of the further draws among which one-camera tracks are paired.
+    the record.
     """
     tried: list[Start] = []
-    is_timely = task.limit.begin(f"start {number + 1} of at most {task.most_starts}: one-camera tracks are paired")
-    pairings = pairings_of(task, values, seed)[:MOST_PAIRINGS] if is_timely else []
     for place, pairing in enumerate(pairings):
         if best_of(tried) is not None and pairing.gain < AMBIGUOUS * pairings[0].gain:
             break
-        tried.append(_follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing)))
+        task.limit.begin(f"start {number + 1} of at most {task.most_starts}: cameras are fitted to {PAIRING} {place}")
+        found = _follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing))
+        tried.append(replace(found, pairing=pairing))
     if best_of(tried) is None:
         tried.append(_follow(task, number, WIDE, values, None))
     return best_of(tried) or max(tried, key=lambda one: one.explained)

@@ -15,6 +15,7 @@ from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import STATED, Knots, MotionNoise
+from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import ClockOffsets, offset_places, search_offsets
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs, one_camera_tracks
 from stereophd.core.calibration.settings import AnnealedSettings
@@ -199,6 +200,7 @@ class Start:
     log_prior: float
     explained: float  # Detections of shared trajectories, in parts of those not expected to be false
     origin: str  # Where the passes began: `PAIRING` and its number, or `WIDE`
+    pairing: Pairing | None = None  # That pairing
 
     @property
     def succeeded(self) -> bool:

@@ -8,7 +8,7 @@ from scipy.linalg import LinAlgError
 from scipy.optimize import least_squares
 
 from stereophd.core.bounds.calibration import TruePositions, calibration_bound
-from stereophd.core.calibration.adjustment import normal_equations
+from stereophd.core.calibration.adjustment import normal_equations, solver
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Problem
 from stereophd.core.calibration.adjustment.solver import (
@@ -137,6 +137,34 @@ def test_errors_and_covariance_are_those_of_the_bound() -> None:
     assert abs(np.mean(squares) - 1.0) < 5.0 * np.sqrt(2.0 / (6 * 12))
     # the same information, at the estimate and at the truth
     np.testing.assert_allclose(np.median(ratios, axis=0), 1.0, atol=0.15)
+
+
+def test_an_adjustment_of_a_pass_ends_after_a_step_that_hardly_moves_the_values(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem, found = solve(make_problem(3), ConstantVelocity([0.05] * 3))
+    begin = np.zeros(problem.parameters.size), found.states
+    equations = Linearisation.of(problem).at(*begin)
+    values, _, length = solver.solve(equations, 0.0)
+    precision = np.linalg.inv(posterior_covariance(equations, problem.parameters.prior_std))
+    assert length == pytest.approx(np.sqrt(values @ precision @ values), rel=1e-6)
+
+    lengths, step = list[float](), solver.solve
+
+    def counted(equations: NormalEquations, damping: float) -> tuple[np.ndarray, np.ndarray, float]:
+        out = step(equations, damping)
+        lengths.append(out[2])
+        return out
+
+    monkeypatch.setattr(solver, "solve", counted)
+    rough = adjust(problem, *begin, settled=1.0)
+    assert rough.converged
+    assert min(lengths[:-1]) >= 1.0 > lengths[-1]
+    left = rough.values - found.values
+    assert left @ np.linalg.solve(found.covariance, left) < 0.1  # the last step was taken
+    count = len(lengths)
+    adjust(problem, *begin)
+    assert len(lengths) - count > count
 
 
 @pytest.mark.parametrize("acceleration", [0.0, 0.05])

@@ -34,7 +34,6 @@ from stereophd.core.calibration.annealing.starts import (
     disagreement,
     evidence,
     explained,
-    run_start,
     squared_residuals,
 )
 from stereophd.core.calibration.annealing.task import Fit, Task
@@ -42,7 +41,7 @@ from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.pmb.filter import PmbFilter
-from tests.core.calibration.pairing.test_search import FRAMES, OBJECTS, recording_of
+from tests.core.calibration.pairing.test_search import FRAMES, OBJECTS, begun, recording_of
 from tests.core.calibration.problems import make_template
 from tests.core.calibration.scenes import MadeUp, make_problem
 
@@ -68,7 +67,7 @@ def paired(task: Task) -> Fit:
 @pytest.fixture(scope="module")
 def right(task: Task) -> Calibrated:
     """The answer of one start, with the noise as it is."""
-    starts = [run_start(task, 0, task.parameters.prior_mean, np.random.SeedSequence(1))]
+    starts = [begun(task)]
     return calibrated(replace(task, settings=AnnealedSettings(starts=1)), starts, Choices())
 
 
@@ -205,7 +204,7 @@ def test_a_noise_that_is_stated_too_small_lets_a_start_succeed(made: MadeUp, tas
 
 def test_noise_that_is_stated_wrong_is_replaced(made: MadeUp, task: Task, right: Calibrated) -> None:
     stated = task.with_noise(np.array([3.0, 3.0]))
-    starts = [run_start(stated, 0, task.parameters.prior_mean, np.random.SeedSequence(1))]
+    starts = [begun(stated)]
     result = calibrated(stated, starts, Choices())
     np.testing.assert_allclose(result.believed.noise, 1.0 / 3.0, rtol=0.2)
     assert [remark.topic for remark in result.remarks].count("noise") == 2

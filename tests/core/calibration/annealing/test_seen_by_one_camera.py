@@ -154,6 +154,24 @@ def test_a_stretch_from_which_the_marginal_search_does_not_come_back_is_left_out
     assert (observations.times[left] > 3.0 - 0.2).all()  # what two cameras see stays
 
 
+def test_a_stretch_that_lets_no_knots_settle_is_left_out_before_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of four cameras and twenty objects half of the search for a start's optimum was spent with such a stretch."""
+    task, joint, _ = one_alone()
+    begun, search = list[int](), fits.marginal_optimum
+
+    def searched(problem: Any, *more: Any) -> Any:
+        begun.append(len(problem.observations))
+        return search(problem, *more)
+
+    monkeypatch.setattr(fits, "marginal_optimum", searched)
+    for limit, stays in ((fits.KNOTS_NEAR, True), (1e-3, False)):
+        begun.clear()
+        monkeypatch.setattr(fits, "KNOTS_NEAR", limit)
+        adjusted_to(task, joint, joint.observations, joint.observations.trajectories, joint.detections)
+        assert (begun[0] == len(joint.detections)) == stays
+        assert len(begun) == 1
+
+
 def test_a_known_scale_holds_where_a_stretch_had_collapsed() -> None:
     task, joint, _ = one_alone()
     size, _ = log_scale(task.parameters, task.reference, joint.adjustment.values)

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
-from stereophd.core.calibration.annealing.starts import run_start
-from stereophd.core.calibration.annealing.task import PAIRING, WIDE, Task
+from stereophd.core.calibration.annealing.starts import paired, run_start
+from stereophd.core.calibration.annealing.task import PAIRING, WIDE, Start, Task
 from stereophd.core.calibration.annealing.tracking_scale import depth_ratio
 from stereophd.core.calibration.pairing.refinement import behind
 from stereophd.core.calibration.pairing.search import distinct_pairings
@@ -24,6 +24,12 @@ from tests.core.calibration.problems import make_template
 from tests.core.calibration.scenes import MadeUp, make_problem
 
 FRAMES, OBJECTS = 40, 4
+
+
+def begun(task: Task) -> Start:
+    """The first start of a task."""
+    values = task.parameters.prior_mean
+    return run_start(task, 0, values, paired(task, 0, values, np.random.SeedSequence(1)))
 
 
 def recording_of(made: MadeUp) -> Recording:
@@ -114,7 +120,7 @@ def far_too_close(made: MadeUp) -> Task:
 
 def test_a_start_finds_cameras_whose_scale_is_far_off(made: MadeUp) -> None:
     task = far_too_close(made)
-    start = run_start(task, 0, task.parameters.prior_mean, np.random.SeedSequence(1))
+    start = begun(task)
     assert start.succeeded, start.outcome
     assert start.origin.startswith(PAIRING)
     assert start.fit is not None
@@ -128,5 +134,5 @@ def test_a_start_without_pairs_begins_wide(made: MadeUp) -> None:
     task = far_too_close(made)
     none = np.empty(0, dtype=np.int64)
     pairs = replace(task.pairs, cameras=none.reshape(0, 2), tracks=none.reshape(0, 2), pair=none)
-    start = run_start(replace(task, pairs=pairs), 0, task.parameters.prior_mean, np.random.SeedSequence(1))
+    start = begun(replace(task, pairs=pairs))
     assert start.origin == WIDE
