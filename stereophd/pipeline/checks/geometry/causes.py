@@ -192,9 +192,9 @@ def _changed(change: Array) -> tuple[float, float]:
 
 def _mean(meetings: list[Meeting]) -> Meeting:
     """Return the means of meetings, and their best score."""
-    names = ("share", "chance", "excess", "sharpness")
-    means = {name: float(np.mean([getattr(one, name) for one in meetings])) for name in names}
-    return replace(max(meetings, key=lambda one: one.score), **means)
+    means = np.mean([(one.share, one.chance, one.excess, one.sharpness) for one in meetings], axis=0).tolist()
+    best = max(meetings, key=lambda one: one.score)
+    return replace(best, share=means[0], chance=means[1], excess=means[2], sharpness=means[3])
 
 
 def _camera_trials(geometry: Geometry) -> Iterator[Trial]:

@@ -225,8 +225,8 @@ def meeting(
     spreads = np.hypot(stds, np.sqrt(np.maximum(chances * (1.0 - chances), 0.25 / count) / count))
     scores = (shares[:, 0] - chances) / np.maximum(spreads, 1e-9)
     best = int(np.argmax(scores))
-    figures = np.stack([shares[:, 0], chances, excesses, scores])[:, best].tolist()
-    return Meeting(*figures, tolerances[best], float(excesses.mean()), meets[best])
+    share, chance, excess, score = np.stack([shares[:, 0], chances, excesses, scores])[:, best].tolist()
+    return Meeting(share, chance, excess, score, tolerances[best], float(excesses.mean()), meets[best])
 
 
 def expected_excess(found: Candidates, samples: list[CameraSample], depths: tuple[float, float]) -> float:
