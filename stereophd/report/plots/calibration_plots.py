@@ -82,15 +82,13 @@ def _draw_posterior(outcome: Outcome, length_unit: str) -> Figure:
     """Draw pairs of the first parameters, and the marginals on the diagonal."""
     drawn = _drawn(outcome.parameters, length_unit)[:MOST_PAIRS]
     count, particles = len(drawn), outcome.particles
-    figure, axes = _grid(count, count, 1.9, 1.7)
+    figure = new_figure(1.9 * count, 1.7 * count)
+    places = figure.add_gridspec(count, count)
     rows = np.unique(np.linspace(0, len(particles) - 1, min(len(particles), MOST_POINTS)).astype(int))
     for i, (factor, label) in enumerate(drawn):
-        for j in range(count):
-            panel = axes[i][j]
+        for j in range(i + 1):
+            panel = figure.add_subplot(places[i, j])
             panel.tick_params(labelsize=6)
-            if j > i:
-                panel.set_visible(False)
-                continue
             x = drawn[j][0] * particles[:, j]
             if i == j:
                 panel.hist(x, bins=40, weights=np.exp(outcome.log_weights), color=BLUE, alpha=0.7)

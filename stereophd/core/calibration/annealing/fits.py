@@ -34,6 +34,7 @@ from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import enlarged, reduced
+from stereophd.core.numerics.threads import in_threads
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
 # are rather false ones (at that distance a normal density is down to this part of its peak).
@@ -188,14 +189,16 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
 
     Marginalising the trajectories at every time would take too long.
     """
-    times = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:]
-    rows = [
-        HistoryRow(float(time_s), until.adjustment.values, until.adjustment.covariance)
-        for number, time_s in enumerate(times[:-1])
-        if task.limit.begin(f"the history of the answer, {number + 1} of {HISTORY_TIMES}")
-        and (until := fit_until(task, answer, float(time_s))) is not None
-    ]
-    return (*rows, HistoryRow(float(times[-1]), result.adjustment.values, result.adjustment.covariance))
+    *times, end = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:].tolist()
+
+    def until(time_s: float) -> Fit | None:
+        begins = task.limit.begin(f"the history of the answer, {times.index(time_s) + 1} of {HISTORY_TIMES}")
+        return fit_until(task, answer, time_s) if begins else None
+
+    fits = zip((*times, end), (*in_threads(until, times, task.threads), result), strict=True)
+    return tuple(
+        HistoryRow(at, fit.adjustment.values, fit.adjustment.covariance) for at, fit in fits if fit is not None
+    )
 
 
 def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int | None = None) -> Fit | None:
