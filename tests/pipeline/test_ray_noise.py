@@ -77,6 +77,18 @@ def test_noise_of_any_size_is_found(noise: float, objects: int) -> None:
     assert mean < 1.5
 
 
+def test_rays_that_pass_on_either_side_count() -> None:
+    """Of rays that miss each other on one side, by a wrong principal point, only the other side's were counted."""
+    cameras = cameras_at((-3.0, 0.0), (3.0, 0.5))
+    samples = samples_of(cameras, [0.5, 0.5], 4, 100, 1.0)
+    found = [
+        noise_from_rays([samples[0], samples[1].with_camera(replace(cameras[1], cy=cameras[1].cy + side))])[0]
+        for side in (-4.0, 4.0)
+    ]
+    np.testing.assert_allclose(found[0], found[1], rtol=0.15)
+    assert np.hypot(*found[0]) > 2.0
+
+
 @pytest.mark.parametrize("noise", [0.1, 1.0])
 def test_noise_of_objects_at_rest(noise: float) -> None:
     """They meet those of other cameras by chance all the time: fewer independent distances."""

@@ -169,8 +169,9 @@ def _next_starts(
     calls_of_firsts = [partial(run_start, task, place, values[place], pairings[place]) for place in firsts]
     followed = on_processes(call, calls_of_firsts, min(jobs, max(len(firsts), 1)), tell=PROGRESS.debug)
     for place in places:
-        begun = task, starts, place, values[place], pairings[place]
-        yield next(followed) if place in firsts else followed_before(*begun) or run_start(task, *begun[2:])
+        begun, own = (task, starts, place, values[place], pairings[place]), next(followed) if place in firsts else None
+        # one before it may have ended at another than its first pairing: processes decide about none
+        yield followed_before(*begun) or own or run_start(task, *begun[2:])
 
 
 def _clock_report(task: Task) -> dict[str, Any]:

@@ -71,8 +71,8 @@ class Mixture:
 
 
 def classes(distances: Array) -> Array:
-    """Return the numbers (classes,) of distances between the borders."""
-    return np.histogram(distances[np.isfinite(distances)], BORDERS)[0].astype(np.float64)
+    """Return the numbers (classes,) of distances between the borders; their sign, if they have one, does not count."""
+    return np.histogram(np.abs(distances[np.isfinite(distances)]), BORDERS)[0].astype(np.float64)
 
 
 def unmix(kind: DistanceKind, together: Array, foreign: Sequence[Array], known: float, count: int) -> Mixture:

@@ -272,7 +272,7 @@ def _neighbours(first: Camera, second: Camera, rays_a: Array, rays_b: Array, met
         direction = rays_b[rows, owner] @ pose_b.rotation
         depth = nearest_depths(rays_a[rows] @ pose_a.rotation, direction, pose_b.center - pose_a.center)[1]
         seen = (pose_b.center + depth[:, None] * direction - pose_a.center) @ pose_a.rotation.T
-        apart = np.abs(signed_of_rays(first, second, (seen / seen[:, 2:])[:, None], rays_b[rows]))
+        apart = signed_of_rays(first, second, (seen / seen[:, 2:])[:, None], rays_b[rows])
         apart[~met[rows]] = np.nan
         apart[np.arange(len(rows)), owner] = np.nan
         found += classes(apart)

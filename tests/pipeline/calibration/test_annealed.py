@@ -57,15 +57,16 @@ def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Start]]:
         last: int = COUNT + 1,
         pairings: list[Pairing] | None = None,
         jobs: int = 1,
+        taken: int = 0,
     ) -> Any:
         begun = list[int]()
 
         def begin(task: Task, number: int, *_: Any) -> Start:
             begun.append(number)
-            return replace(start(number, places[number]), pairing=pairings[0] if pairings else None)
+            return replace(start(number, places[number]), pairing=pairings[taken] if pairings else None)
 
         monkeypatch.setattr(annealed, "start_values", lambda *_: np.zeros((COUNT, 3)))
-        monkeypatch.setattr(annealed, "paired", lambda *_: pairings or [])
+        monkeypatch.setattr(annealed, "paired", lambda _task, number, *_: (pairings or [])[taken if number else 0 :])
         monkeypatch.setattr(annealed, "run_start", begin)
         prior = SimpleNamespace(prior_std=np.ones(3))
         settings, motion = SimpleNamespace(agreeing_starts=AGREEING), SimpleNamespace(motion=None)
@@ -105,6 +106,15 @@ def test_starts_of_one_pairing_are_followed_once(
     assert [one.number for one in starts] == list(range(len(places)))
     assert begun == expected
     assert {one.fit.adjustment.values[0] for one in starts if one.succeeded} == {places[k] for k in expected} - {None}
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 3])
+def test_what_counts_of_a_start_does_not_depend_on_the_processes(run_all: Any, jobs: int) -> None:
+    """The first start ends at its second pairing, to which alone the next one is led: it is followed in vain."""
+    pairings = [Pairing(np.zeros(3), np.array([0, 2]), 100.0), Pairing(np.ones(3), np.array([1]), 10.0)]
+    starts, _ = run_all([5.0, 5.5, *[None] * 6], pairings=pairings, jobs=jobs, taken=1)
+    assert [one.number for one in starts] == [0, 1]
+    assert [one.fit.adjustment.values[0] for one in starts] == [5.0, 5.0]
 
 
 def test_a_run_that_is_continued_goes_on_after_the_starts_that_are_kept(run_all: Any) -> None:
