@@ -161,7 +161,7 @@ def _next_starts(
     firsts = [
         place
         for place in places
-        if followed_before(task, starts, place, values[place], pairings[place]) is None
+        if followed_before(task, starts, place, pairings[place]) is None
         and not any(
             is_led_to(pairings[place], p, std) for one in places[: place - places[0]] for p in pairings[one][:1]
         )
@@ -169,9 +169,10 @@ def _next_starts(
     calls_of_firsts = [partial(run_start, task, place, values[place], pairings[place]) for place in firsts]
     followed = on_processes(call, calls_of_firsts, min(jobs, max(len(firsts), 1)), tell=PROGRESS.debug)
     for place in places:
-        begun, own = (task, starts, place, values[place], pairings[place]), next(followed) if place in firsts else None
+        own = next(followed) if place in firsts else None
         # one before it may have ended at another than its first pairing: processes decide about none
-        yield followed_before(*begun) or own or run_start(task, *begun[2:])
+        before = followed_before(task, starts, place, pairings[place])
+        yield before or own or run_start(task, place, values[place], pairings[place])
 
 
 def _clock_report(task: Task) -> dict[str, Any]:

@@ -28,7 +28,7 @@ def start(number: int, place: float | None) -> Start:
     adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(3), 0.0, np.full(4, 2.0), True)
     fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
     outcome = "it failed" if place is None else SUCCEEDED
-    return Start(number, outcome, values, np.empty((0, 3)), fit, -100.0, 0.0, 1.0, "pairing 0")
+    return Start(number, outcome, np.empty((0, 3)), fit, -100.0, 0.0, 1.0, "pairing 0")
 
 
 @dataclass

@@ -69,13 +69,11 @@ def is_led_to(pairings: list[Pairing], pairing: Pairing | None, prior_std: Array
     return bool(is_near) and set(pairings[0].chosen.tolist()) == set(pairing.chosen.tolist())
 
 
-def followed_before(
-    task: Task, starts: list[Start], number: int, values: Array, pairings: list[Pairing]
-) -> Start | None:
+def followed_before(task: Task, starts: list[Start], number: int, pairings: list[Pairing]) -> Start | None:
     """Return what a start finds from pairings if a successful one has followed the same; None if none has."""
     for start in starts:
         if start.succeeded and is_led_to(pairings, start.pairing, task.parameters.prior_std):
-            return replace(start, number=number, start=values)
+            return replace(start, number=number)
     return None
 
 
@@ -100,7 +98,7 @@ def run_start(task: Task, number: int, values: Array, pairings: list[Pairing]) -
 
 def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> Start:
     """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes."""
-    begun = Start(number, "", start, np.empty((0, len(start))), None, np.nan, np.nan, 0.0, origin)
+    begun = Start(number, "", np.empty((0, len(start))), None, np.nan, np.nan, 0.0, origin)
     values, inflations = start, task.settings.inflation
     if fit is not None:
         begun, values = begun.with_pass(fit), fit.adjustment.values

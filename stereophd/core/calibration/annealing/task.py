@@ -192,7 +192,6 @@ class Start:
 
     number: int
     outcome: str  # `SUCCEEDED`, or why not
-    start: Array  # (m,): Values it began with
     passes: Array  # (p, m): Values after every pass
     fit: Fit | None  # The last one
     # `log_evidence`, `log_prior`: At the last values; NaN where the start failed.

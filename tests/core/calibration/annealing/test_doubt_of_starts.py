@@ -30,7 +30,7 @@ def start(number: int, place: float | None, evidence: float = -100.0, squared: f
     adjustment = Adjustment(values, np.empty((0, 2, 3)), std**2 * np.eye(SIZE), 0.0, np.full(4, squared), True)
     fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
     outcome = FAILED if place is None else SUCCEEDED
-    return Start(number, outcome, values, np.empty((0, SIZE)), fit, evidence, 0.0, 1.0, "pairing 0")
+    return Start(number, outcome, np.empty((0, SIZE)), fit, evidence, 0.0, 1.0, "pairing 0")
 
 
 def doubt(
