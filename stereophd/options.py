@@ -142,16 +142,13 @@ def _listed(kind: type[Any]) -> str:
     for each in fields(kind):
         declared: Declaration | None = each.metadata.get("option")
         meaning = f"see `{kind.__name__}`" if declared is None else declared.meaning
-        lines += [f"    {each.name} : {each.type}", *_paragraph(f"{meaning} (default {_default(each)})")]
+        text = textwrap.indent(textwrap.fill(f"{meaning} (default {_default(each)})", 104), " " * 8)
+        lines += [f"    {each.name} : {each.type}", text]
     return "\n".join(lines)
 
 
 def _default(each: Field[Any]) -> Any:
     return each.default if each.default_factory is MISSING else each.default_factory()
-
-
-def _paragraph(text: str) -> list[str]:
-    return textwrap.wrap(text, 112, initial_indent=" " * 8, subsequent_indent=" " * 8)
 
 
 def numbers_by_key(flag: str, words: Sequence[str]) -> dict[str, float]:

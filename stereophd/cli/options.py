@@ -147,9 +147,7 @@ Cameras = Annotated[Path | None, option("--cameras", "FILE", "Cameras (YAML) in 
 Set = Annotated[
     list[str] | None,
     option(
-        "--set",
-        "KEY=VALUE",
-        "Change a value of the configuration, such as --set filter.birth.per_s=0.2 (repeatable).",
+        "--set", "KEY=VALUE", "Change a value of the configuration, such as --set filter.birth.per_s=0.2 (repeatable)."
     ),
 ]
 Seed = Annotated[int | None, option("--seed", "N", "Seed of the random numbers, in place of the configuration's.")]

@@ -37,10 +37,7 @@ class Recalibration:
         center = loaded.cameras[knock.camera].build(knock.camera).at(record.time_s).pose.center
         positions = record.estimates.states[:, :3]
         distance = float(np.median(np.linalg.norm(positions - center, axis=1))) if len(positions) else 1.0
-        self._prior = {
-            "center_std": CENTER_STD * distance,
-            "rotation_std_deg": ROTATION_STD_DEG + knock.turn_deg,
-        }
+        self._prior = {"center_std": CENTER_STD * distance, "rotation_std_deg": ROTATION_STD_DEG + knock.turn_deg}
         self._frames: deque[Message] = deque()
         self._tries = [knock.time_s + after_s for after_s in TRIES_S]
         self.aside = Aside(nicer=0)  # on a busy machine too: the run waits for this camera

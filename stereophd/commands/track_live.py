@@ -28,15 +28,7 @@ from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
 from stereophd.io.outputs.atomic import OutputFolder, output_folder
 from stereophd.io.outputs.locks import output_lock
-from stereophd.io.streams.documents import (
-    CameraPlace,
-    Checkpoint,
-    Knocked,
-    LiveEvent,
-    Ready,
-    Recalibrated,
-    Status,
-)
+from stereophd.io.streams.documents import CameraPlace, Checkpoint, Knocked, LiveEvent, Ready, Recalibrated, Status
 from stereophd.io.streams.messages import Message
 from stereophd.io.streams.rows import JsonLines, Publisher, RowSink, document_of
 from stereophd.io.streams.sources import Arrivals

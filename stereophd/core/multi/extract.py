@@ -17,7 +17,7 @@ from stereophd.core.multi.state.estimates import Estimates
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, order_by_label
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.moments import add_part
-from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
+from stereophd.core.numerics.sorting import picked, places, stable_order
 
 
 class Report(NamedTuple):
@@ -105,14 +105,14 @@ def select_objects(
     errors = _errors(picked(weights, members), world_means, world_covariances, picked(owner, members), best)
     to_means, to_covariances = np.empty((placed, 6)), np.empty((placed, 6, 6))
     for i in range(placed):
-        copy_gaussian(world_means, errors, best[order[i]], to_means, to_covariances, i)
+        to_means[i], to_covariances[i] = world_means[best[order[i]]], errors[order[i]]
     named = GaussianMixture(weights, means, covariances, cameras, times, changed[0], changed[1], changed[2])
     return Selection(named, confirmed, index, existence, to_means, to_covariances, next_label, next_track)
 
 
 @compiled
 def _errors(weights: Array, means: Array, covariances: Array, owner: Integers, best: Integers) -> Array:
-    """Covariances (m, 6, 6) of alternatives, of the `best` (c,) ones those of their errors as estimates of the object.
+    """Covariances (c, 6, 6) of the errors of the `best` (c,) alternatives as estimates of their objects.
 
     Weights, means and covariances of the alternatives (m,) are in the world; alternative k is one for object
     ``owner[k]``. The object is at one of them, not at the mean m of the heaviest: two pairings of detections put it at
@@ -122,17 +122,13 @@ def _errors(weights: Array, means: Array, covariances: Array, owner: Integers, b
 
     An alternative that is nowhere (NaN) does not count.
     """
-    totals, errors, counts = picked(weights, best), covariances.copy(), np.empty(len(weights), dtype=np.bool_)
+    totals, errors = np.zeros(len(best)), np.zeros((len(best), 6, 6))
     for k in range(len(weights)):
-        counts[k] = k != best[owner[k]] and math.isfinite(means[k, 0])
-        totals[owner[k]] += weights[k] if counts[k] else 0.0
-    for i in range(len(best)):
-        errors[best[i]] *= weights[best[i]] / totals[i]
+        totals[owner[k]] += weights[k] if math.isfinite(means[k, 0]) else 0.0
     for k in range(len(weights)):
-        if counts[k]:
-            i = best[owner[k]]
-            share = weights[k] / totals[owner[k]]
-            add_part(share, means[k], covariances[k], means[i], errors[i])
+        if math.isfinite(means[k, 0]):
+            i = owner[k]
+            add_part(weights[k] / totals[i], means[k], covariances[k], means[best[i]], errors[i])
     return errors
 
 

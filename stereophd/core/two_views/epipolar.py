@@ -98,8 +98,4 @@ def nearest_depths(rays_a: Array, rays_b: Array, between: Array) -> tuple[Array,
     )  # fmt: skip
     determinant = np.maximum(aa * bb - ab**2, LEAST_SQUARED_SINE * aa * bb)
     with np.errstate(invalid="ignore"):
-        return (
-            (da * bb - db * ab) / determinant,
-            (da * ab - db * aa) / determinant,
-            np.sqrt(determinant / (aa * bb)),
-        )
+        return ((da * bb - db * ab) / determinant, (da * ab - db * aa) / determinant, np.sqrt(determinant / (aa * bb)))

@@ -163,10 +163,7 @@ def _fits(found: pa.DataType, expected: pa.DataType) -> bool:
 
 
 def check_columns(
-    schema: pa.Schema,
-    required: Mapping[str, pa.DataType],
-    optional: Mapping[str, pa.DataType],
-    path: Path | str,
+    schema: pa.Schema, required: Mapping[str, pa.DataType], optional: Mapping[str, pa.DataType], path: Path | str
 ) -> list[str]:
     """Check the columns of a table, and return the names of those of `optional` that are there.
 
@@ -252,10 +249,7 @@ def read_table(
 
 
 def checked_table(
-    table: pa.Table,
-    required: Mapping[str, pa.DataType],
-    optional: Mapping[str, pa.DataType],
-    path: Path | str,
+    table: pa.Table, required: Mapping[str, pa.DataType], optional: Mapping[str, pa.DataType], path: Path | str
 ) -> pa.Table:
     """Return a table of the required columns and of some optional ones in their types; see `read_table`."""
     fields = []

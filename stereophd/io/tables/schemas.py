@@ -53,15 +53,7 @@ SCANS = _schema(
 CASE = {"experiment": STRING, "method": STRING, "case": STRING}
 #: One row a value of a run of an experiment; time_s is null for what belongs to the whole run.
 RUNS = _schema(
-    {
-        **CASE,
-        "run": INTEGER,
-        "seed": INTEGER,
-        "time_s": FLOAT,
-        "quantity": STRING,
-        "unit": STRING,
-        "value": FLOAT,
-    },
+    {**CASE, "run": INTEGER, "seed": INTEGER, "time_s": FLOAT, "quantity": STRING, "unit": STRING, "value": FLOAT},
     nullable=("time_s",),
 )
 #: One row a method, case, time and quantity of an experiment; null: not defined, or no bound known.

@@ -24,7 +24,6 @@ from stereophd.core.calibration.annealing.starts import (
     agreeing_with_best,
     best_of,
     distinct,
-    enough,
     followed_before,
     is_led_to,
     modes_of,
@@ -133,7 +132,7 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
     starts: list[Start] = run.unfinished.read(kept, list[Start], {Motion: task.filter.motion}) or []
 
     def is_done() -> bool:
-        return len(starts) == count or enough(starts, agreeing) or (bool(starts) and run.limit.is_over)
+        return len(starts) == count or agreeing_with_best(starts) >= agreeing or (bool(starts) and run.limit.is_over)
 
     if not is_done():
         run.limit.begin(f"up to {count} starts begin")

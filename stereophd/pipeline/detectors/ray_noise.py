@@ -72,10 +72,6 @@ class _PairEvidence:
     likelihoods: Array  # (noises,): logarithm, of this standard deviation, px; the largest is 0
     gain: float  # Log-likelihood of the best of them over that without partners
 
-    def of_both(self) -> Array:
-        """Return the log-likelihood (noises, noises) of the noise of both cameras."""
-        return self.of_spread(self.shares[0] * NOISES[:, None] ** 2 + self.shares[1] * NOISES**2)
-
     def of_spread(self, variance: Array) -> Array:
         """Return the log-likelihood (...,) of variances (...,) of distances, px^2."""
         return np.asarray(np.interp(0.5 * np.log(variance), np.log(NOISES), self.likelihoods))
@@ -99,7 +95,11 @@ def noise_from_rays(samples: Sequence[CameraSample], are_placed: bool = True) ->
         share * likelihoods_of_displacements(sample) + _told_by_tracks(sample)[:, None]
         for share, sample in zip(crowds, samples, strict=True)
     ]
-    logs = _draws({cameras: independent * pair.of_both() for cameras, pair in evidence.items()}, links)
+    of_both = {
+        cameras: independent * pair.of_spread(pair.shares[0] * NOISES[:, None] ** 2 + pair.shares[1] * NOISES**2)
+        for cameras, pair in evidence.items()
+    }
+    logs = _draws(of_both, links)
     spacing = float(np.log(NOISES[1] / NOISES[0]))
     return np.exp(logs.mean(axis=0)), np.sqrt(logs.var(axis=0) + spacing**2 / 12.0)
 

@@ -168,7 +168,9 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
         known = replace(known, asked=known.looks, asked_s=event.time_s)
         change = _change(responses, event.camera, known)
         if change is not None:
-            if known.blocks > BLOCKS and change.evidence > _least_evidence(len(cameras)):
+            # exceeded once in that time by chance, of one of so many poses
+            least = math.log(len(cameras) * BLOCKS * FALSE_ALARM_S / BLOCK_S)
+            if known.blocks > BLOCKS and change.evidence > least:
                 return NO_TEST, _changed(test.cameras, responses, cameras, event.time_s)
             if change.misfit is not None:
                 blocks = known.blocks + 1
@@ -293,8 +295,3 @@ def _added(
 def _threshold() -> float:
     """CUSUM that is exceeded once in `FALSE_ALARM_S` by chance."""
     return math.log(len(all_turns().spread) * FALSE_ALARM_S * MOST_LOOKS)
-
-
-def _least_evidence(cameras: int) -> float:
-    """Evidence for a change of one of so many poses that is exceeded once in `FALSE_ALARM_S` by chance."""
-    return math.log(cameras * BLOCKS * FALSE_ALARM_S / BLOCK_S)

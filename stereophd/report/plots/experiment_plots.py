@@ -19,16 +19,7 @@ from matplotlib.ticker import LogFormatter
 from stereophd.core.arrays import Array
 from stereophd.experiments.engine.results import STATISTICS, Cell, Results
 from stereophd.experiments.engine.summary import Summary
-from stereophd.report.style import (
-    INK,
-    STYLE,
-    colour_of,
-    dash_of,
-    legend_right,
-    new_figure,
-    plots_named,
-    save_figures,
-)
+from stereophd.report.style import INK, STYLE, colour_of, dash_of, legend_right, new_figure, plots_named, save_figures
 from stereophd.wording import counted
 
 BOUND_LABEL = "bound"

@@ -59,9 +59,7 @@ class EllipsoidSettings:
     )
     hidden_power: Positive = parameter("exponent of the hidden share: see hidden_loss", default=2.5)
     instant_s: NonNegative = parameter(
-        "frames of different cameras within this time are associated jointly; 0: each by itself",
-        unit="s",
-        default=0.02,
+        "frames of different cameras within this time are associated jointly; 0: each by itself", unit="s", default=0.02
     )
 
     def __post_init__(self) -> None:

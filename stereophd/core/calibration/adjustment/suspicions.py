@@ -106,10 +106,7 @@ def suspect(quadratic: QuadraticPosterior, enlarged: EnlargedSet, free: Integers
         # where other statements are far more doubtful the probability is too small for a covariance of its own
         spreads = [
             part * _spread(precision, free, group.places, spread)
-            for part, spread in (
-                (1.0, covariance),
-                (np.sqrt(probability), covariance + np.outer(values, values)),
-            )
+            for part, spread in ((1.0, covariance), (np.sqrt(probability), covariance + np.outer(values, values)))
         ]
         moves = [quadratic.tracks.relative_std(spread) / max(stated, LEAST_STATED) for spread in spreads]
         added = spreads[1][:size] * std[:, None]

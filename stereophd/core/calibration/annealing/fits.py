@@ -107,12 +107,7 @@ def with_clocks(task: Task, draws: Array) -> Array:
 
 
 def tracked_fit(
-    task: Task,
-    values: Array,
-    inflation: float,
-    held: Booleans | None = None,
-    ratio: float = 1.0,
-    noise: Array = STATED,
+    task: Task, values: Array, inflation: float, held: Booleans | None = None, ratio: float = 1.0, noise: Array = STATED
 ) -> Fit | None:
     """Track with the cameras of `values` and inflated noise, and adjust to the shared tracks, if any.
 
@@ -220,12 +215,7 @@ def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int | None = None)
 
 
 def adjusted_to(
-    task: Task,
-    fit: Fit,
-    observations: Observations,
-    of_fit: Integers,
-    detections: Integers,
-    most: int | None = None,
+    task: Task, fit: Fit, observations: Observations, of_fit: Integers, detections: Integers, most: int | None = None
 ) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 

@@ -17,13 +17,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.adjustment.trajectories import STATED
-from stereophd.core.calibration.annealing.fits import (
-    FITTED_PASSES,
-    paired_fit,
-    pairings_of,
-    refitted,
-    tracked_fit,
-)
+from stereophd.core.calibration.annealing.fits import FITTED_PASSES, paired_fit, pairings_of, refitted, tracked_fit
 from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
 from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio
 from stereophd.core.calibration.pairing.association import track_detections, with_cameras
@@ -210,11 +204,6 @@ def agree(one: Start, other: Start, within: float = AGREEMENT) -> bool:
 def best_of(starts: list[Start]) -> Start | None:
     """The successful start of the greatest evidence plus log-prior, if any; the earlier of equal ones."""
     return max((s for s in starts if s.succeeded), key=lambda s: s.score, default=None)
-
-
-def enough(starts: list[Start], agreeing: int) -> bool:
-    """Whether enough starts agree with the best one."""
-    return agreeing_with_best(starts) >= agreeing
 
 
 def agreeing_with_best(starts: list[Start]) -> int:

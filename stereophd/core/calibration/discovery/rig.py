@@ -194,10 +194,7 @@ class _Option:
 
 
 def _link(
-    results: Mapping[tuple[int, int], PairResult],
-    placed: Mapping[int, _Place],
-    new: int,
-    names: Sequence[str],
+    results: Mapping[tuple[int, int], PairResult], placed: Mapping[int, _Place], new: int, names: Sequence[str]
 ) -> tuple[list[Doubt], Link, _Place] | None:
     """Join a camera to those that are placed, where all pairs with them gain most: doubts, pair and place.
 

@@ -78,10 +78,7 @@ def best_explanation(
     if tolerances != TOLERANCES:  # those that it was measured with
         geometry = geometry.with_pairs(geometry.pairs, tolerances)
     steps = SHIFT_STEPS if thorough else QUICK_STEPS
-    trials = [
-        *([] if clocks_only else _camera_trials(geometry)),
-        *_clock_trials(geometry, steps),
-    ]
+    trials = [*([] if clocks_only else _camera_trials(geometry)), *_clock_trials(geometry, steps)]
     looks = [(trial, trial.explain(quick, tolerances)) for trial in trials]
     promising = [
         (t, one) for t, one in looks if one is not None and one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN
