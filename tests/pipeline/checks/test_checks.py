@@ -809,10 +809,12 @@ def _far_away(seed: int) -> tuple[list[Frame], list[Camera]]:
     return frames, [stated[0], _turned(stated[1], rotation, center)]
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_a_guessed_pose_passes_for_no_mistake_far_away(seed: int) -> None:
+def test_a_guessed_pose_passes_for_no_mistake_far_away() -> None:
     """Rays that met behind the cameras counted, and so did those that met at a wide tolerance only."""
-    frames, cameras = _far_away(seed)
-    geometry = measure(sample_log(frames, cameras), (50.0, 300.0))
-    causes = {found.cause for found in check_geometry(geometry, thorough=True) if found.status == "warning"}
-    assert causes <= {"rays_do_not_meet"}
+    causes = []
+    for seed in range(8):
+        frames, cameras = _far_away(seed)
+        geometry = measure(sample_log(frames, cameras), (50.0, 300.0))
+        causes += [found.cause for found in check_geometry(geometry, thorough=True) if found.status == "warning"]
+    assert set(causes) == {"rays_do_not_meet"}
+    assert len(causes) >= 4

@@ -68,7 +68,8 @@ def best_explanation(
 ) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
-    Every alternative (with `clocks_only` only clocks) is tried on a few detections, and the best of them on all.
+    Every alternative (with `clocks_only` only clocks, and a pose where one of them is promising) is tried on a few
+    detections, and the best of them on all.
     If `thorough`, the first look takes more detections, and finer steps of the clock. Tolerances are those of a
     meeting, in standard deviations.
     """
@@ -83,7 +84,7 @@ def best_explanation(
     promising = [
         (t, one) for t, one in looks if one is not None and one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN
     ]
-    best_first = sorted(promising, key=lambda look: -look[1].met.excess)[:FINALISTS]
+    best_first = sorted(promising, key=lambda look: -look[1].met.sharpness)[:FINALISTS]
     chosen = {id(trial) for trial, _ in best_first}
     finalists = [trial for trial in trials if id(trial) in chosen]
     scope = best_first[0][0].scope[:FINALISTS] if best_first else _least_met(geometry)[: not clocks_only]
