@@ -1,6 +1,7 @@
 """Method annealed of `calibrate`: its starts, kept while the run is unfinished, on processes, and its `Outcome`."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from operator import call
@@ -42,7 +43,7 @@ from stereophd.core.numerics.random_streams import CALIBRATION_PAIRING, CALIBRAT
 from stereophd.io.outputs.json_text import finite_or_none
 from stereophd.pipeline.calibration.problem import CalibrationRun, Outcome, annealed_task, part_used
 from stereophd.pipeline.calibration.sampled import smc_outcome
-from stereophd.pipeline.workers.places import on_processes
+from stereophd.pipeline.workers.places import worker_processes
 from stereophd.wording import PROGRESS
 
 # Draws that represent a Laplace posterior.
@@ -136,27 +137,30 @@ def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[S
 
     if not is_done():
         run.limit.begin(f"up to {count} starts begin")
-    while not is_done():
-        for start in _next_starts(task, starts, values, seeds, run.jobs):
-            starts.append(start)
-            if not run.limit.is_over:  # one that the time has cut short is done again
-                run.unfinished.keep(kept, list(starts))
-            run.progress(len(starts), count)
-            if is_done():
-                break
+    jobs = 1 if is_done() else min(run.jobs, count - len(starts))
+    with nullcontext(map) if jobs == 1 else worker_processes(jobs, PROGRESS.debug) as results_of:
+        while not is_done():
+            for start in _next_starts(task, starts, values, seeds, results_of, jobs):
+                starts.append(start)
+                if not run.limit.is_over:  # one that the time has cut short is done again
+                    run.unfinished.keep(kept, list(starts))
+                run.progress(len(starts), count)
+                if is_done():
+                    break
     return starts
 
 
 def _next_starts(
-    task: Task, starts: list[Start], values: Array, seeds: list[np.random.SeedSequence], jobs: int
-) -> Iterator[Start]:
-    """Yield the starts after those that there are, as many as there are processes.
+    task: Task, starts: list[Start], values: Array, seeds: list[np.random.SeedSequence],
+    results_of: Callable[..., Iterator[Any]], jobs: int,
+) -> Iterator[Start]:  # fmt: skip
+    """Yield the starts after those that there are, as many as there are processes, which `results_of` calls.
 
     All are paired, and those of one pairing are followed once: they would end alike.
     """
     places, std = range(len(starts), min(len(starts) + jobs, len(values))), task.parameters.prior_std
     calls = [partial(paired, task, place, values[place], seeds[place]) for place in places]
-    pairings = dict(zip(places, on_processes(call, calls, min(jobs, len(calls)), tell=PROGRESS.debug), strict=True))
+    pairings = dict(zip(places, results_of(call, calls), strict=True))
     firsts = [
         place
         for place in places
@@ -165,8 +169,7 @@ def _next_starts(
             is_led_to(pairings[place], p, std) for one in places[: place - places[0]] for p in pairings[one][:1]
         )
     ]
-    calls_of_firsts = [partial(run_start, task, place, values[place], pairings[place]) for place in firsts]
-    followed = on_processes(call, calls_of_firsts, min(jobs, max(len(firsts), 1)), tell=PROGRESS.debug)
+    followed = results_of(call, [partial(run_start, task, place, values[place], pairings[place]) for place in firsts])
     for place in places:
         own = next(followed) if place in firsts else None
         # one before it may have ended at another than its first pairing: processes decide about none

@@ -65,22 +65,29 @@ def on_processes(
     """
     if jobs == 1:
         yield from map(function, arguments)
-        return
+    elif calls := list(arguments):
+        with worker_processes(min(processes(jobs), len(calls)), tell) as results_of:
+            yield from results_of(function, calls, ordered)
+
+
+@contextmanager
+def worker_processes(count: int, tell: Callable[[str], None] | None = None) -> Iterator[Callable[..., Iterator[Any]]]:
+    """Begin processes that end with the block; yield what calls a function for arguments on them (`on_processes`)."""
     from joblib import cpu_count
 
-    calls = list(arguments)
-    if not calls:
-        return
-    count = min(processes(jobs), len(calls))
     workers: list[WorkerProcess] = []
     idle: SimpleQueue[WorkerProcess] = SimpleQueue()
 
-    def call(argument: Argument) -> Any:
+    def call(function: Callable[[Argument], Result], argument: Argument) -> Any:
         worker = idle.get()
         try:
             return worker.call(function, argument, tell)
         finally:
             idle.put(worker)
+
+    def results_of(function: Callable[[Argument], Result], arguments: Iterable[Argument], ordered: bool = True) -> Any:
+        results = [pool.submit(call, function, argument) for argument in arguments]
+        return (result.result() for result in (results if ordered else as_completed(results)))
 
     pool = ThreadPoolExecutor(count)
     try:
@@ -88,9 +95,7 @@ def on_processes(
             workers.extend(WorkerProcess(max(cpu_count() // count, 1)) for _ in range(count))
         for worker in workers:
             idle.put(worker)
-        results = [pool.submit(call, argument) for argument in calls]
-        for result in results if ordered else as_completed(results):
-            yield result.result()
+        yield results_of
     finally:
         pool.shutdown(wait=False, cancel_futures=True)
         for worker in workers:

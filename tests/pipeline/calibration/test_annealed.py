@@ -1,6 +1,7 @@
 """Which starts are run, and with what unknown."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, cast
@@ -76,7 +77,7 @@ def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Start]]:
             loaded=SimpleNamespace(config=SimpleNamespace(seed=1)), jobs=jobs, limit=Limit(begun, last),
             unfinished=unfinished, progress=lambda *_: None,
         )  # fmt: skip
-        monkeypatch.setattr(annealed, "on_processes", lambda call, calls, *_, **__: map(call, calls))
+        monkeypatch.setattr(annealed, "worker_processes", lambda *_: nullcontext(map))
         found = annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task))
         return (found, begun) if pairings else found
 
