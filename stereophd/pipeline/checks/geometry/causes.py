@@ -94,14 +94,13 @@ def best_explanation(
     least, of_rate = (NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried * n, 1)) for n in (1, steps))
     explained = [one for trial in finalists if (one := trial.explain(geometry, tolerances)) is not None]
     best = max((one.met.sharpness for one in explained), default=0.0)
-    # of those that explain as much the first: the list begins with the likely ones; another one that explains more, and
-    # is not certain, lets none be named
-    alike = [
-        one for one in explained
-        if one.met.sharpness >= best - 0.03
-        and one.is_decisive(of_rate if one.trial.cause == "frame_rate" else least)
-    ]  # fmt: skip
-    return next((one for one in alike[:1] if _is_confirmed(one, geometry, tolerances, least)), None)
+    certain = [one for one in explained if one.is_decisive(of_rate if one.trial.cause == "frame_rate" else least)]
+    is_wrong = any(one.trial.cause != DO_NOT_MEET for one in certain)
+    # of those that explain as much the first: the list begins with the likely ones. Where a usual mistake is certain
+    # and a pose explains more, certain or not, something is wrong, and it is not that mistake
+    alike = [one for one in (explained if is_wrong else certain) if one.met.sharpness >= best - 0.03]
+    alike = [one for one in alike if one in certain or one.trial.cause == DO_NOT_MEET]
+    return next((one for one in alike[:1] if is_wrong or _is_confirmed(one, geometry, tolerances, least)), None)
 
 
 def _affordable(pair: Candidates, count: int, tables: int) -> int:
@@ -152,7 +151,7 @@ class Trial:
         return Explanation(self, _mean(after), _mean(before), gain / math.sqrt(max(variance, 1.0)))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Explanation:
     """What the change of a trial explains of the log, over the pairs concerned."""
 
