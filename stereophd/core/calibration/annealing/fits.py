@@ -233,17 +233,19 @@ def adjusted_to(
     noise = _length_of_noise(task, observations, points, fit.adjustment.values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
-    begun = _at(problem, fit.adjustment.values, _settled(problem, fit.adjustment.values, states))
-    found = _fit(task, problem, begun, detections, fit.motion_noise)
-    is_stuck = not is_joint and not _can_settle(problem, begun)
-    if is_stuck and (standing := _standing(task, found, most)) is not None:
-        return standing
+    values = fit.adjustment.values
+    states = _settled(problem, values, states)
     searched = None
     if not is_joint:
+        begun = _at(problem, values, states)
+        if not _can_settle(problem, begun):
+            standing = _standing(task, _fit(task, problem, begun, detections, fit.motion_noise), most)
+            if standing is not None:
+                return standing
         with suppress(LinAlgError):  # the joint optimum is found with damping
             searched = _searched(task, problem, begun, detections, fit.motion_noise, SETTLED_IN_PASSES)
     if searched is None:
-        joint = adjust(problem, begun.values, begun.states, most or MOST_ITERATIONS)
+        joint = adjust(problem, values, states, most or MOST_ITERATIONS)
         searched = _fit(task, problem, joint, detections, fit.motion_noise)
     return _standing(task, searched, most) or searched
 

@@ -35,7 +35,7 @@ class PmbSettings(FilterSettings):
     )
     max_hypotheses: Count | None = parameter(
         "bound on the hypotheses of all tracks together: beyond it the likeliest are kept, what the others decided "
-        "remains undecided, and a warning says so if that is much; null: sixteen for each detection of the event, "
+        "remains undecided, and a warning is given if that is much; null: sixteen for each detection of the event, "
         "at least 8192",
         default=None,
         advice="it acts where hundreds of objects appear at once; a larger bound resolves the ambiguity in fewer "

@@ -69,9 +69,8 @@ def best_explanation(
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
     Every alternative (with `clocks_only` only clocks, and a pose where one of them is promising) is tried on a few
-    detections, and the best of them on all.
-    If `thorough`, the first look takes more detections, and finer steps of the clock. Tolerances are those of a
-    meeting, in standard deviations.
+    detections, and the best of them on all. If `thorough`, the first look takes more detections, and finer steps of the
+    clock. Tolerances are those of a meeting, in standard deviations.
     """
     size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
     few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
@@ -93,13 +92,13 @@ def best_explanation(
     # a rate is found from two offsets
     least, of_rate = (NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried * n, 1)) for n in (1, steps))
     explained = [one for trial in finalists if (one := trial.explain(geometry, tolerances)) is not None]
-    best = max((one.met.sharpness for one in explained), default=0.0)
     certain = [one for one in explained if one.is_decisive(of_rate if one.trial.cause == "frame_rate" else least)]
     is_wrong = any(one.trial.cause != DO_NOT_MEET for one in certain)
-    # of those that explain as much the first: the list begins with the likely ones. Where a usual mistake is certain
-    # and a pose explains more, certain or not, something is wrong, and it is not that mistake
-    alike = [one for one in (explained if is_wrong else certain) if one.met.sharpness >= best - 0.03]
-    alike = [one for one in alike if one in certain or one.trial.cause == DO_NOT_MEET]
+    # where a usual mistake is certain, something is wrong: a pose that explains more, certain or not, competes
+    compete = [one for one in explained if one in certain or (is_wrong and one.trial.cause == DO_NOT_MEET)]
+    best = max((one.met.sharpness for one in compete), default=0.0)
+    # of those that explain as much the first: the list begins with the likely ones
+    alike = [one for one in compete if one.met.sharpness >= best - 0.03]
     return next((one for one in alike[:1] if is_wrong or _is_confirmed(one, geometry, tolerances, least)), None)
 
 
