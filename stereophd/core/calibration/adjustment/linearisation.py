@@ -24,9 +24,8 @@ from stereophd.core.calibration.adjustment.trajectories import (
 )
 from stereophd.core.calibration.unknowns.parameters import taken
 from stereophd.core.calibration.unknowns.quantities.base import TIMES
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import bent, look
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import Sights
 from stereophd.core.calibration.unknowns.scale import log_scale, predicted
-from stereophd.core.geometry.camera import Camera
 
 # Relative weight on the diagonal that keeps the factorisation of nearly singular knots from failing.
 ROUNDING = 1e-13
@@ -86,7 +85,7 @@ class Seen(NamedTuple):
 class Placement(NamedTuple):
     """What values determine whatever the knots are: cameras, times, and the interpolation of what is seen at them."""
 
-    cameras: tuple[Camera, ...]
+    sights: Sights  # Cameras and poses
     times: Array
     path: Interpolation  # Positions
     rates: Interpolation  # Velocities
@@ -205,7 +204,7 @@ class Linearisation:
             path = interpolation(self.problem.knots, observations.trajectories, times)
             if by_values:
                 rates = slopes(self.problem.knots, observations.trajectories, times)
-        return Placement(cameras, times, path, rates)
+        return Placement(Sights.of(cameras, observations.cameras, times), times, path, rates)
 
     def residuals(
         self, values: Array, states: Array, placement: Placement | None = None, by_values: bool = True
@@ -222,23 +221,20 @@ class Linearisation:
     ) -> Seen:  # fmt: skip
         """What is seen of points and velocities (n, 3)."""
         observations, parameters = self.problem.observations, self.problem.parameters
-        count = len(observations)
-        errors, visible = np.empty((count, 2)), np.empty(count, dtype=np.bool_)
-        by_point, by_value = np.empty((count, 2, 3)), np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
-        bends = np.empty((count, 2 if with_bends else 0, 3, 3))
-        for camera, here in zip(placement.cameras, self.members, strict=True):
-            at = placement.times[here], observations.log_times[here], observations.rows[here]
-            view = look(camera, world[here], velocities[here], *at)
-            errors[here], visible[here] = observations.points[here] - view.pixels, view.ahead
-            by_point[here] = view.by_world
-            if with_bends:
-                bends[here] = bent(view)
-            unknown = parameters.unknown(view.camera.name) if by_values else ()
-            parts = [quantity.derivative(view, taken(values, index))[:, :, index >= 0] for quantity, index in unknown]
-            if parts:
+        sights, count = placement.sights, len(observations)
+        found = sights.project(world)
+        by_value = np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
+        at = placement.times, observations.log_times, observations.rows
+        for number, here in enumerate(self.members if by_values else ()):
+            if unknown := parameters.unknown(sights.cameras[number].name):
+                view = sights.view(number, here, found, velocities, *at)
+                parts = [
+                    quantity.derivative(view, taken(values, index))[:, :, index >= 0] for quantity, index in unknown
+                ]
                 by_camera = np.concatenate(parts, axis=2)
                 by_value[here, :, : by_camera.shape[2]] = by_camera
-        return Seen(errors, visible, by_point, by_value, bends)
+        bends = sights.bends(found) if with_bends else np.empty((count, 0, 3, 3))
+        return Seen(observations.points - found.pixels, found.ahead, found.by_world, by_value, bends)
 
     def factor_of_knots(self, path: Interpolation, seen: Seen, bands: Array) -> Array:
         """Cholesky factor (12, size) of the second derivatives of the cost by the knots, where there is no loss.

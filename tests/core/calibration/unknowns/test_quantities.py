@@ -8,7 +8,7 @@ import pytest
 
 from stereophd.config.calibration import CameraPrior
 from stereophd.core.calibration.unknowns.quantities.base import TIMES, Quantity
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import bent, look
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import Sights, look
 from stereophd.core.calibration.unknowns.quantities.pose import Center, Rotation
 from stereophd.core.calibration.unknowns.quantities.registry import component_names, quantities, quantity_of
 from stereophd.core.geometry.camera import Camera, Clock, Detector
@@ -105,7 +105,8 @@ def test_second_derivatives_by_the_point_are_those_of_first_ones(lens: str, movi
         return np.einsum("nr,nra->na", pulls, look(camera, points, 0.0 * points, when, when, when).by_world)
 
     numeric = np.stack([(slopes(world + step * e) - slopes(world - step * e)) / (2.0 * step) for e in np.eye(3)], 1)
-    found = np.einsum("nr,nrab->nab", pulls, bent(look(camera, world, 0.0 * world, when, when, when)))
+    sights = Sights.of((camera,), np.zeros(count, dtype=np.int64), when)
+    found = np.einsum("nr,nrab->nab", pulls, sights.bends(sights.project(world)))
     np.testing.assert_allclose(found, numeric, atol=1e-5 * np.abs(numeric).max())
 
 

@@ -3,19 +3,94 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Booleans
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.unknowns.quantities.base import CameraView
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.compiled_lenses import distort_point_jacobian
 from stereophd.core.geometry.layout import LENS_NONE
-from stereophd.core.geometry.rotations import rotations
+from stereophd.core.geometry.trajectory import Motions
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Step of differences of a lens's derivatives, in normalised coordinates.
 LENS_STEP = 1e-4
+
+
+class Projection(NamedTuple):
+    """What cameras see of points, row by row; the fields are those of a `CameraView`."""
+
+    ahead: Booleans
+    visible: Booleans
+    points: Array
+    undistorted: Array
+    distorted: Array
+    pixels: Array
+    by_point: Array
+    by_world: Array
+
+
+class Places(NamedTuple):
+    """From where n rows are seen by c cameras, for kernels. Poses are (k, ...): one of a camera that stands still."""
+
+    of_row: Integers  # (n,): Camera of each row
+    poses: Integers  # (n,): Pose of each row
+    motions: Motions  # The poses
+    intrinsics: Array  # (c, 6): fx, fy, cx, cy, code and `max_radius` of the lens, of each camera
+    lenses: Array  # (c, 8): Coefficients of its lens
+
+
+@dataclass(frozen=True)
+class Sights:
+    """The cameras and poses from which rows are seen."""
+
+    cameras: tuple[Camera, ...]
+    places: Places
+
+    @staticmethod
+    def of(cameras: tuple[Camera, ...], of_row: Integers, times: Array) -> Sights:
+        """Return those of rows of cameras (n,) at true times (n,), s."""
+        found, poses, count = [], np.empty(len(of_row), dtype=np.int64), 0
+        for number, camera in enumerate(cameras):
+            here, is_static = np.flatnonzero(of_row == number), camera.pose.is_static
+            found.append(camera.pose.motions(np.zeros(1) if is_static else times[here]))
+            poses[here] = count + (0 if is_static else np.arange(len(here)))
+            count += len(found[-1].centers)
+        motions = Motions(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+        intrinsics = np.array([[c.fx, c.fy, c.cx, c.cy, c.lens.code, c.lens.max_radius] for c in cameras])
+        return Sights(
+            cameras, Places(of_row, poses, motions, intrinsics, np.array([c.lens.coefficients for c in cameras]))
+        )
+
+    def project(self, world: Array) -> Projection:
+        """Project points (n, 3) of the world."""
+        return Projection(*_projected(world, self.places))
+
+    def bends(self, seen: Projection) -> Array:
+        """Second derivatives (n, 2, 3, 3) of the raw pixels by the point in the world."""
+        return np.asarray(_bends(seen.points, seen.ahead, self.places))
+
+    def view(self, number: int, here: Integers, seen: Projection, velocities: Array, *at: Array) -> CameraView:
+        """View of a camera on its rows `here`, with all that derivatives by its values need.
+
+        `velocities` (n, 3) are those of the points; `at` are true times, log times and rows of detections, as in
+        `look`.
+        """
+        camera, motions, poses = self.cameras[number], self.places.motions, self.places.poses[here]
+        pose, (times, log_times, rows) = camera.pose, (values[here] for values in at)
+        part = Projection(*(values[here] for values in seen))
+        by_time = np.einsum("nij,nj->ni", part.by_world, velocities[here] - motions.velocities[poses])
+        turns = None
+        if pose.path is not None or pose.rotation_rate.any():
+            turns = motions.rotations[poses] @ pose.rotation.T
+            by_time += np.einsum("nij,nj->ni", part.by_point, np.cross(part.points, motions.rates[poses]))
+        return CameraView(
+            camera, part.ahead, part.visible, times - pose.time_s, log_times, rows, part.points, turns,
+            part.undistorted, part.distorted, part.by_point, part.by_world, by_time, part.pixels,
+        )  # fmt: skip
 
 
 def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:
@@ -24,42 +99,8 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
     `times` (n,) are true ones and `log_times` (n,) those on the camera's clock, s; `rows` (n,) are those of the
     detections over the height of the image.
     """
-    pose = camera.pose
-    elapsed = times - pose.time_s
-    turns = None
-    camera_velocity, camera_rate = pose.velocity, pose.rotation_rate
-    if pose.path is not None:
-        found = pose.path.at(times)
-        camera_velocity, camera_rate = found.velocities, found.rates
-        turns = found.rotations @ pose.rotation.T
-        points = product(found.rotations, world - found.centers)
-    else:
-        offsets = world - pose.center
-        if pose.velocity.any():
-            offsets = offsets - elapsed[:, None] * pose.velocity
-        points = product(pose.rotation, offsets)
-        if pose.rotation_rate.any():
-            turns = rotations(-elapsed[:, None] * pose.rotation_rate)
-            points = product(turns, points)
-    axes = pose.rotation[None] if turns is None else turns @ pose.rotation
-    focal, lens = np.array([camera.fx, camera.fy]), camera.lens
-    ahead, visible, undistorted, distorted, by_point, by_world = project(
-        points, axes, focal, lens.code, lens.coefficients, lens.max_radius
-    )
-    pixels = distorted * focal + [camera.cx, camera.cy]
-    motion = np.einsum("nij,nj->ni", by_world, velocities - camera_velocity)
-    if turns is not None:
-        motion += np.einsum("nij,nj->ni", by_point, np.cross(points, camera_rate))
-    return CameraView(
-        camera, ahead, visible, elapsed, log_times, rows, points, turns, undistorted, distorted, by_point, by_world,
-        motion, pixels,
-    )  # fmt: skip
-
-
-def product(matrices: Array, vectors: Array) -> Array:
-    """Products (n, 3) of a matrix (3, 3), or one for each row (n, 3, 3), with vectors (n, 3)."""
-    x, y, z = vectors[:, 0], vectors[:, 1], vectors[:, 2]
-    return np.stack([matrices[..., i, 0] * x + matrices[..., i, 1] * y + matrices[..., i, 2] * z for i in range(3)], 1)
+    sights = Sights.of((camera,), np.zeros(len(world), dtype=np.int64), times)
+    return sights.view(0, np.arange(len(world)), sights.project(world), velocities, times, log_times, rows)
 
 
 @compiled
@@ -80,60 +121,62 @@ def _imaged(
 
 
 @compiled
-def project(
-    points: Array, axes: Array, focal: Array, code: int, coefficients: Array, max_radius: float
-) -> tuple[Booleans, Booleans, Array, Array, Array, Array]:
-    """Return the fields of a `CameraView` of points (n, 3) from `ahead` to `by_world` that depend on the lens.
+def _projected(world: Array, places: Places) -> tuple[Booleans, Booleans, Array, Array, Array, Array, Array, Array]:
+    """Return the fields of `Projection` of points (n, 3).
 
-    `axes` (1, 3, 3) or (n, 3, 3) turn the world into the camera's axes; `focal` (2,) are in px. What lies beyond the
-    `max_radius` of a lens is imaged as if on it, where the model folds back. Were it out of view, its detections would
-    not let the lens become one that folds back sooner.
+    What lies beyond the `max_radius` of a lens is imaged as if on it, where the model folds back. Were it out of view,
+    its detections would not let the lens become one that folds back sooner.
     """
-    count = len(points)
+    count = len(world)
     ahead, visible = np.empty(count, dtype=np.bool_), np.empty(count, dtype=np.bool_)
-    undistorted, distorted = np.empty((count, 2)), np.empty((count, 2))
+    points, undistorted = np.empty((count, 3)), np.empty((count, 2))
+    distorted, pixels = np.empty((count, 2)), np.empty((count, 2))
     by_point, by_world = np.empty((count, 2, 3)), np.empty((count, 2, 3))
     for n in range(count):
-        turn = axes[n if axes.shape[0] > 1 else 0]
+        number, pose = places.of_row[n], places.poses[n]
+        turn, center = places.motions.rotations[pose], places.motions.centers[pose]
+        camera, lens = places.intrinsics[number], places.lenses[number]
+        code = int(camera[4])
+        d0, d1, d2 = world[n, 0] - center[0], world[n, 1] - center[1], world[n, 2] - center[2]
+        for i in range(3):
+            points[n, i] = turn[i, 0] * d0 + turn[i, 1] * d1 + turn[i, 2] * d2
         seen = points[n, 2] > 0.0
         inverse = 1.0 / points[n, 2] if seen else 1.0
         x, y = points[n, 0] * inverse, points[n, 1] * inverse
-        share, x_d, y_d, j00, j01, j10, j11 = _imaged(code, coefficients, max_radius, x, y)
+        share, x_d, y_d, j00, j01, j10, j11 = _imaged(code, lens, camera[5], x, y)
         undistorted[n, 0], undistorted[n, 1] = share * x, share * y
         ahead[n], visible[n] = seen, seen and share == 1.0
         distorted[n, 0], distorted[n, 1] = x_d, y_d
         for i in range(2):
+            focal = camera[i]
+            pixels[n, i] = distorted[n, i] * focal + camera[2 + i]
             by_x, by_y = (j00, j01) if i == 0 else (j10, j11)
-            by_x, by_y = by_x * focal[i] * inverse, by_y * focal[i] * inverse
+            by_x, by_y = by_x * focal * inverse, by_y * focal * inverse
             by_z = -(by_x * x + by_y * y)
             if code == LENS_NONE:
-                by_z = -focal[i] * (x if i == 0 else y) * inverse
+                by_z = -focal * (x if i == 0 else y) * inverse
             by_point[n, i, 0], by_point[n, i, 1], by_point[n, i, 2] = by_x, by_y, by_z
             for a in range(3):
                 by_world[n, i, a] = by_x * turn[0, a] + by_y * turn[1, a] + by_z * turn[2, a]
-    return ahead, visible, undistorted, distorted, by_point, by_world
-
-
-def bent(view: CameraView) -> Array:
-    """Second derivatives (n, 2, 3, 3) of the raw pixels by the point in the world."""
-    camera, lens = view.camera, view.camera.lens
-    axes = camera.pose.rotation[None] if view.turns is None else view.turns @ camera.pose.rotation
-    focal = np.array([camera.fx, camera.fy])
-    return np.asarray(_bends(view.points, view.ahead, axes, focal, lens.code, lens.coefficients, lens.max_radius))
+    return ahead, visible, points, undistorted, distorted, pixels, by_point, by_world
 
 
 @compiled
-def _bends(
-    points: Array, ahead: Booleans, axes: Array, focal: Array, code: int, lens: Array, max_radius: float
-) -> Array:
-    """`bent` by points (n, 3) and axes (1 or n, 3, 3) as those of `project`; those of the lens are differences."""
-    out, by_point, slope, second = np.zeros((len(points), 2, 3, 3)), np.empty((3, 3)), np.eye(2), np.zeros((2, 3))
+def _bends(points: Array, ahead: Booleans, places: Places) -> Array:
+    """`Sights.bends` of points (n, 3) in the camera's axes; second derivatives of lenses are differences."""
+    out, by_point = np.zeros((len(points), 2, 3, 3)), np.empty((3, 3))
+    slope, second = np.empty((2, 2)), np.empty((2, 3))
     half = 0.5 / LENS_STEP
     for n in np.flatnonzero(ahead):
-        turn = axes[n if axes.shape[0] > 1 else 0]
+        number, turn = places.of_row[n], places.motions.rotations[places.poses[n]]
+        camera, lens = places.intrinsics[number], places.lenses[number]
+        code, max_radius = int(camera[4]), camera[5]
         i = 1.0 / points[n, 2]
         x, y = points[n, 0] * i, points[n, 1] * i
-        if code != LENS_NONE:
+        if code == LENS_NONE:
+            slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = 1.0, 0.0, 0.0, 1.0
+            second[:] = 0.0
+        else:
             _, _, _, slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = _imaged(code, lens, max_radius, x, y)
             _, _, _, r00, r01, r10, r11 = _imaged(code, lens, max_radius, x + LENS_STEP, y)
             _, _, _, l00, l01, l10, l11 = _imaged(code, lens, max_radius, x - LENS_STEP, y)
@@ -143,7 +186,7 @@ def _bends(
             second[1, 0], second[1, 1], second[1, 2] = half * (r10 - l10), half * (r11 - l11), half * (d11 - u11)
         for r in range(2):
             a, b, xx, xy, yy = slope[r, 0], slope[r, 1], second[r, 0], second[r, 1], second[r, 2]
-            s = i * i * focal[r]
+            s = i * i * camera[r]
             by_point[0, 0], by_point[0, 1], by_point[1, 1] = s * xx, s * xy, s * yy
             by_point[0, 2] = -s * (x * xx + y * xy + a)
             by_point[1, 2] = -s * (x * xy + y * yy + b)
