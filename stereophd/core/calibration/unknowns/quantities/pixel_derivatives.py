@@ -15,12 +15,14 @@ from stereophd.core.geometry.compiled_lenses import distort_point_jacobian
 from stereophd.core.geometry.layout import LENS_NONE
 from stereophd.core.geometry.trajectory import Motions
 from stereophd.core.numerics.compilation.compiled import compiled
+from stereophd.core.numerics.rows import ArrayRows
 
 # Step of differences of a lens's derivatives, in normalised coordinates.
 LENS_STEP = 1e-4
 
 
-class Projection(NamedTuple):
+@dataclass(frozen=True)
+class Projection(ArrayRows):
     """What cameras see of points, row by row; the fields are those of a `CameraView`."""
 
     ahead: Booleans
@@ -81,7 +83,7 @@ class Sights:
         """
         camera, motions, poses = self.cameras[number], self.places.motions, self.places.poses[here]
         pose, (times, log_times, rows) = camera.pose, (values[here] for values in at)
-        part = Projection(*(values[here] for values in seen))
+        part = seen.take(here)
         by_time = np.einsum("nij,nj->ni", part.by_world, velocities[here] - motions.velocities[poses])
         turns = None
         if pose.path is not None or pose.rotation_rate.any():
