@@ -86,7 +86,7 @@ def test_from_a_data_frame_to_a_plot_takes_ten_lines() -> None:
 def demo(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., object]:
     """Return a `stereophd.demo` that copies a short demonstration, so that several pages need not run it again."""
     folder = tmp_path_factory.mktemp("demonstration")
-    short = re.sub(r"duration_s: [\d.]+", "duration_s: 4.0", config_text())
+    short = re.sub(r"duration_s: [\d.]+", "duration_s: 2.0", config_text())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("stereophd.commands.demo.config_text", lambda: short)
         stereophd.demo(folder)
@@ -99,10 +99,10 @@ def test_the_examples_run(
     for name in ("pandas", "duckdb"):
         pytest.importorskip(name, reason=f"{name} is in the extra dev")
     shutil.copytree(ROOT / "sample_data", tmp_path / "sample_data")
-    for name in ("detections", "truth"):  # the page says nothing of the length
+    for name in ("detections", "truth"):  # the page says nothing of the length; for so long that rays meet
         path = tmp_path / "sample_data" / "hall" / f"{name}.parquet"
         table = pq.read_table(path)
-        pq.write_table(table.filter(pc.less(table["time_s"], 3.0)), path)
+        pq.write_table(table.filter(pc.less(table["time_s"], 8.0)), path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(stereophd, "demo", demo, raising=False)
     names: dict[str, object] = {}

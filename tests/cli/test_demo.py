@@ -20,7 +20,7 @@ def test_the_demo_and_what_it_prints_run(
     call: Callable[..., Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In the folder of an earlier demonstration, as `make demo` runs, which may be of another version."""
-    short = re.sub(r"duration_s: [\d.]+", "duration_s: 4.0", config_text())
+    short = re.sub(r"duration_s: [\d.]+", "duration_s: 2.0", config_text())
     monkeypatch.setattr("stereophd.commands.demo.config_text", lambda: short)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "my demo").mkdir()

@@ -300,6 +300,7 @@ def test_page_works_in_a_browser(folders: Path, tmp_path: Path) -> None:
     assert drawn <= set(found["plots"])
 
 
+@pytest.mark.usefixtures("without_checks")
 def test_track_draws_and_prints_tables(folders: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("matplotlib", reason="plots need matplotlib (the extra plot)")
     from stereophd.cli.app import run

@@ -81,6 +81,7 @@ def test_an_error_of_a_pixel_moves_tracks_in_depth() -> None:
     assert RunFigures().report({}, 0, 0)["camera_error"] == {"move_per_px": None, "stds_per_px": None}
 
 
+@pytest.mark.usefixtures("without_checks")  # what is warned of is found after the run
 @pytest.mark.parametrize("kind", ["pmb", "phd"])
 @pytest.mark.parametrize(("true", "stated"), [(0.5, 0.95), (0.95, 0.6)])
 def test_how_often_tracks_are_detected_does_not_follow_what_is_stated(
