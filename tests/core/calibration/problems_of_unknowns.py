@@ -1,5 +1,7 @@
 """Problems of bundle adjustment in which any quantity of three cameras is unknown."""
 
+from collections.abc import Callable
+
 import numpy as np
 
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem
@@ -50,16 +52,22 @@ def unknowns(cameras: tuple[Camera, ...], names: tuple[str, ...]) -> ParameterSe
     )
 
 
+def in_turn(times: np.ndarray) -> np.ndarray:
+    """Acceleration, over `ACCELERATION`, at times (n,) of objects that hover for two seconds and swerve for two."""
+    return np.where(times % 4.0 < 2.0, 0.1, 2.0)
+
+
 def observe(
-    cameras: tuple[Camera, ...], seed: int, objects: int, seconds: float, mixed: np.ndarray = ALIKE
-) -> tuple[Observations, np.ndarray, np.ndarray]:
+    cameras: tuple[Camera, ...], seed: int, objects: int, seconds: float, mixed: np.ndarray = ALIKE,
+    agility: Callable[[np.ndarray], np.ndarray] = np.ones_like,
+) -> tuple[Observations, np.ndarray, np.ndarray]:  # fmt: skip
     """Detections of objects of white acceleration by true cameras, their true times and positions.
 
-    `mixed` (3, 3) turns acceleration that is alike on all axes into another.
+    `mixed` (3, 3) turns acceleration that is alike on all axes into another, which `agility` multiplies at times (n,).
     """
     rng = np.random.default_rng(seed)
     grid = np.arange(-1.0, seconds + 1.0, 0.005)
-    kicks = mixed @ (ACCELERATION * np.sqrt(0.005) * rng.standard_normal((objects, 3, len(grid))))
+    kicks = mixed @ (agility(grid) * ACCELERATION * np.sqrt(0.005) * rng.standard_normal((objects, 3, len(grid))))
     velocity = rng.normal(0.0, 0.2, (objects, 3, 1)) + np.cumsum(kicks, axis=2)
     paths = rng.normal(0.0, 0.8, (objects, 3, 1)) + 0.005 * np.cumsum(velocity, axis=2)
     rows = [

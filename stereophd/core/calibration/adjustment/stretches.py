@@ -30,13 +30,12 @@ from stereophd.core.numerics.covariance_factors import covariance_factor
 STRETCHES, JOINED, BEYOND_CHANCE = 64, (1, 2, 4), 1.5
 
 
-def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, noise: Array) -> tuple[Array, float]:
-    """Return the covariance (m, m) that disagreeing stretches add to that of a fit, and by how much it widens it most.
+def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, noise: Array) -> tuple[Array, float, float]:
+    """Return the covariance (m, m) that disagreeing stretches add to that of a fit, and by how much they widen most.
 
-    The factor is one of standard deviations, 1 where the stretches agree.
+    By what factors of standard deviations, 1 where they agree: of all unknowns with the noise of the motion, of values.
     """
-    size = problem.parameters.size
-    posterior, point = at_answer(problem, adjustment, noise)
+    size, (posterior, point) = problem.parameters.size, at_answer(problem, adjustment, noise)
     covariance, prior_std = posterior.covariance(point), posterior.prior_std
     scores = _scores(posterior.linearisation, point, noise, posterior.slopes(point))
     determined = max(float((1.0 - np.diag(covariance) / prior_std**2).sum()), 1.0)
@@ -47,7 +46,8 @@ def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, noise: A
     root = covariance_factor(covariance - np.outer(with_scale, with_scale) / of_scale)
     widened = widening((scores - scores.mean(axis=0)) @ root, determined)
     more = root @ (widened @ widened.T - np.eye(len(root))) @ root.T
-    return np.asarray((more + more.T)[:size, :size] / 2.0, dtype=np.float64), float(np.linalg.norm(widened, 2))
+    of_all, of_values = (float(np.linalg.norm(rows, 2)) for rows in (widened, widened[:size]))  # the root is triangular
+    return np.asarray((more + more.T)[:size, :size] / 2.0, dtype=np.float64), of_all, of_values
 
 
 def widening(scores: Array, determined: float) -> Array:

@@ -317,13 +317,13 @@ def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, tuple[Remark
         except LinAlgError:
             adjustment = replace(adjustment, converged=False)
     try:
-        more, factor = disagreement_of_stretches(problem, adjustment, answer.motion_noise)
+        more, factor, of_cameras = disagreement_of_stretches(problem, adjustment, answer.motion_noise)
     except LinAlgError:
         return replace(answer, adjustment=replace(adjustment, converged=False)), ()
     adjustment = replace(adjustment, covariance=adjustment.covariance + more + doubtful @ doubtful.T)
     text = (
-        f"stretches of the log disagree on the cameras by up to {factor:.1f} times what their noise allows: the stated "
-        "deviations were widened; something of what is stated is wrong"
+        f"stretches of the log disagree by up to {factor:.1f} times what their noise allows, on the cameras by "
+        f"{of_cameras:.1f}: the stated deviations were widened; errors of detections last, or something stated is wrong"
     )
     remark = Remark("stretches", text, factor > LARGEST_WIDENING)
     return replace(answer, adjustment=adjustment), (remark,) if factor > SAID_FACTOR else ()

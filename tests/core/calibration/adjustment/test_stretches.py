@@ -11,7 +11,7 @@ from stereophd.core.calibration.adjustment.marginal import marginal_optimum
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches, widening
 from stereophd.core.geometry.lens import Lens
-from tests.core.calibration.problems_of_unknowns import STDS, observe, problem_of, rig, some_problem, unknowns
+from tests.core.calibration.problems_of_unknowns import STDS, in_turn, observe, problem_of, rig, some_problem, unknowns
 
 
 def test_scores_of_the_stated_information_widen_nothing() -> None:
@@ -43,9 +43,26 @@ def test_stretches_of_a_right_model_agree(seed: int, center_std: float, monkeypa
     monkeypatch.setitem(STDS, "center", center_std)
     problem, states, drawn = some_problem(("center", "rotation", "focal"), seed)
     marginal = marginal_optimum(problem, adjust(problem, drawn, states))
-    more, factor = disagreement_of_stretches(problem, marginal.adjustment, marginal.motion_noise)
+    more, factor, _ = disagreement_of_stretches(problem, marginal.adjustment, marginal.motion_noise)
     assert factor < 1.5
     np.testing.assert_array_equal(more, more.T)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_stretches_say_of_the_noise_of_the_motion_is_not_said_of_cameras(seed: int) -> None:
+    """Objects that hover and swerve in turn: the noise of their motion differs, and the cameras are the same."""
+    true = unknowns(rig("none"), ("center", "rotation", "focal"))
+    drawn = 0.3 * true.sample(np.random.default_rng(seed), 1)[0]
+    observations, _, points = observe(true.cameras, seed, 4, 12.0, agility=in_turn)
+    seen = np.isfinite(observations.points).all(axis=1)
+    problem, states = problem_of(true.about(true.guess(drawn)), observations.take(seen), points[seen])
+    marginal = marginal_optimum(problem, adjust(problem, drawn, states))
+    more, of_all, of_cameras = disagreement_of_stretches(problem, marginal.adjustment, marginal.motion_noise)
+    assert of_all > 2.0
+    assert of_cameras < 1.5
+    covariance = marginal.adjustment.covariance
+    widened = np.linalg.eigvals(np.linalg.solve(covariance, covariance + more)).real.max()
+    assert of_cameras == pytest.approx(np.sqrt(widened), rel=1e-3)
 
 
 def test_stretches_disagree_where_an_unstated_lens_is_strong() -> None:
@@ -54,6 +71,6 @@ def test_stretches_disagree_where_an_unstated_lens_is_strong() -> None:
     cameras = tuple(replace(camera, lens=Lens()) for camera in true)
     problem, states = problem_of(unknowns(cameras, ("center", "rotation")), observations, points)
     marginal = marginal_optimum(problem, adjust(problem, np.zeros(problem.parameters.size), states))
-    more, factor = disagreement_of_stretches(problem, marginal.adjustment, marginal.motion_noise)
+    more, factor, _ = disagreement_of_stretches(problem, marginal.adjustment, marginal.motion_noise)
     assert factor > 3.0
     assert (np.linalg.eigvalsh(more) > -1e-12).all()
