@@ -25,7 +25,7 @@ class TimeLimit:
     def begin(self, stage: str) -> bool:
         """Tell that a stage begins; return whether there is time for it."""
         left = self.ends - time.monotonic()
-        LOGGER.info("%s%s", stage, f" ({max(left, 0.0):.0f} s left)" if math.isfinite(left) else "")
+        LOGGER.info("%s%s", stage, f" (begun with {max(left, 0.0):.0f} s left)" if math.isfinite(left) else "")
         return left > 0.0
 
 

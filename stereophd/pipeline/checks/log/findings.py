@@ -265,5 +265,5 @@ def _periods(samples: list[CameraSample]) -> Iterator[Finding]:
             )  # fmt: skip
             return
     lengths = sorted(sample.times[-1] - sample.times[0] for sample in samples)
-    text = f"the periods of the cameras overlap, and last {lengths[0]:.4g} to {lengths[-1]:.4g} s"
+    text = f"the periods of the cameras overlap; frames of {lengths[0]:.4g} to {lengths[-1]:.4g} s were examined"
     yield Finding("log.periods", "ok", text)
