@@ -22,7 +22,7 @@ apart. Damping helps where matrices are nearly singular.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded
@@ -51,7 +51,7 @@ STALLED_STEPS = 20
 
 @dataclass(frozen=True)
 class Adjustment:
-    """Outcome of `adjust`."""
+    """Outcome of `adjust`, and of `marginal.marginal_optimum`."""
 
     values: Array  # (m,)
     states: Array  # (k, 2, 3): Knots
@@ -59,6 +59,8 @@ class Adjustment:
     cost: float  # Twice the negative logarithm of the posterior density, without its constant
     distances: Array  # (n,): Squared Mahalanobis distances of the detections
     converged: bool
+    # (6,): Unknowns of the noise of the motion (`trajectories.MotionNoise`), in units of the scene's scale
+    motion_noise: Array = field(default_factory=lambda: STATED)
 
 
 @dataclass(frozen=True)
@@ -128,13 +130,15 @@ def settled_knots(
     noise: Array = STATED,
     most: int = KNOT_STEPS,
     settled: float = KNOTS_SETTLED,
-) -> Array:
+) -> tuple[Array, float]:
     """Minimise the cost by the knots (k, 2, 3) alone, until it would fall by no more than `settled`; no loss counts.
 
+    Also returns by how much the last step looked at would lower it: `settled` at most where the minimum was found.
     Raises LinAlgError when the matrix of the knots is not positive definite, or the cost is not finite.
     """
     placement = linearisation.placed(values, by_values=False)
     cost, bands, vector = linearisation.of_knots(values, states, noise, placement)
+    promised = np.inf
     for _ in range(most):
         if not np.isfinite(cost):
             raise LinAlgError("the cost is not finite")
@@ -155,7 +159,7 @@ def settled_knots(
         else:
             break
         states, (cost, bands, vector) = moved, tried
-    return states
+    return states, promised
 
 
 def adjust(
@@ -224,7 +228,7 @@ def _followed(
     problem = linearisation.problem.weighted(linearisation.problem.weights(before.distances))
     settled = tolerance * max(before.cost, 1.0)
     try:
-        states = settled_knots(
+        states, _ = settled_knots(
             replace(linearisation, problem=problem), values, states, STATED, FOLLOWING_STEPS, settled
         )
     except LinAlgError:

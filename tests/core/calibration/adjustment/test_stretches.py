@@ -43,7 +43,7 @@ def test_stretches_of_a_right_model_agree(seed: int, center_std: float, monkeypa
     monkeypatch.setitem(STDS, "center", center_std)
     problem, states, drawn = some_problem(("center", "rotation", "focal"), seed)
     marginal = marginal_optimum(problem, adjust(problem, drawn, states))
-    more, factor = disagreement_of_stretches(problem, marginal.adjustment, marginal.motion_noise)
+    more, factor = disagreement_of_stretches(problem, marginal)
     assert factor < 1.5
     np.testing.assert_array_equal(more, more.T)
 
@@ -54,6 +54,6 @@ def test_stretches_disagree_where_an_unstated_lens_is_strong() -> None:
     cameras = tuple(replace(camera, lens=Lens()) for camera in true)
     problem, states = problem_of(unknowns(cameras, ("center", "rotation")), observations, points)
     marginal = marginal_optimum(problem, adjust(problem, np.zeros(problem.parameters.size), states))
-    more, factor = disagreement_of_stretches(problem, marginal.adjustment, marginal.motion_noise)
+    more, factor = disagreement_of_stretches(problem, marginal)
     assert factor > 3.0
     assert (np.linalg.eigvalsh(more) > -1e-12).all()
