@@ -45,8 +45,9 @@ LEAST_SHARE, LONGER = 1.0 / 64.0, 2.0
 FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10
 # Part of a diagonal of 1 that rounding makes, and least eigenvalue beside which that is nothing.
 ROUNDED, REGULAR = 1e-12, 1e-10
-# Most steps that do not lower the cost: damping can grow from the first to the most, and a step be halved.
-STALLED_STEPS = 20
+# Part of the cost that is not worth a step; most steps that do not lower the cost: damping can grow from the first to
+# the most, and a step be halved.
+CONVERGED, STALLED_STEPS = 1e-7, 20
 
 
 @dataclass(frozen=True)
@@ -163,12 +164,11 @@ def settled_knots(
 
 
 def adjust(
-    problem: Problem, values: Array, states: Array, max_iterations: int = 200, tolerance: float = 1e-7,
-    settled: float = 0.0,
-) -> Adjustment:  # fmt: skip
+    problem: Problem, values: Array, states: Array, max_iterations: int = 200, settled: float = 0.0
+) -> Adjustment:
     """Minimise from values (m,) and knots (k, 2, 3), trying about `max_iterations` steps at most.
 
-    Converged when a step without damping promises to lower the cost by less than the part `tolerance` of it, and after
+    Converged when a step without damping promises to lower the cost by less than the part `CONVERGED` of it, and after
     one that moves the values by less than `settled` posterior standard deviations, whatever a stretch does that no
     other camera holds. Ends, too, where so many steps (`STALLED_STEPS`) do not lower it: at the edge of a lens the
     slope promises what is not there. The covariance is that of the undamped equations; held values keep that of the
@@ -186,7 +186,7 @@ def adjust(
             damping, iteration = max(DAMPING_FACTOR * damping, FIRST_DAMPING), iteration + 1
             continue
         promised = float(value_step @ current.value_vector + state_step @ current.state_vector)
-        if promised <= tolerance * max(current.cost, 1.0):
+        if promised <= CONVERGED * max(current.cost, 1.0):
             if converged := damping == 0.0:
                 break
             damping = 0.0
@@ -196,7 +196,7 @@ def adjust(
         is_last = damping <= FIRST_DAMPING and moved_by < settled
         while True:
             moved = states + share * state_step.reshape(states.shape)
-            tried = _followed(linearisation, current, values + share * value_step, moved, tolerance)
+            tried = _followed(linearisation, current, values + share * value_step, moved)
             iteration += 1
             if (is_lower := bool(tried[2].cost <= current.cost)) or share <= LEAST_SHARE * whole or is_last:
                 break
@@ -208,14 +208,14 @@ def adjust(
             damping = max(DAMPING_FACTOR * damping, FIRST_DAMPING)
         if converged := is_last:
             break
-        if current.cost < lowest - tolerance * max(lowest, 1.0):
+        if current.cost < lowest - CONVERGED * max(lowest, 1.0):
             lowest, lowered = current.cost, iteration
     covariance = posterior_covariance(current, problem.parameters.prior_std)
     return Adjustment(values, states, covariance, current.cost, current.distances, converged)
 
 
 def _followed(
-    linearisation: Linearisation, before: NormalEquations, values: Array, states: Array, tolerance: float
+    linearisation: Linearisation, before: NormalEquations, values: Array, states: Array
 ) -> tuple[Array, Array, NormalEquations]:
     """Return values and knots after a step, and the equations there; where the cost has grown, the knots settle first.
 
@@ -226,7 +226,7 @@ def _followed(
     if after.cost <= before.cost:
         return values, states, after
     problem = linearisation.problem.weighted(linearisation.problem.weights(before.distances))
-    settled = tolerance * max(before.cost, 1.0)
+    settled = CONVERGED * max(before.cost, 1.0)
     try:
         states, _ = settled_knots(
             replace(linearisation, problem=problem), values, states, STATED, FOLLOWING_STEPS, settled
