@@ -375,7 +375,7 @@ def shifts_of(camera: Camera, pixels: Array, velocity: Array, since: Array) -> A
         for k, step in enumerate(STEPS)
     ]
     moved = -velocity[:, :, None] * _later(camera, pixels, since)[:, None]
-    return np.concatenate([np.stack(np.nan_to_num(seen), axis=2), moved], axis=2)
+    return np.concatenate([np.nan_to_num(np.stack(seen, axis=2)), moved], axis=2)
 
 
 def _later(camera: Camera, pixels: Array, since: Array) -> Array:
