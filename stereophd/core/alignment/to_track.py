@@ -68,9 +68,7 @@ def _finer(control: Truth, max_gap_s: float) -> Truth:
     The places are those of splines: straight lines cut corners, and shrink the motion. The velocities are those of
     smoothing splines: differences of noisy places look like motion, from which the clock seems well known.
     """
-    from scipy.interpolate import make_interp_spline  # costly to import
-
-    from stereophd.core.alignment.smoothing_splines import smoothing_spline
+    from scipy.interpolate import make_interp_spline, make_smoothing_spline  # costly to import
 
     ends = np.flatnonzero(np.diff(control.time_s) > max_gap_s) + 1
     parts = []
@@ -79,7 +77,7 @@ def _finer(control: Truth, max_gap_s: float) -> Truth:
         if len(rows) < LEAST_OF_SPLINE:
             continue
         fine = np.interp(np.arange(FINER * (len(rows) - 1) + 1) / FINER, np.arange(len(rows)), at)
-        smooth = [smoothing_spline(at, axis)(fine, 1) for axis in places.T]
+        smooth = [make_smoothing_spline(at, axis).derivative()(fine) for axis in places.T]
         parts.append(np.column_stack([fine, make_interp_spline(at, places, 3)(fine), *smooth]))
     table = np.concatenate([np.zeros((0, 7)), *parts])
     return Truth(table[:, 0], np.zeros(len(table), dtype=np.int64), table[:, 1:4], table[:, 4:])
