@@ -136,7 +136,7 @@ def _row_delays(camera: Camera, points: Array, velocities: Array, times_s: Array
         rows = camera.project_at(points + delays[:, None] * velocities, times_s + delays)[:, 1]
         # outside the image (NaN: behind the camera) nothing is read: any time will do
         rows = np.clip(np.where(np.isnan(rows), camera.height / 2.0, rows), *outermost)
-        reached = camera.readout_s / camera.height * rows
+        reached = camera.row_delays(rows)
         change = np.abs(reached - delays)
         delays = reached
         if not (change > READOUT_TOLERANCE_S).any():

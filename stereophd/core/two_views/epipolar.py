@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,16 +33,32 @@ def essential_matrices(rotations_a: Array, centers_a: Array, rotations_b: Array,
     return np.asarray(cross_matrices(steps) @ rotations_b @ np.swapaxes(rotations_a, -1, -2))
 
 
-def sampson_distances(essential: Array, rays_a: Array, rays_b: Array, scales_a: Array, scales_b: Array) -> Array:
-    """Signed distances (...,) of rays (..., 3) of two cameras, by one essential matrix (3, 3).
+class SampsonDistances(NamedTuple):
+    """Distances of rays of two cameras from each other's epipolar lines, and what they are made of."""
+
+    signed: Array  # (...,)
+    factors: Array  # (...,): of the numerators: over the length of their gradient
+    # (..., 3): the epipolar lines in the images of both cameras, those of the rays of the other one
+    lines_a: Array
+    lines_b: Array
+
+
+def sampson_distances(
+    essential: Array, rays_a: Array, rays_b: Array, scales_a: Array | float = 1.0, scales_b: Array | float = 1.0
+) -> SampsonDistances:
+    """Return the distances of rays (..., n, 3) of two cameras by essential matrices (..., 3, 3).
 
     `scales_a`, `scales_b` (2,): the noise's worth of a unit of slope, focal length over standard deviation of a pixel;
-    with focal lengths alone the distances are in pixels. NaN where a ray is.
+    with focal lengths alone the distances are in pixels, without them in slopes. NaN where a ray is, and of cameras at
+    one place.
     """
-    line_b, line_a = rays_a @ essential.T, rays_b @ essential
-    variance = ((line_b[..., :2] / scales_b) ** 2).sum(axis=-1) + ((line_a[..., :2] / scales_a) ** 2).sum(axis=-1)
+    lines_b, lines_a = rays_a @ np.swapaxes(essential, -1, -2), rays_b @ essential
+    variance = ((lines_b[..., :2] / scales_b) ** 2).sum(axis=-1) + ((lines_a[..., :2] / scales_a) ** 2).sum(axis=-1)
+    # rays that look at each other's camera have no lines
+    variance = np.maximum(variance, 1e-300 * (essential**2).sum(axis=(-2, -1))[..., None])
     with np.errstate(invalid="ignore", divide="ignore"):
-        return np.asarray(np.einsum("...i,...i->...", rays_b, line_b) / np.sqrt(variance))
+        factors = np.asarray(1.0 / np.sqrt(variance))
+        return SampsonDistances(np.einsum("...i,...i->...", rays_b, lines_b) * factors, factors, lines_a, lines_b)
 
 
 def ray_distances(cameras: Sequence[Camera], rays: Rays, sigma: Array) -> Array:

@@ -40,11 +40,19 @@ class RawTracks:
         track = np.repeat(np.arange(len(self.cameras)), np.diff(self.first))
         return np.asarray(self.log_times - self.log_times.min() + track * self._spacing)
 
+    def spans(self, tracks: Integers | slice = slice(None)) -> list[tuple[int, int]]:
+        """Return the first entry of each of some tracks, and the one after its last."""
+        return list(zip(self.first[:-1][tracks].tolist(), self.first[1:][tracks].tolist(), strict=True))
+
+    def interval_s(self, camera: int) -> float:
+        """Return the median time from detection to detection of a camera's tracks, s on its clock; NaN without one."""
+        steps = [np.diff(self.log_times[a:b]) for a, b in self.spans(np.flatnonzero(self.cameras == camera))]
+        return float(np.median(np.concatenate(steps))) if steps else float("nan")
+
     @cached_property
     def longest_gaps(self) -> Array:
         """Longest step (k,) over which each track is interpolated, s."""
-        steps = [np.diff(self.log_times[a:b]) for a, b in zip(self.first[:-1], self.first[1:], strict=True)]
-        return np.array([LONGEST_GAP * float(np.median(step)) for step in steps])
+        return np.array([LONGEST_GAP * float(np.median(np.diff(self.log_times[a:b]))) for a, b in self.spans()])
 
     @cached_property
     def cameras_of_entries(self) -> Integers:

@@ -6,6 +6,7 @@ nothing comes. It ends with the stream, at the end of a file that is not followe
 
 import io
 import os
+import re
 import select
 import time
 from collections.abc import Callable, Iterator
@@ -24,6 +25,8 @@ MAX_LINE_BYTES = 100_000_000
 # An Arrow stream begins with the mark of a continuation, before the length of its schema.
 _ARROW_HEAD = b"\xff\xff\xff\xff"
 _CHUNK_BYTES = 1 << 16
+# What ZeroMQ can take for an address, which a user without it may learn first.
+_ADDRESS = re.compile(r"tcp://.+:(\d+|\*)|(?!tcp:)\w+://.+")
 
 Arrivals = Iterator[Message | None]
 
@@ -170,12 +173,15 @@ def connect(address: str) -> Any:
 
 
 def _socket(kind: str, address: str, join: Callable[[Any], object]) -> Any:
+    wrong = f"{address}: expected an address such as tcp://127.0.0.1:5555, found"
+    if not _ADDRESS.fullmatch(address):
+        raise InputError(f"{wrong} none of this form")
     zmq = need_package("pyzmq", f"{address}: a stream over the network", "zmq")
     socket: Any = zmq.Context.instance().socket(getattr(zmq, kind))
     try:
         join(socket)
     except zmq.ZMQError as error:
-        raise InputError(f"{address}: expected an address such as tcp://127.0.0.1:5555, found: {error}") from error
+        raise InputError(f"{wrong}: {error}") from error
     return socket
 
 

@@ -85,18 +85,18 @@ def annealed_outcome(run: CalibrationRun) -> Outcome:
         names = ", ".join(problem.parameters.names[stated:])
         text = f"no start agrees with cameras as stated: {names} were estimated (calibration.model: as_stated forbids)"
         result = replace(result, remarks=(Remark("model", text, is_reservation=True), *result.remarks))
-    parameters, adjustment = believed.task.parameters, result.fit.adjustment
-    draws = laplace_draws(
-        parameters, problem.reference, adjustment.values, adjustment.covariance, LAPLACE_DRAWS,
-        np.random.default_rng(POSTERIOR_DRAWS.seed(run.loaded.config.seed)),
-    )  # fmt: skip
+    adjustment = result.fit.adjustment
     outcome = Outcome(
-        parameters, adjustment.values, adjustment.covariance, draws, np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS)),
+        believed.task.parameters, adjustment.values, adjustment.covariance, np.empty((0, 0)), np.empty(0),
         result.history, "", result.doubt, result.fit, result.remarks, result.moves, result.world, details,
         1.0 if problem.noise_in_log else believed.contradicted_noise,
     )  # fmt: skip
     if section.posterior == "laplace":
-        return outcome
+        draws = laplace_draws(
+            outcome.parameters, problem.reference, outcome.values, outcome.covariance, LAPLACE_DRAWS,
+            np.random.default_rng(POSTERIOR_DRAWS.seed(run.loaded.config.seed)),
+        )  # fmt: skip
+        return replace(outcome, particles=draws, log_weights=np.full(LAPLACE_DRAWS, -np.log(LAPLACE_DRAWS)))
     scale, found = believed.task.scale, distinct(starts)
     fits = [mode.fit if scale is None else rescaled(task, mode.fit, scale) for mode in found if mode.fit]
     return smc_outcome(run, believed.task, modes_of(fits, [mode.score for mode in found]), outcome)

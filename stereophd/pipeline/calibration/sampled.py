@@ -145,7 +145,7 @@ def smc_outcome(run: CalibrationRun, task: Task, modes: Modes, annealed: Outcome
     details = {**annealed.details, "smc": {**figures, "modes": len(modes.weights)}}
     return replace(
         annealed, values=mean, covariance=covariance, particles=state.values, log_weights=state.log_weights,
-        world=None, details=details,
+        details=details,
     )  # fmt: skip
 
 

@@ -197,16 +197,18 @@ def _named(
     # of two cameras the log does not show which one
     cause, same = best.cause, [fit for fit in (fits if len(pairs) == 1 else alike) if fit.cause is best.cause]
     if CLOCK in cause.numbers:
-        best = max(same, key=lambda fit: fit.value)
-    factor, name = 1.0 + best.value, samples[best.camera or 0].camera.name
+        best = min(same, key=lambda fit: fit.value)
+    # times are off by the opposite of what they lack
+    value = -best.value if CLOCK in cause.numbers else best.value
+    factor, name = 1.0 + value, samples[best.camera or 0].camera.name
     remedy, change = cause.remedy, None
     if cause.name == "clock_rate":
         remedy += f" {1.0 / factor:.5g} (clock.rate) and check its offset again"
-        if len(pairs) > 1:  # what the numbers take away from its times
-            fast, late = best.numbers.tolist()
-            change = clock_change(samples[best.camera or 0], fast * _middle(pairs) - late, 1.0 - fast)
+        if len(pairs) > 1:
+            rate, offset = best.numbers.tolist()
+            change = clock_change(samples[best.camera or 0], offset - rate * _middle(pairs), 1.0 + rate)
     if cause.name == "clock_offset":
-        remedy, change = shift_remedy(-best.value), clock_change(samples[best.camera or 0], -best.value)
+        remedy, change = shift_remedy(best.value), clock_change(samples[best.camera or 0], best.value)
 
     stating = [one.camera.name for one in samples if one.camera.lens.model != "none"]
 
@@ -221,18 +223,18 @@ def _named(
     if camera is not None:
         remedy = remedy.replace("NAME", camera)
         if cause is LENS_MISSING:
-            change = f"cameras.{camera}.distortion={{model: radial, k1: {best.value:.3g}}}"
+            change = f"cameras.{camera}.distortion={{model: radial, k1: {value:.3g}}}"
     what = " or ".join(dict.fromkeys(fit.cause.what for fit in others))
     instead = f"; the {what} of {names(others)} would explain as much" if others else ""
     # what all cameras have alike is one number, and no shift
     shift, error = (best.shift * samples[best.camera or 0].camera.detector.sigma.mean()).tolist()
     size = f"at least {shift:.2g} +- {error:.1g}"
-    text = cause.text.format(value=best.value, factor=factor, size=size, name=name)
+    text = cause.text.format(value=value, factor=factor, size=size, name=name)
     return Finding(
         "geometry.residuals", "warning",
         f"{names(same)}: the distances of rays from those of other cameras {text} (this explains "
         f"{percent(best.share)} of their squares{instead}); tracks are less certain than they state",
-        round(shift if cause.numbers[0] in TURNS else best.value, 5), 0.0,
+        round(shift if cause.numbers[0] in TURNS else value, 5), 0.0,
         camera, remedy, cause.name, change,
     )  # fmt: skip
 
@@ -337,7 +339,7 @@ class Shifts:
         )
         moved, tables, squares = (ahead - behind) / (4.0 * STEP_S), [], []
         for camera, motion, slope in zip(cameras, pair.sides, (moved, -moved), strict=True):
-            tables.append(np.column_stack([slope, -slope * motion.places[:, 1] / camera.height, slope * since]))
+            tables.append(-slope[:, None] * _later(camera, motion.places, since))
             relative = shifts_of(camera, motion.places, motion.velocity, since) / camera.detector.sigma[:, None]
             squares.append(np.einsum("nai,naj->nij", relative, relative))
         usable = np.isfinite(np.column_stack([stated, *tables, *(one.sum(axis=2) for one in squares)])).all(axis=1)
@@ -363,17 +365,22 @@ def shifts_of(camera: Camera, pixels: Array, velocity: Array, since: Array) -> A
     """Return how far pixels (n, 2) would have to be moved for each number of a camera, (n, 2, 9), px.
 
     These are turns about its axes, rad, the logarithm of the focal length, the first radial coefficient, by how much
-    stronger the whole lens is than stated, the lateness of its clock and the time that its shutter takes, s, and the
-    rate of its clock, by which it is late in the times `since` (n,) some moment, s. Velocities (n, 2) are px/s. A move
-    of a camera looks much like a turn; what it differs by depends on the depth, and that on the noise whose distances
-    are to be explained.
+    stronger the whole lens is than stated, and what its true times lack: of the offset of its clock and of the time
+    that its shutter takes, s, and of the rate of its clock in the times `since` (n,) some moment, s. Velocities (n, 2)
+    are px/s. A move of a camera looks much like a turn; what it differs by depends on the depth, and that on the noise
+    whose distances are to be explained.
     """
     seen = [
         (camera.project(_changed(camera, k, step).unproject(pixels, np.ones(len(pixels)))) - pixels) / step
         for k, step in enumerate(STEPS)
     ]
-    shutter = -velocity * pixels[:, 1:] / camera.height
-    return np.stack([*np.nan_to_num(seen), velocity, shutter, velocity * since[:, None]], axis=2)
+    moved = -velocity[:, :, None] * _later(camera, pixels, since)[:, None]
+    return np.concatenate([np.nan_to_num(np.stack(seen, axis=2)), moved], axis=2)
+
+
+def _later(camera: Camera, pixels: Array, since: Array) -> Array:
+    """Return how much later, s, clock, shutter and rate make the true times (n,) of pixels (n, 2), by one of each."""
+    return np.column_stack([np.ones(len(since)), pixels[:, 1] / camera.height, since])
 
 
 def _changed(camera: Camera, number: int, step: float) -> Camera:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import os
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -125,9 +126,21 @@ def test_a_source_that_is_none_is_refused(tmp_path: Path) -> None:
         list(from_stream(io.BytesIO(b"PAR1 is no line of JSON\n")))
     with pytest.raises(InputError, match="expected an Arrow stream"):
         list(from_stream(io.BytesIO(arrow()[:-40][:200])))
+
+
+@pytest.mark.parametrize("address", ["nowhere", "tcp://127.0.0.1", "tcp://127.0.0.1:port", "://5555"])
+def test_a_wrong_address_is_refused_before_a_missing_package(address: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "zmq", None)  # as where it is not installed
+    with pytest.raises(InputError, match="expected an address such as tcp"):
+        listen(address)
+    with pytest.raises(InputError, match="pyzmq"):
+        listen("tcp://127.0.0.1:5555")
+
+
+def test_an_address_that_cannot_be_bound_is_refused() -> None:
     pytest.importorskip("zmq")
     with pytest.raises(InputError, match="expected an address such as tcp"):
-        listen("nowhere")
+        listen("tcp://nowhere:5555")
 
 
 def test_frames_and_rows_are_mcap(tmp_path: Path) -> None:

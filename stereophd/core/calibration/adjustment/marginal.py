@@ -107,27 +107,16 @@ DIFFERENCE = 0.1
 LOOSE, BENDS = 0.1, 12
 
 
-@dataclass(frozen=True)
-class MarginalOptimum:
-    """Maximum of the marginal posterior."""
-
-    # Values, the knots that belong to them, and the covariance of the values; not `converged` where the search ended
-    # by more than `LONGEST_LEFT` posterior standard deviations too early.
-    adjustment: Adjustment
-    motion_noise: Array  # (6,): Unknowns of the noise of the motion (`MotionNoise`), in units of the scene's scale
-
-
-def marginal_optimum(
-    problem: Problem, found: Adjustment, noise: Array = STATED, settled: float = SETTLED
-) -> MarginalOptimum:
+def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTLED) -> Adjustment:
     """Move an adjustment of the problem to the maximum of the marginal posterior of the values.
 
-    The search begins at a noise of the motion (6,), and ends at a step of at most `settled` posterior standard
-    deviations. Raises LinAlgError where the normal equations are singular.
+    The search begins at its noise of the motion, and ends at a step of at most `settled` posterior standard deviations;
+    not `converged` where it ended by more than `LONGEST_LEFT` of these too early. Raises LinAlgError where the normal
+    equations are singular.
     """
     size = problem.parameters.size
-    states, weights = found.states, problem.weights(found.distances)
-    unknowns = np.append(found.values, noise[: len(noise) if len(problem.knots.links()) else 0])
+    states, weights = begun.states, problem.weights(begun.distances)
+    unknowns = np.append(begun.values, begun.motion_noise[: len(STATED) if len(problem.knots.links()) else 0])
     for _ in range(MOST_WEIGHTINGS):
         posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
         at, left = _minimised(posterior, posterior.at(unknowns, states), settled)
@@ -136,20 +125,18 @@ def marginal_optimum(
         if np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
             break
     covariance = posterior.covariance(at)[:size, :size]
-    moved = replace(
-        found, values=at.unknowns[:size], states=at.states, covariance=covariance, cost=at.equations.cost,
-        distances=at.equations.distances, converged=left <= LONGEST_LEFT,
-    )  # fmt: skip
-    return MarginalOptimum(moved, posterior.parted(at.unknowns)[1])
+    values, noise = posterior.parted(at.unknowns)
+    cost, distances = at.equations.cost, at.equations.distances
+    return Adjustment(values, at.states, covariance, cost, distances, left <= LONGEST_LEFT, noise)
 
 
-def exact_covariance(problem: Problem, adjustment: Adjustment, noise: Array, threads: int = 1) -> Array:
+def exact_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1) -> Array:
     """Covariance (m, m) of the values by the second derivatives of the objective at its minimum.
 
     They are differences of the gradient along each column of a root of the covariance by the normal equations. Raises
     LinAlgError where an end of such a difference has no normal equations that are positive definite.
     """
-    posterior, at = at_answer(problem, adjustment, noise)
+    posterior, at = at_answer(problem, adjustment)
     root, size, gradient = posterior.root(at), len(adjustment.values), posterior.gradient(at)
 
     started = count(1)
@@ -275,7 +262,7 @@ class MarginalPosterior:
         Raises LinAlgError when the normal equations are not positive definite, or the cost is not finite.
         """
         values, noise = self.parted(unknowns)
-        states = settled_knots(self.linearisation, values, states, noise)
+        states, _ = settled_knots(self.linearisation, values, states, noise)
         equations = self.equations(unknowns, states)
         factor = factor_knots(equations.bands)
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
@@ -365,13 +352,13 @@ class MarginalPosterior:
         return np.asarray(np.linalg.cholesky(self.covariance(at)), dtype=np.float64)
 
 
-def at_answer(problem: Problem, adjustment: Adjustment, noise: Array) -> tuple[MarginalPosterior, Point]:
+def at_answer(problem: Problem, adjustment: Adjustment) -> tuple[MarginalPosterior, Point]:
     """Return the marginal posterior of a problem, with the weights that detections have at its optimum, and that point.
 
-    The optimum is an adjustment, at a noise of the motion (6,) beside what is stated; the problem has the stated one.
+    The adjustment is the optimum, with a noise of the motion beside the stated one, which the problem has.
     """
     posterior = MarginalPosterior(Linearisation.of(problem.weighted(problem.weights(adjustment.distances))))
-    unknowns = np.append(adjustment.values, noise[: posterior.size - len(adjustment.values)])
+    unknowns = np.append(adjustment.values, adjustment.motion_noise[: posterior.size - len(adjustment.values)])
     return posterior, posterior.at(unknowns, adjustment.states)
 
 

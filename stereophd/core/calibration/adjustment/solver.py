@@ -22,7 +22,7 @@ apart. Damping helps where matrices are nearly singular.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded
@@ -45,13 +45,14 @@ LEAST_SHARE, LONGER = 1.0 / 64.0, 2.0
 FIRST_DAMPING, DAMPING_FACTOR, MOST_DAMPING = 1e-4, 8.0, 1e10
 # Part of a diagonal of 1 that rounding makes, and least eigenvalue beside which that is nothing.
 ROUNDED, REGULAR = 1e-12, 1e-10
-# Most steps that do not lower the cost: damping can grow from the first to the most, and a step be halved.
-STALLED_STEPS = 20
+# Part of the cost that is not worth a step; most steps that do not lower the cost: damping can grow from the first to
+# the most, and a step be halved.
+CONVERGED, STALLED_STEPS = 1e-7, 20
 
 
 @dataclass(frozen=True)
 class Adjustment:
-    """Outcome of `adjust`."""
+    """Outcome of `adjust`, and of `marginal.marginal_optimum`."""
 
     values: Array  # (m,)
     states: Array  # (k, 2, 3): Knots
@@ -59,6 +60,8 @@ class Adjustment:
     cost: float  # Twice the negative logarithm of the posterior density, without its constant
     distances: Array  # (n,): Squared Mahalanobis distances of the detections
     converged: bool
+    # (6,): Unknowns of the noise of the motion (`trajectories.MotionNoise`), in units of the scene's scale
+    motion_noise: Array = field(default_factory=lambda: STATED)
 
 
 @dataclass(frozen=True)
@@ -128,13 +131,15 @@ def settled_knots(
     noise: Array = STATED,
     most: int = KNOT_STEPS,
     settled: float = KNOTS_SETTLED,
-) -> Array:
+) -> tuple[Array, float]:
     """Minimise the cost by the knots (k, 2, 3) alone, until it would fall by no more than `settled`; no loss counts.
 
+    Also returns by how much the last step looked at would lower it: `settled` at most where the minimum was found.
     Raises LinAlgError when the matrix of the knots is not positive definite, or the cost is not finite.
     """
     placement = linearisation.placed(values, by_values=False)
     cost, bands, vector = linearisation.of_knots(values, states, noise, placement)
+    promised = np.inf
     for _ in range(most):
         if not np.isfinite(cost):
             raise LinAlgError("the cost is not finite")
@@ -155,16 +160,15 @@ def settled_knots(
         else:
             break
         states, (cost, bands, vector) = moved, tried
-    return states
+    return states, promised
 
 
 def adjust(
-    problem: Problem, values: Array, states: Array, max_iterations: int = 200, tolerance: float = 1e-7,
-    settled: float = 0.0,
-) -> Adjustment:  # fmt: skip
+    problem: Problem, values: Array, states: Array, max_iterations: int = 200, settled: float = 0.0
+) -> Adjustment:
     """Minimise from values (m,) and knots (k, 2, 3), trying about `max_iterations` steps at most.
 
-    Converged when a step without damping promises to lower the cost by less than the part `tolerance` of it, and after
+    Converged when a step without damping promises to lower the cost by less than the part `CONVERGED` of it, and after
     one that moves the values by less than `settled` posterior standard deviations, whatever a stretch does that no
     other camera holds. Ends, too, where so many steps (`STALLED_STEPS`) do not lower it: at the edge of a lens the
     slope promises what is not there. The covariance is that of the undamped equations; held values keep that of the
@@ -182,7 +186,7 @@ def adjust(
             damping, iteration = max(DAMPING_FACTOR * damping, FIRST_DAMPING), iteration + 1
             continue
         promised = float(value_step @ current.value_vector + state_step @ current.state_vector)
-        if promised <= tolerance * max(current.cost, 1.0):
+        if promised <= CONVERGED * max(current.cost, 1.0):
             if converged := damping == 0.0:
                 break
             damping = 0.0
@@ -192,7 +196,7 @@ def adjust(
         is_last = damping <= FIRST_DAMPING and moved_by < settled
         while True:
             moved = states + share * state_step.reshape(states.shape)
-            tried = _followed(linearisation, current, values + share * value_step, moved, tolerance)
+            tried = _followed(linearisation, current, values + share * value_step, moved)
             iteration += 1
             if (is_lower := bool(tried[2].cost <= current.cost)) or share <= LEAST_SHARE * whole or is_last:
                 break
@@ -204,14 +208,14 @@ def adjust(
             damping = max(DAMPING_FACTOR * damping, FIRST_DAMPING)
         if converged := is_last:
             break
-        if current.cost < lowest - tolerance * max(lowest, 1.0):
+        if current.cost < lowest - CONVERGED * max(lowest, 1.0):
             lowest, lowered = current.cost, iteration
     covariance = posterior_covariance(current, problem.parameters.prior_std)
     return Adjustment(values, states, covariance, current.cost, current.distances, converged)
 
 
 def _followed(
-    linearisation: Linearisation, before: NormalEquations, values: Array, states: Array, tolerance: float
+    linearisation: Linearisation, before: NormalEquations, values: Array, states: Array
 ) -> tuple[Array, Array, NormalEquations]:
     """Return values and knots after a step, and the equations there; where the cost has grown, the knots settle first.
 
@@ -222,9 +226,9 @@ def _followed(
     if after.cost <= before.cost:
         return values, states, after
     problem = linearisation.problem.weighted(linearisation.problem.weights(before.distances))
-    settled = tolerance * max(before.cost, 1.0)
+    settled = CONVERGED * max(before.cost, 1.0)
     try:
-        states = settled_knots(
+        states, _ = settled_knots(
             replace(linearisation, problem=problem), values, states, STATED, FOLLOWING_STEPS, settled
         )
     except LinAlgError:

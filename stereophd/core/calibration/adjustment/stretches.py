@@ -16,12 +16,10 @@ a stretch, so that stretches are joined and looked at again.
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import Point, at_answer
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, Point, at_answer
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.trajectories import OF_ALL, motion_links
-from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.covariance_factors import covariance_factor
 
@@ -30,14 +28,14 @@ from stereophd.core.numerics.covariance_factors import covariance_factor
 STRETCHES, JOINED, BEYOND_CHANCE = 64, (1, 2, 4), 1.5
 
 
-def disagreement_of_stretches(problem: Problem, adjustment: Adjustment, noise: Array) -> tuple[Array, float, float]:
+def disagreement_of_stretches(problem: Problem, adjustment: Adjustment) -> tuple[Array, float, float]:
     """Return the covariance (m, m) that disagreeing stretches add to that of a fit, and by how much they widen most.
 
     By what factors of standard deviations, 1 where they agree: of all unknowns with the noise of the motion, of values.
     """
-    size, (posterior, point) = problem.parameters.size, at_answer(problem, adjustment, noise)
+    size, (posterior, point) = problem.parameters.size, at_answer(problem, adjustment)
     covariance, prior_std = posterior.covariance(point), posterior.prior_std
-    scores = _scores(posterior.linearisation, point, noise, posterior.slopes(point))
+    scores = _scores(posterior, point)
     determined = max(float((1.0 - np.diag(covariance) / prior_std**2).sum()), 1.0)
     # detections do not show the scale: the score of a stretch along it depends only on how its knots are counted
     _, by_scale = log_scale(problem.parameters, problem.reference, adjustment.values)
@@ -65,11 +63,12 @@ def widening(scores: Array, determined: float) -> Array:
     return root
 
 
-def _scores(linearisation: Linearisation, point: Point, noise: Array, volume: VolumeSlopes) -> Array:
+def _scores(posterior: MarginalPosterior, point: Point) -> Array:
     """Scores (b, u) of the stretches of a log, each of as many detections, by all unknowns."""
+    linearisation, volume = posterior.linearisation, posterior.slopes(point)
     problem, observations = linearisation.problem, linearisation.problem.observations
     unknowns, states = len(point.unknowns), point.states
-    values = point.unknowns[: problem.parameters.size]
+    values, noise = posterior.parted(point.unknowns)
     following = point.eliminated.following().reshape(len(states), 2, 3, unknowns)
     path, seen, pulls = volume.placement.path, volume.seen, linearisation.pulls(volume.seen)
     direct = np.einsum("nrq,nr->nq", seen.by_value, pulls) - volume.by_value(linearisation)

@@ -64,14 +64,12 @@ class QuadraticPosterior:
     tracks: TrackMoves
 
 
-def quadratic_posterior(
-    problem: Problem, enlarged: EnlargedSet, adjustment: Adjustment, noise: Array
-) -> QuadraticPosterior:
+def quadratic_posterior(problem: Problem, enlarged: EnlargedSet, adjustment: Adjustment) -> QuadraticPosterior:
     """Return the posterior of everything about a fit, in units of the prior standard deviations."""
     parameters = enlarged.parameters
     values = np.append(adjustment.values, np.zeros(parameters.size - len(adjustment.values)))
     of_all = replace(problem, parameters=parameters)
-    posterior, point = at_answer(of_all, replace(adjustment, values=values), noise)
+    posterior, point = at_answer(of_all, replace(adjustment, values=values))
     precision = np.asarray(np.linalg.inv(posterior.covariance(point)), dtype=np.float64)
     std = posterior.prior_std
     tracks = TrackMoves.of(problem, adjustment.values, adjustment.states, point.equations)

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import LinAlgError, cho_solve_banded
+from scipy.linalg import LinAlgError
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, factor_knots
+from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.marginal import SETTLED, MarginalPosterior, Point, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import KNOTS_NEAR, Adjustment, adjust, settled_knots
@@ -225,28 +225,28 @@ def adjusted_to(
     others are adjusted to again: after the search, or before it where they let no knots settle.
     """
     is_joint = most is not None or (fit.held is not None and bool(fit.held.all()))
+    values, noise = fit.adjustment.values, fit.adjustment.motion_noise
     points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
-    knots = _knots(task, observations, points, fit.adjustment.values)
+    knots = _knots(task, observations, points, values)
     if is_joint:
         knots = replace(knots, noise_std=fit.knots.noise_std)
     interpolated = interpolation(knots, observations.trajectories, observations.times)
-    noise = _length_of_noise(task, observations, points, fit.adjustment.values)
-    states = fit_states(knots, *interpolated, points, np.full(len(points), noise**-2))
+    length = _length_of_noise(task, observations, points, values)
+    states = fit_states(knots, *interpolated, points, np.full(len(points), length**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
-    values = fit.adjustment.values
     states = _settled(problem, values, states)
     searched = None
     if not is_joint:
-        begun = _at(problem, values, states)
+        begun = _at(problem, values, states, noise)
         if not _can_settle(problem, begun):
-            standing = _standing(task, _fit(task, problem, begun, detections, fit.motion_noise), most)
+            standing = _standing(task, _fit(task, problem, begun, detections), most)
             if standing is not None:
                 return standing
         with suppress(LinAlgError):  # the joint optimum is found with damping
-            searched = _searched(task, problem, begun, detections, fit.motion_noise, SETTLED_IN_PASSES)
+            searched = _searched(task, problem, begun, detections, SETTLED_IN_PASSES)
     if searched is None:
         joint = adjust(problem, values, states, most or MOST_ITERATIONS)
-        searched = _fit(task, problem, joint, detections, fit.motion_noise)
+        searched = _fit(task, problem, replace(joint, motion_noise=noise), detections)
     return _standing(task, searched, most) or searched
 
 
@@ -293,17 +293,14 @@ def marginal_fit(task: Task, fit: Fit) -> Fit:
     equations are singular, the fit is returned, not converged.
     """
     try:
-        return _searched(task, stated_problem(task, fit), fit.adjustment, fit.detections, fit.motion_noise)
+        return _searched(task, stated_problem(task, fit), fit.adjustment, fit.detections)
     except LinAlgError:
         return replace(fit, adjustment=replace(fit.adjustment, converged=False), held=None)
 
 
-def _searched(
-    task: Task, problem: Problem, begun: Adjustment, detections: Integers, noise: Array, settled: float = SETTLED
-) -> Fit:
+def _searched(task: Task, problem: Problem, begun: Adjustment, detections: Integers, settled: float = SETTLED) -> Fit:
     """Return the fit at the marginal optimum of a problem with the noise stated; LinAlgError if there is none."""
-    found = marginal_optimum(problem, begun, noise, settled)
-    return _fit(task, problem, found.adjustment, detections, found.motion_noise)
+    return _fit(task, problem, marginal_optimum(problem, begun, settled), detections)
 
 
 def restated_fit(task: Task, chosen: Fit) -> Fit:
@@ -334,7 +331,7 @@ def confirmed_fit(
     optimum of that is looked for from these.
     """
     states = _settled(problem, values, states)
-    begun = _at(problem, values, states)
+    begun = _at(problem, values, states, noise)
     joint = adjust(problem, values, states, ANNEALED_ITERATIONS, settled=SETTLED_IN_PASSES)
     weights = np.maximum(problem.weights(begun.distances), problem.weights(joint.distances))
     still = replace(problem.weighted(weights), held=np.ones(len(values), dtype=np.bool_))
@@ -344,9 +341,10 @@ def confirmed_fit(
         noise = posterior.parted(first.unknowns)[1]
         last = _shown(posterior, joint, noise)
         if last is None or last.objective > first.objective:
-            return _searched(task, problem, replace(begun, states=first.states), detections, noise, SETTLED_IN_PASSES)
+            begun = replace(begun, states=first.states, motion_noise=noise)
+            return _searched(task, problem, begun, detections, SETTLED_IN_PASSES)
         noise = posterior.parted(last.unknowns)[1]
-    return _fit(task, problem, joint, detections, noise)
+    return _fit(task, problem, replace(joint, motion_noise=noise), detections)
 
 
 def _shown(posterior: MarginalPosterior, joint: Adjustment, noise: Array) -> Point | None:
@@ -363,36 +361,33 @@ def _settled(problem: Problem, values: Array, states: Array) -> Array:
     whose depths rays hardly show. Knots that cannot settle stay as they are.
     """
     with suppress(LinAlgError):
-        return settled_knots(Linearisation.of(replace(problem, loss=SQUARED)), values, states, most=SETTLING_STEPS)
+        squares = Linearisation.of(replace(problem, loss=SQUARED))
+        states, _ = settled_knots(squares, values, states, most=SETTLING_STEPS)
     return states
 
 
 def _can_settle(problem: Problem, begun: Adjustment) -> bool:
     """Whether the knots at the beginning of a search find their minimum, to a standard deviation."""
-    linearisation = Linearisation.of(problem.weighted(problem.weights(begun.distances)))
-    try:
-        states = settled_knots(linearisation, begun.values, begun.states)
-        _, bands, vector = linearisation.of_knots(begun.values, states)
-        step = cho_solve_banded((factor_knots(bands), True), vector, check_finite=False)
-    except LinAlgError:
-        return False
-    return float(vector @ step) <= KNOTS_NEAR
+    weighted = Linearisation.of(problem.weighted(problem.weights(begun.distances)))
+    with suppress(LinAlgError):
+        return settled_knots(weighted, begun.values, begun.states)[1] <= KNOTS_NEAR
+    return False
 
 
-def _at(problem: Problem, values: Array, states: Array) -> Adjustment:
-    """Return values (m,) and knots (k, 2, 3) as an adjustment that has not begun."""
+def _at(problem: Problem, values: Array, states: Array, noise: Array) -> Adjustment:
+    """Return values (m,), knots (k, 2, 3) and a noise of the motion (6,) as an adjustment that has not begun."""
     there = Linearisation.of(problem).at(values, states)
     prior = np.diag(problem.parameters.prior_std**2)
-    return Adjustment(values, states, prior, there.cost, there.distances, converged=False)
+    return Adjustment(values, states, prior, there.cost, there.distances, False, noise)
 
 
-def _fit(task: Task, problem: Problem, found: Adjustment, detections: Integers, noise: Array) -> Fit:
+def _fit(task: Task, problem: Problem, found: Adjustment, detections: Integers) -> Fit:
     """Return the fit of an adjustment, its detections timed by the cameras found."""
     cameras, observations = task.parameters.build(found.values), problem.observations
     if not task.parameters.only_moves:
         observations = replace(observations, times=true_times(cameras, observations))
-    noise_std = MotionNoise.of(noise, least_noise(task.filter.motion)).std
-    return Fit(found, replace(problem.knots, noise_std=noise_std), observations, detections, problem.held, noise)
+    noise_std = MotionNoise.of(found.motion_noise, least_noise(task.filter.motion)).std
+    return Fit(found, replace(problem.knots, noise_std=noise_std), observations, detections, problem.held)
 
 
 def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:

@@ -299,7 +299,7 @@ def suspected(task: Task, answer: Fit) -> tuple[EnlargedSet, list[Suspicion]]:
     within("what is held as stated is tested")
     enlarged = enlarge(task.parameters, task.reference, task.recording.periods(len(task.parameters.cameras)))
     problem = stated_problem(task, answer)
-    quadratic = quadratic_posterior(problem, enlarged, answer.adjustment, answer.motion_noise)
+    quadratic = quadratic_posterior(problem, enlarged, answer.adjustment)
     return enlarged, suspect(quadratic, enlarged, np.arange(task.parameters.size))
 
 
@@ -312,12 +312,12 @@ def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, tuple[Remark
     task.limit.begin("the covariance of the answer is computed")
     if adjustment.converged:
         try:
-            exact = exact_covariance(problem, adjustment, answer.motion_noise, task.threads)
+            exact = exact_covariance(problem, adjustment, task.threads)
             adjustment = replace(adjustment, covariance=exact)
         except LinAlgError:
             adjustment = replace(adjustment, converged=False)
     try:
-        more, factor, of_cameras = disagreement_of_stretches(problem, adjustment, answer.motion_noise)
+        more, factor, of_cameras = disagreement_of_stretches(problem, adjustment)
     except LinAlgError:
         return replace(answer, adjustment=replace(adjustment, converged=False)), ()
     adjustment = replace(adjustment, covariance=adjustment.covariance + more + doubtful @ doubtful.T)

@@ -101,7 +101,9 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
         step = f"pass {number_of_pass + 1} of {len(inflations)}, {inflation:g} times the noise"
         if not task.limit.begin(f"{_name_of(task, begun)}: {step}"):
             return replace(begun, fit=None, outcome=TIME_OVER)
-        ratio, noise = (1.0, STATED) if fit is None else (depth_ratio(task, fit, KEPT_WITHIN), fit.motion_noise)
+        ratio, noise = 1.0, STATED
+        if fit is not None:
+            ratio, noise = depth_ratio(task, fit, KEPT_WITHIN), fit.adjustment.motion_noise
         fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio, noise)
         if fit is None:
             why = f"no track is shared by two cameras at {inflation:g} times the noise"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from operator import itemgetter
 
 import numpy as np
@@ -14,7 +14,7 @@ from stereophd.core.calibration.adjustment.noise import weights_of
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.adjustment.solver import Adjustment
-from stereophd.core.calibration.adjustment.trajectories import STATED, Knots, MotionNoise
+from stereophd.core.calibration.adjustment.trajectories import Knots, MotionNoise
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import ClockOffsets, offset_places, search_offsets
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs, one_camera_tracks
@@ -169,8 +169,7 @@ class Fit:
     """Cameras and trajectories after an adjustment, with the detections of the recording they were adjusted to.
 
     The knots have the noise of the motion that was found. `held` (m,) are the values that the adjustment did not move;
-    None if it moved all. `motion_noise` (6,) are unknowns of the noise of the motion (`MotionNoise`) beside what is
-    stated, from which other fits look for it.
+    None if it moved all. Other fits look for the noise of the motion from that of the adjustment.
     """
 
     adjustment: Adjustment
@@ -178,12 +177,11 @@ class Fit:
     observations: Observations
     detections: Integers
     held: NDArray[np.bool_] | None = None
-    motion_noise: Array = field(default_factory=lambda: STATED)
 
     @property
     def motion_factors(self) -> Array:
         """Noise of the motion along the axes of the world (3,) over what is stated."""
-        return MotionNoise.of(self.motion_noise, np.ones(3)).std
+        return MotionNoise.of(self.adjustment.motion_noise, np.ones(3)).std
 
 
 @dataclass(frozen=True)

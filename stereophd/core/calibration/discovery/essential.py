@@ -15,6 +15,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.rotations import cross_matrices
+from stereophd.core.two_views.epipolar import sampson_distances
 
 # Weighted steps of the eight-point method, and the tolerances that they fall between, in units of the slopes' noise.
 STEPS = 8
@@ -47,10 +48,9 @@ def eight_point(rows: Array, valid: Array, tolerances: tuple[float, float]) -> A
         _, vectors = np.linalg.eigh(np.swapaxes(rows, -1, -2) @ (weights[..., None] * rows))
         essential = nearest_essential(vectors[..., 0].reshape(-1, 3, 3))
         a, b = rows[..., 6:9], rows[..., 2::3]
-        line_b, line_a = a @ np.swapaxes(essential, -1, -2), b @ essential
-        gradient = np.maximum((line_a[..., :2] ** 2 + line_b[..., :2] ** 2).sum(axis=-1), 1e-12)
-        squared = (b * line_b).sum(axis=-1) ** 2 / gradient
-        weights = valid / (gradient * (1.0 + squared / tolerance**2))
+        distances = sampson_distances(essential, a, b)
+        gradient = np.maximum(distances.factors**-2.0, 1e-12)
+        weights = valid / (gradient * (1.0 + (distances.signed / tolerance) ** 2))
     return essential
 
 

@@ -20,7 +20,7 @@ from stereophd.core.calibration.discovery.tracks import SlopeTracks
 from stereophd.core.geometry.pose import rotation_from_vector, rotation_to_vector
 from stereophd.core.geometry.rotations import cross_matrices
 from stereophd.core.numerics.rows import ArrayRows
-from stereophd.core.two_views.epipolar import nearest_depths
+from stereophd.core.two_views.epipolar import SampsonDistances, nearest_depths, sampson_distances
 
 # Gauss-Newton steps at a tolerance, at most, and squared length of a step, in deviations, after which there is none.
 STEPS, CONVERGED = 10, 1e-3
@@ -81,6 +81,11 @@ class PairState:
             self.rate * float(np.exp(step[RATE])), self.pivot_s, self.focal * np.exp(step[FOCAL:LENS]),
             self.lenses + step[LENS:],
         )  # fmt: skip
+
+    @property
+    def essential(self) -> Array:
+        """Essential matrix (3, 3)."""
+        return essential_of(self.rotation, self.direction)
 
     def essential_derivatives(self) -> Array:
         """Derivatives (5, 9) of the essential matrix, row by row, by rotation and direction."""
@@ -201,18 +206,9 @@ class PairProblem:
         rows = _Rows(entry[row], of_a[row], j, b[j], raw.pixels[entry[row]], slopes)
         return rows, np.bincount(of_a, minlength=len(a))
 
-    def _sampson(self, state: PairState, a: Array, b: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Signed distances (n,), px, of rays (n, 3), what they are products of: value, 1 / its deviation, lines.
-
-        The lines (n, 3) are those of the rays of one camera in the image of the other.
-        """
-        matrix = essential_of(state.rotation, state.direction)
-        line_b, line_a = a @ matrix.T, b @ matrix
-        focal_a, focal_b = self.focal_px * state.focal
-        variance = ((line_b[:, :2] / focal_b) ** 2).sum(axis=1) + ((line_a[:, :2] / focal_a) ** 2).sum(axis=1)
-        # both pixels are off: the distance is that of one of them
-        scale = 1.0 / np.sqrt(np.maximum(variance, 1e-300))
-        return (b * line_b).sum(axis=1) * scale, matrix, scale, line_a, line_b
+    def distances(self, state: PairState, a: Array, b: Array) -> SampsonDistances:
+        """Return the distances (n,) of rays (n, 3), px."""
+        return sampson_distances(state.essential, a, b, *(self.focal_px * state.focal))
 
     def _paired(self, state: PairState, tolerance: float) -> _Paired:
         """Pair tracks at a state: those that are each other's best partner."""
@@ -221,7 +217,7 @@ class PairProblem:
         shape = (len(a), len(b))
         pair = rows.i * len(b) + rows.j
         count = np.bincount(pair, minlength=len(a) * len(b)).reshape(shape)
-        squared = self._sampson(state, state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1))[0] ** 2
+        squared = self.distances(state, state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)).signed ** 2
         gains = log_gains(squared, tolerance)
         mean = np.bincount(pair, weights=gains, minlength=len(a) * len(b)).reshape(shape) / np.maximum(count, 1)
         weight = common_pieces(self.found, a[:, None], b[None], count / counts[:, None], count >= LEAST_SAMPLES)
@@ -278,7 +274,7 @@ class PairProblem:
     def _linearised(self, state: PairState, rows: _Rows, free: Integers) -> tuple[Array, Array]:
         """Distances (n,) and their derivatives (n, f); those by the clock from the velocities of the tracks of b."""
         rays = [state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)]
-        distances, matrix, scale, line_a, line_b = self._sampson(state, *rays)
+        matrix, (distances, scale, line_a, line_b) = state.essential, self.distances(state, *rays)
         inner = [line[:, :2] / f**2 for line, f in zip((line_a, line_b), self.focal_px * state.focal, strict=True)]
         part = (distances * scale**2)[:, None]  # of the derivatives, by the distance's deviation
         jacobian = np.zeros((len(distances), SIZE))
@@ -314,10 +310,10 @@ class PairProblem:
         """Choose the pose with the most points in front of both cameras, and return how well the tracks fit it."""
         rows = paired.rows
         a, b = state.rays(rows.slopes_a, 0), state.rays(rows.slopes_b, 1)
-        distances = np.abs(self._sampson(state, a, b)[0])
+        distances = np.abs(self.distances(state, a, b).signed)
         inlying = distances <= 3.0 * tolerance
         options = []
-        for rotation, direction in poses_of(essential_of(state.rotation, state.direction)):
+        for rotation, direction in poses_of(state.essential):
             # in the axes of a: b's centre is -R^T t
             depth_a, depth_b, sines = nearest_depths(a, b @ rotation, np.broadcast_to(-direction @ rotation, a.shape))
             telling = inlying & (sines > LEAST_SINE)

@@ -78,7 +78,7 @@ def make_grid(found: SlopeTracks, cameras: tuple[int, int], reach: float) -> _Gr
     speeds = [
         found.focal[number] * np.linalg.norm(np.diff(raw.pixels[a:b], axis=0), axis=1) / np.diff(raw.log_times[a:b])
         for number, side in zip(cameras, sides, strict=True)
-        for a, b in zip(raw.first[side], raw.first[side + 1], strict=True)
+        for a, b in raw.spans(side)
     ]
     slowest = float(np.nanmax(found.intervals[list(cameras)]))
     usual = float(np.median(np.concatenate(speeds)))

@@ -84,12 +84,8 @@ def slope_tracks(cameras: Sequence[Camera], raw: RawTracks) -> SlopeTracks:
     """Keep the tracks that move, as slopes by the intrinsics, lenses and clocks of cameras."""
     kept: list[tuple[float, int]] = []
     sigma = np.array([float(camera.detector.sigma.max()) for camera in cameras])
-    intervals = np.full(len(cameras), np.nan)
-    for number in range(len(cameras)):
-        steps = [np.diff(raw.log_times[a:b]) for a, b in _spans(raw, np.flatnonzero(raw.cameras == number))]
-        if steps:
-            intervals[number] = float(np.median(np.concatenate(steps))) * cameras[number].clock.rate
-    for track, (a, b) in enumerate(_spans(raw, np.arange(len(raw.cameras)))):
+    intervals = np.array([raw.interval_s(number) * camera.clock.rate for number, camera in enumerate(cameras)])
+    for track, (a, b) in enumerate(raw.spans()):
         number = int(raw.cameras[track])
         seen = (b - a - 1) * intervals[number] / max((raw.log_times[b - 1] - raw.log_times[a]), 1e-12)
         moved = float(np.linalg.norm(np.ptp(raw.pixels[a:b], axis=0)))
@@ -101,7 +97,7 @@ def slope_tracks(cameras: Sequence[Camera], raw: RawTracks) -> SlopeTracks:
         of_camera = sorted((entry for entry in kept if raw.cameras[entry[1]] == number), key=lambda entry: -entry[0])
         chosen += sorted(of_camera[:MOST_TRACKS], key=lambda entry: entry[1])
     tracks = np.array([track for _, track in chosen], dtype=np.int64)
-    spans = list(_spans(raw, tracks))
+    spans = raw.spans(tracks)
     nothing = np.empty(0)
     slopes, times = [nothing.reshape(0, 2)], [nothing]
     pieces = np.array([count for count, _ in chosen])
@@ -112,12 +108,6 @@ def slope_tracks(cameras: Sequence[Camera], raw: RawTracks) -> SlopeTracks:
         times.append(camera.clock.to_true(raw.log_times[a:b]) + camera.readout_s * raw.rows[a:b])
     first = np.concatenate([[0], np.cumsum([b - a for a, b in spans])]).astype(np.int64)
     joined = RawTracks(raw.cameras[tracks], first, np.concatenate(times), np.concatenate(slopes), np.empty(0))
-    durations = np.array([float(joined.log_times[b - 1] - joined.log_times[a]) for a, b in _spans(joined, None)])
+    durations = np.array([float(joined.log_times[b - 1] - joined.log_times[a]) for a, b in joined.spans()])
     focal = np.array([0.5 * (camera.fx + camera.fy) for camera in cameras])
     return SlopeTracks(joined, pieces, durations, intervals, focal, sigma, len(raw.cameras) - len(tracks))
-
-
-def _spans(raw: RawTracks, tracks: Integers | None) -> list[tuple[int, int]]:
-    """First entry of tracks, and the one after the last."""
-    tracks = np.arange(len(raw.cameras)) if tracks is None else tracks
-    return list(zip(raw.first[tracks].tolist(), raw.first[tracks + 1].tolist(), strict=True))

@@ -40,9 +40,8 @@ class ClockOffsets:
 def search_offsets(parameters: ParameterSet, tracks: RawTracks) -> ClockOffsets:
     """Find the offset of every unknown clock, the most certain camera first."""
     cameras = parameters.cameras
-    spread = np.zeros(len(cameras))
-    for number, place in enumerate(offset_places(parameters)):
-        spread[number] = parameters.prior_std[place] if place >= 0 else 0.0
+    places = offset_places(parameters)
+    spread = np.where(places >= 0, parameters.prior_std[places], 0.0)
     offsets, scores = np.zeros(len(cameras)), np.zeros(len(cameras))
     known = set(np.flatnonzero(spread == 0.0).tolist())
     step = _step(cameras, tracks)
@@ -97,20 +96,15 @@ def offset_places(parameters: ParameterSet) -> Integers:
 
 def _step(cameras: Sequence[Camera], tracks: RawTracks) -> float:
     """Step of the common grid of times, s."""
-    steps = []
-    for camera in np.unique(tracks.cameras):
-        chosen = np.flatnonzero(tracks.cameras == camera)
-        gaps = np.concatenate([np.diff(tracks.log_times[tracks.first[j] : tracks.first[j + 1]]) for j in chosen])
-        steps.append(float(np.median(gaps)) * cameras[camera].clock.rate)
+    steps = [tracks.interval_s(camera) * cameras[camera].clock.rate for camera in np.unique(tracks.cameras).tolist()]
     return STEP_FRAMES * max(steps, default=np.inf)
 
 
 def _profiles(cameras: Sequence[Camera], tracks: RawTracks, step: float) -> dict[int, list[tuple[int, Array]]]:
     """Profiles of the tracks of each camera: first point of the grid, and logarithms of speeds, NaN in gaps."""
     out: dict[int, list[tuple[int, Array]]] = {k: [] for k in range(len(cameras))}
-    for j, camera in enumerate(tracks.cameras.tolist()):
-        part = slice(int(tracks.first[j]), int(tracks.first[j + 1]))
-        times = cameras[camera].clock.to_true(tracks.log_times[part])
+    for j, (camera, (start, end)) in enumerate(zip(tracks.cameras.tolist(), tracks.spans(), strict=True)):
+        times = cameras[camera].clock.to_true(tracks.log_times[start:end])
         first, last = int(np.ceil(times[0] / step)), int(np.floor(times[-1] / step))
         grid = np.arange(first, last + 1)
         if len(grid) < LEAST_OVERLAP:

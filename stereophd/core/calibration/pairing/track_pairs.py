@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -116,7 +116,10 @@ def make_pairs(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[in
     """Pair all tracks of different cameras that were seen at the same time, or may have been by unknown clocks."""
     raw = raw_tracks(scans.recording, tracks)
     spread = clock_spreads(parameters, raw)
-    times = [parameters.cameras[c].clock.to_true(raw.log_times[a:b]) for c, a, b in _segments(raw)]
+    times = [
+        parameters.cameras[c].clock.to_true(raw.log_times[a:b])
+        for c, (a, b) in zip(raw.cameras.tolist(), raw.spans(), strict=True)
+    ]
     nothing = np.empty(0, dtype=np.int64)
     members: list[tuple[int, int]] = []
     pair, entries = [nothing], [nothing]
@@ -140,15 +143,11 @@ def make_pairs(parameters: ParameterSet, scans: Scans, tracks: Sequence[tuple[in
     return TrackPairs(cameras, pairs, of_pair, rays, sigma, all_entries, others, raw, parameters.only_moves)
 
 
-def _segments(raw: RawTracks) -> Iterator[tuple[int, int, int]]:
-    return zip(raw.cameras.tolist(), raw.first[:-1].tolist(), raw.first[1:].tolist(), strict=True)
-
-
 def clock_spreads(parameters: ParameterSet, raw: RawTracks) -> Array:
     """Prior standard deviation (k,) of the true times of tracks, s."""
     by_name = dict(zip(parameters.names, parameters.prior_std.tolist(), strict=True))
     out = []
-    for camera, first, last in _segments(raw):
+    for camera, (first, last) in zip(raw.cameras.tolist(), raw.spans(), strict=True):
         name = parameters.cameras[camera].name
         late = float(np.abs(raw.log_times[first:last]).max())
         out.append(np.hypot(by_name.get(f"{name}.clock_offset", 0.0), late * by_name.get(f"{name}.clock_rate", 0.0)))

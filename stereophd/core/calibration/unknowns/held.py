@@ -90,18 +90,18 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
             group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, odds, is_unmeasured)
             by_quantity.setdefault(quantity, []).append(group)
     for quantity, each in by_quantity.items():
-        groups += each
-        if len(each) > 1:
-            together = tuple(name for group in each for name in group.names)
-            places = np.concatenate([group.places for group in each])
-            odds, is_unmeasured = min(group.odds for group in each), all(group.is_unmeasured for group in each)
-            groups.append(HeldGroup(quantity, together, places, odds, is_unmeasured))
+        groups += [*each, *([_together(quantity, each)] if len(each) > 1 else [])]
     unmeasured = [group for each in by_quantity.values() for group in each if group.is_unmeasured]
     if len({group.quantity for group in unmeasured}) > 1:
-        together = tuple(name for group in unmeasured for name in group.names)
-        places = np.concatenate([group.places for group in unmeasured])
-        groups.append(HeldGroup("unmeasured", together, places, min(group.odds for group in unmeasured), True))
+        groups.append(_together("unmeasured", unmeasured))
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
+
+
+def _together(quantity: str, groups: list[HeldGroup]) -> HeldGroup:
+    """Return several groups as one, no more probably wrong than each."""
+    names, places = tuple(name for group in groups for name in group.names), [group.places for group in groups]
+    odds, is_unmeasured = min(group.odds for group in groups), all(group.is_unmeasured for group in groups)
+    return HeldGroup(quantity, names, np.concatenate(places), odds, is_unmeasured)
 
 
 def with_unmeasured(parameters: ParameterSet, reference: int, periods: Array) -> ParameterSet:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.sorting import picked, places, stable_order
+from stereophd.core.numerics.sorting import copy_gaussian, picked, places, stable_order
 
 # Label of components that represent undetected objects; identity of labels that were never reported.
 UNLABELLED = -1
@@ -81,15 +81,11 @@ def copy_components(mixture: GaussianMixture, index: Integers, out: GaussianMixt
     """Copy the components with these indices to `out`, from place `start` on."""
     weights, means, covariances, cameras, times, labels, tracks, reported = mixture
     to_weights, to_means, to_covariances, to_cameras, to_times, to_labels, to_tracks, to_reported = out
-    size = means.shape[1]
     for i in range(len(index)):
         k, place = index[i], start + i
         to_weights[place], to_cameras[place], to_times[place] = weights[k], cameras[k], times[k]
         to_labels[place], to_tracks[place], to_reported[place] = labels[k], tracks[k], reported[k]
-        for a in range(size):
-            to_means[place, a] = means[k, a]
-            for b in range(size):
-                to_covariances[place, a, b] = covariances[k, a, b]
+        copy_gaussian(means, covariances, k, to_means, to_covariances, place)
 
 
 @compiled

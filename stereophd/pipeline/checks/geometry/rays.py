@@ -205,7 +205,7 @@ def signed_of_rays(first: Camera, second: Camera, rays_a: Array, rays_b: Array) 
     pose_a, pose_b = first.pose, second.pose
     essential = essential_matrices(pose_a.rotation, pose_a.center, pose_b.rotation, pose_b.center)
     scales = [np.array([camera.fx, camera.fy]) / camera.detector.sigma for camera in (first, second)]
-    return sampson_distances(essential, rays_a, rays_b, *scales)
+    return sampson_distances(essential, rays_a, rays_b, *scales).signed
 
 
 def meeting(

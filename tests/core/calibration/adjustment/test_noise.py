@@ -137,7 +137,7 @@ def test_a_detection_of_weight_two_counts_as_two() -> None:
 @pytest.mark.parametrize("factor", [0.2, 1.0, 4.0])
 def test_the_noise_of_a_camera_is_found_whatever_is_stated(factor: float) -> None:
     problem, begin = posed(Lens(), Lens())
-    adjustment = begin.adjustment
+    adjustment = begin
     stated = np.array([1.0, 1.0 / factor, 1.0])  # what is stated over the true noise
     for number in range(4):  # tracks follow the cameras whose noise is stated too small until it is known
         observations = problem.observations
@@ -170,7 +170,7 @@ def test_few_coordinates_bring_a_noise_down_that_is_looked_for_from_above() -> N
 
 def test_the_prior_of_a_noise_is_what_is_stated_or_less() -> None:
     problem, begin = posed(Lens(), Lens())
-    low, stated, high = (estimated(problem, begin.adjustment, 0.0, noise) for noise in (0.5, 1.0, 4.0))
+    low, stated, high = (estimated(problem, begin, 0.0, noise) for noise in (0.5, 1.0, 4.0))
     np.testing.assert_array_equal(low.factors, stated.factors)
     weight = PRIOR_REDUNDANCY / (PRIOR_REDUNDANCY + low.redundancy)
     np.testing.assert_allclose(stated.factors**2 - high.factors**2, weight * (1.0 - 1.0 / 16.0), rtol=1e-6)

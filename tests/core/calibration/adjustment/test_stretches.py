@@ -43,7 +43,7 @@ def test_stretches_of_a_right_model_agree(seed: int, center_std: float, monkeypa
     monkeypatch.setitem(STDS, "center", center_std)
     problem, states, drawn = some_problem(("center", "rotation", "focal"), seed)
     marginal = marginal_optimum(problem, adjust(problem, drawn, states))
-    more, factor, _ = disagreement_of_stretches(problem, marginal.adjustment, marginal.motion_noise)
+    more, factor, _ = disagreement_of_stretches(problem, marginal)
     assert factor < 1.5
     np.testing.assert_array_equal(more, more.T)
 
@@ -57,10 +57,10 @@ def test_what_stretches_say_of_the_noise_of_the_motion_is_not_said_of_cameras(se
     seen = np.isfinite(observations.points).all(axis=1)
     problem, states = problem_of(true.about(true.guess(drawn)), observations.take(seen), points[seen])
     marginal = marginal_optimum(problem, adjust(problem, drawn, states))
-    more, of_all, of_cameras = disagreement_of_stretches(problem, marginal.adjustment, marginal.motion_noise)
+    more, of_all, of_cameras = disagreement_of_stretches(problem, marginal)
     assert of_all > 2.0
     assert of_cameras < 1.5
-    covariance = marginal.adjustment.covariance
+    covariance = marginal.covariance
     widened = np.linalg.eigvals(np.linalg.solve(covariance, covariance + more)).real.max()
     assert of_cameras == pytest.approx(np.sqrt(widened), rel=1e-3)
 
@@ -71,6 +71,6 @@ def test_stretches_disagree_where_an_unstated_lens_is_strong() -> None:
     cameras = tuple(replace(camera, lens=Lens()) for camera in true)
     problem, states = problem_of(unknowns(cameras, ("center", "rotation")), observations, points)
     marginal = marginal_optimum(problem, adjust(problem, np.zeros(problem.parameters.size), states))
-    more, factor, _ = disagreement_of_stretches(problem, marginal.adjustment, marginal.motion_noise)
+    more, factor, _ = disagreement_of_stretches(problem, marginal)
     assert factor > 3.0
     assert (np.linalg.eigvalsh(more) > -1e-12).all()

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from stereophd.core.calibration.adjustment.marginal import MarginalOptimum, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import marginal_optimum
 from stereophd.core.calibration.adjustment.problem import Problem
-from stereophd.core.calibration.adjustment.solver import adjust
+from stereophd.core.calibration.adjustment.solver import Adjustment, adjust
 from stereophd.core.calibration.adjustment.suspicions import (
     QuadraticPosterior,
     Suspicion,
@@ -28,7 +28,7 @@ PERIODS = np.array([0.1, 1 / 7, 0.2])
 POSES = ("center", "rotation")
 
 
-def posed(lens: Lens, stated: Lens) -> tuple[Problem, MarginalOptimum]:
+def posed(lens: Lens, stated: Lens) -> tuple[Problem, Adjustment]:
     """Poses adjusted to detections by cameras of one lens, where another is stated."""
     true = tuple(replace(camera, lens=lens) for camera in rig())
     observations, _, points = observe(true, 1, 4, 8.0)
@@ -37,9 +37,9 @@ def posed(lens: Lens, stated: Lens) -> tuple[Problem, MarginalOptimum]:
     return problem, marginal_optimum(problem, adjust(problem, np.zeros(problem.parameters.size), states))
 
 
-def suspicions_of(problem: Problem, found: MarginalOptimum) -> tuple[EnlargedSet, list[Suspicion]]:
+def suspicions_of(problem: Problem, found: Adjustment) -> tuple[EnlargedSet, list[Suspicion]]:
     enlarged = enlarge(problem.parameters, 0, PERIODS)
-    quadratic = quadratic_posterior(problem, enlarged, found.adjustment, found.motion_noise)
+    quadratic = quadratic_posterior(problem, enlarged, found)
     return enlarged, suspect(quadratic, enlarged, np.arange(problem.parameters.size))
 
 

@@ -66,7 +66,7 @@ def test_errors_are_those_of_the_bound(names: tuple[str, ...]) -> None:
         problem, states = problem_of(guess, observations, points)
         joint = adjust(problem, np.zeros(guess.size), states)
         assert joint.converged
-        found = marginal_optimum(problem, joint).adjustment
+        found = marginal_optimum(problem, joint)
         error = found.values - drawn
         squares.append(error @ np.linalg.solve(found.covariance, error) / guess.size)
         truth = TruePositions(observations.trajectories, observations.cameras, times, points)
