@@ -8,8 +8,8 @@ Each set-up draws two to eight cameras in a row or a ring, 1 to 1,000 objects, 3
 The cameras are right, and without a detector section. `init` writes a configuration, `track` runs with it and with the
 true one, and `evaluate` scores both. A failure (noise off by more than a factor of 1.5, or OSPA above 1.3 times that of
 the true settings) is silent if neither `init` nor `track` warns. `off` lists every value of a detector, detection
-probability and clutter too, that is off by more than 1.5: the factor, and the standard error that `init` states. Exit code 1 if one is, or if the checks warn of more
-than one of 100 right set-ups.
+probability and clutter too, that is off by more than 1.5: the factor, and the standard error that `init` states. Exit
+code 1 if a failure is silent, or if the checks warn of more than one of 100 right set-ups.
 """
 
 from __future__ import annotations

@@ -320,8 +320,8 @@ def _with_filter(
     if figures is None:
         return _with_acceleration(draft, events, name, 4)
     final = _final(figures, usual, draft.unit)
-    draft = draft.with_choices({key: choice for key, choice in final.items() if key not in OF_DEPTH})
-    draft = _more_probable(draft, draft.with_choices({key: final[key] for key in OF_DEPTH}), events, name)
+    anywhere = draft.with_choices({key: choice for key, choice in final.items() if key not in OF_DEPTH})
+    draft = _more_probable(draft.with_choices(final), anywhere, events, name)
     # where tracks were lost by other settings, their acceleration was too large
     draft = _with_acceleration(draft, events, name, 4)
     return _with_damping(draft, figures.speed_std, events, name)
