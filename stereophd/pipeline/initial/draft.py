@@ -101,7 +101,8 @@ def _with_tracks(
 ) -> tuple[Draft, str | None]:
     """Return the draft with what rays and the filter show, and why the cameras are wrong, if they are.
 
-    They are if the log is more probable, 1,000 to 1, with the same settings where each camera has objects of its own.
+    They are if the log is more probable, 1,000 to 1, with the same settings where each camera has objects of its own,
+    both at the acceleration that is enough for every turn and at the most probable one.
     One camera that alone has detections cannot be wrong about the others, and cameras that move are not calibrated.
     """
     rough, name, is_compared = _rough(draft, samples, priors), str(log_path), are_compared(samples)
@@ -110,11 +111,14 @@ def _with_tracks(
     parts = stretches(open_stream(loaded_draft(draft, name).config, [sample.camera for sample in samples], log_path))
     found = _with_filter(draft.with_choices(rough), draft, priors, parts, name)
     begin(5, "cameras are compared by their tracks")
-    # with more than the most probable acceleration tracks wander, and those of several cameras from one another
-    loaded = loaded_draft(_with_usual_acceleration(found), name)
-    events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
-    every = range(len(samples))
-    gain = _log_likelihood(loaded, events, every) - sum(_log_likelihood(loaded, events, [k]) for k in every)
+    # with more acceleration than they have, or less than they turn with, tracks of two cameras wander from one another
+    every, gain = range(len(samples)), -np.inf
+    for settings in (found, _with_usual_acceleration(found)):
+        if gain <= -BELIEVED:
+            loaded = loaded_draft(settings, name)
+            events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
+            alone = sum(_log_likelihood(loaded, events, [k]) for k in every)
+            gain = max(gain, _log_likelihood(loaded, events, every) - alone)
     why = f"the log is more probable (by {-gain:,.0f} of the logarithm) if each sees objects of its own"
     return found, why if is_compared and gain <= -BELIEVED else None
 
