@@ -113,9 +113,10 @@ def _with_tracks(
     begin(5, "cameras are compared by their tracks")
     # with more acceleration than they have, or less than they turn with, tracks of two cameras wander from one another
     every, gain = range(len(samples)), -np.inf
-    for settings in (found, _with_usual_acceleration(found)):
+    for value in (None, found.usual_acceleration):
         if gain <= -BELIEVED:
-            loaded = loaded_draft(settings, name)
+            changes = {} if value is None else {"motion.acceleration_std": Choice(value, "the most probable")}
+            loaded = loaded_draft(found.with_choices(changes), name)
             events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
             alone = sum(_log_likelihood(loaded, events, [k]) for k in every)
             gain = max(gain, _log_likelihood(loaded, events, every) - alone)
@@ -342,21 +343,13 @@ def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str, step: 
     begin(step, "the acceleration is estimated")
     if draft.is_given("motion.acceleration_std"):
         return draft
-    start = float(_with_usual_acceleration(draft).choices["motion.acceleration_std"].value)
+    start = float(draft.usual_acceleration or draft.choices["motion.acceleration_std"].value)
     found = estimate_acceleration(loaded_draft(draft, name), parts, start)
     why = f"from the likelihood of {len(found.tried)} values over {found.events} events"
     if found.value > found.usual:
         why += f" ({found.usual:g} for most of them, more where objects turn)"
     chosen = Choice(found.value, f"{why}; {draft.unit}/s^2")
     return replace(draft.with_choices({"motion.acceleration_std": chosen}), usual_acceleration=found.usual)
-
-
-def _with_usual_acceleration(draft: Draft) -> Draft:
-    """Return the draft with the most probable acceleration, where one was estimated."""
-    if draft.usual_acceleration is None:
-        return draft
-    usual = Choice(draft.usual_acceleration, "the most probable")
-    return draft.with_choices({"motion.acceleration_std": usual})
 
 
 def _with_damping(draft: Draft, speed_std: float, parts: list[list[Event]], name: str) -> Draft:
