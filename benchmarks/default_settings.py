@@ -7,8 +7,9 @@
 Each set-up draws two to eight cameras in a row or a ring, 1 to 1,000 objects, 3 to 3,000 frames and all else.
 The cameras are right, and without a detector section. `init` writes a configuration, `track` runs with it and with the
 true one, and `evaluate` scores both. A failure (noise off by more than a factor of 1.5, or OSPA above 1.3 times that of
-the true settings) is silent if neither `init` nor `track` warns. Exit code 1 if one is, or if the checks warn of more
-than one of 100 right set-ups.
+the true settings) is silent if neither `init` nor `track` warns. `off` lists every value of a detector, detection
+probability and clutter too, that is off by more than 1.5: the factor, and the standard error that `init` states. Exit
+code 1 if a failure is silent, or if the checks warn of more than one of 100 right set-ups.
 """
 
 from __future__ import annotations
@@ -16,9 +17,11 @@ from __future__ import annotations
 import argparse
 import logging
 import math
+import re
 import signal
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -113,8 +116,9 @@ def one_run(number: int, folder: Path, most: int) -> dict[str, Any]:
     (folder / "chosen.yaml").write_text((folder / "init" / "config.yaml").read_text())
     row["init_s"] = round(time.process_time() - since, 1)
     chosen = load_config(folder / "chosen.yaml")
+    truth = {name: camera["detector"] for name, camera in tree["cameras"].items()}
     ratios = [
-        math.sqrt(math.prod(camera.detector.sigma_px)) / tree["cameras"][name]["detector"]["sigma_px"][0]
+        math.sqrt(math.prod(camera.detector.sigma_px)) / truth[name]["sigma_px"][0]
         for name, camera in chosen.cameras.items()
     ]
     cutoff = 0.1 * row["distance"]
@@ -126,11 +130,24 @@ def one_run(number: int, folder: Path, most: int) -> dict[str, Any]:
         "noise_worst": round(float(np.exp(np.abs(np.log(ratios)).max())), 2),
         "ospa": round(mine / cutoff, 4), "ospa_true": round(best / cutoff, 4),
         "warned": sorted(causes | warned),
+        "off": [text for name, entry in report["detectors"].items() for text in _off(name, entry, truth[name])],
     }  # fmt: skip
     row["noise_right"] = row["noise_worst"] <= NOISE_FACTOR
     row["tracks_right"] = mine <= OSPA_FACTOR * best + 1e-3 * cutoff
     row["silent"] = not (row["noise_right"] and row["tracks_right"]) and not row["warned"]
     return row
+
+
+def _off(name: str, entry: dict[str, Any], truth: dict[str, Any]) -> Iterator[str]:
+    """Yield each value of an estimated detector that is off by more than a factor of 1.5, and its stated error."""
+    errors = dict(re.findall(r"(noise|p_detect|clutter)\S* ([\d.e+-]+)", entry["source"].partition("errors:")[2]))
+    noise, share = math.sqrt(math.prod(entry["sigma_px"])), float(errors.get("noise", math.nan)) / 100.0
+    values = {"noise": (noise, truth["sigma_px"][0], noise * share)}
+    for key in ("p_detect", "clutter_per_frame"):
+        values[key] = (entry[key], truth[key], float(errors.get(key.split("_per")[0], math.nan)))
+    for key, (value, true, error) in values.items():
+        if abs(math.log(value / true)) > math.log(NOISE_FACTOR):
+            yield f"{name} {key} {value:.3g} for {true:.3g}, error {error:.2g}"
 
 
 def main() -> int:

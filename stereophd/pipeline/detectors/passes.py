@@ -27,9 +27,9 @@ from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.knocked import NO_TEST
 from stereophd.pipeline.tracking.loop import FORGET_EVERY, Estimator, RunState, run_estimator
 
-# Frames of a log that are looked at, stretches of it that a filter runs over, events and detections of them all: more
-# add little, and the time stays bounded for logs of any length.
-MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS = 20_000, 6, 1500, 12_000
+# Frames of a log that are looked at, stretches of it that a filter runs over, events and measured numbers of them all
+# (two of a point, four of a box): more add little, and the time stays bounded for logs of any length.
+MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_NUMBERS = 20_000, 6, 1500, 24_000
 # Frames of each camera in a stretch, at least: in fewer no track is settled.
 LEAST_FRAMES = 10
 # Log-likelihood that a change must gain, and runs of the filter at most.
@@ -140,8 +140,8 @@ class _Watched:
 def stretches(stream: EventStream) -> list[EventStream]:
     """Return stretches of a log in memory, spread over its first `MOST_FRAMES` frames: all of it if it is short."""
     frames = list(islice(stream.frames, MOST_FRAMES))
-    detections = sum(len(frame.pixels) for frame in frames)
-    most = int(min(MOST_EVENTS, len(frames) * MOST_DETECTIONS / max(detections, 1)))
+    numbers = sum(values.size for frame in frames for values in (frame.pixels, frame.sizes) if values is not None)
+    most = int(min(MOST_EVENTS, len(frames) * MOST_NUMBERS / max(numbers, 1)))
     least = LEAST_FRAMES * len(stream.cameras)
     count = min(max(most // least, 1), STRETCHES)
     length = max(most // count, least)

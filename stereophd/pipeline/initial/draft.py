@@ -5,7 +5,7 @@ with (`stereophd.pipeline.checks`). Then the filter runs over stretches of the l
 acceleration, its tracks give depths, speeds and births, and its residuals the detectors that are unknown.
 """
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -50,6 +50,8 @@ UNCERTAIN, CUTOFF = 0.1, 0.1
 CAUSES_OF_DETECTORS = ("clutter", "sigma")
 # Steps that a run shows; the check of the log is the last of them.
 STEPS = 6
+# What the depths of tracks say, which several cameras must have seen: objects that one alone sees may be elsewhere.
+OF_DEPTH = "region.depth", "filter.birth.depth_range"
 # Figures of a filter that concern points only.
 UNUSED_BY_BODIES = {"region.depth", "report.max_position_std", "evaluation.cutoff"}
 
@@ -99,7 +101,8 @@ def _with_tracks(
 ) -> tuple[Draft, str | None]:
     """Return the draft with what rays and the filter show, and why the cameras are wrong, if they are.
 
-    They are if the log is more probable, 1,000 to 1, with the same settings where each camera has objects of its own.
+    They are if the log is more probable, 1,000 to 1, with the same settings where each camera has objects of its own,
+    both at the acceleration that is enough for every turn and at the most probable one.
     One camera that alone has detections cannot be wrong about the others, and cameras that move are not calibrated.
     """
     rough, name, is_compared = _rough(draft, samples, priors), str(log_path), are_compared(samples)
@@ -108,10 +111,15 @@ def _with_tracks(
     parts = stretches(open_stream(loaded_draft(draft, name).config, [sample.camera for sample in samples], log_path))
     found = _with_filter(draft.with_choices(rough), draft, priors, parts, name)
     begin(5, "cameras are compared by their tracks")
-    loaded = loaded_draft(found, name)
-    events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
-    every = range(len(samples))
-    gain = _log_likelihood(loaded, events, every) - sum(_log_likelihood(loaded, events, [k]) for k in every)
+    # with more acceleration than they have, or less than they turn with, tracks of two cameras wander from one another
+    every, gain = range(len(samples)), -np.inf
+    for value in (None, found.usual_acceleration):
+        if gain <= -BELIEVED:
+            changes = {} if value is None else {"motion.acceleration_std": Choice(value, "the most probable")}
+            loaded = loaded_draft(found.with_choices(changes), name)
+            events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
+            alone = sum(_log_likelihood(loaded, events, [k]) for k in every)
+            gain = max(gain, _log_likelihood(loaded, events, every) - alone)
     why = f"the log is more probable (by {-gain:,.0f} of the logarithm) if each sees objects of its own"
     return found, why if is_compared and gain <= -BELIEVED else None
 
@@ -200,14 +208,25 @@ def _strangers(loaded: LoadedConfig, parts: list[list[Event]]) -> Iterator[Findi
     The rays of boxes miss by too much to tell wrong clocks, and a noise that is estimated from boxes that do not agree
     would hide them: the cameras have the usual one. Beside a wrong camera the others do not agree with it either, so
     that one after the other is taken out, of which this is most probable; of two it may be either. Where none agrees
-    with another, poses are no better than guesses, as where no rays of points meet.
+    with another, poses are no better than guesses, as where no rays of points meet. What drifts apart is wrong at the
+    beginning or at the end: where all agree in the first stretch and in the last, the others are not looked at.
     """
     names, alike, strange = list(loaded.cameras), list(range(len(loaded.cameras))), dict[int, float]()
-    likelihood = cache(lambda *group: _log_likelihood(loaded, parts, group))
-    while len(alike) > 1:
+
+    def strangest(likelihood: Callable[..., float]) -> tuple[int, float]:
+        """Return the camera whose boxes are least those of the others, and the log-likelihood that they are."""
         apart = {k: likelihood(k) + likelihood(*(other for other in alike if other != k)) for k in alike}
         worst = max(alike, key=lambda k: apart[k])
-        gain = likelihood(*alike) - apart[worst]
+        return worst, likelihood(*alike) - apart[worst]
+
+    def of(some: list[list[Event]]) -> Callable[..., float]:
+        return cache(lambda *group: _log_likelihood(loaded, some, group))
+
+    if len(parts) > 2 and len(alike) > 1 and strangest(of([parts[0], parts[-1]]))[1] > BELIEVED:
+        return
+    likelihood = of(parts)
+    while len(alike) > 1:
+        worst, gain = strangest(likelihood)
         if gain > -BELIEVED:
             break
         strange |= dict.fromkeys(alike if len(alike) == 2 else [worst], gain)
@@ -302,12 +321,21 @@ def _with_filter(
         draft = _with_detectors(draft, loaded_draft(draft, name), priors, parts)
         cameras = loaded_draft(draft, name).build_cameras()
         events = [list(part.with_cameras(cameras)) for part in parts]
-        draft = _with_acceleration(draft, events, name, 4)
     figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
-        return draft
-    draft = draft.with_choices(_final(figures, usual, draft.unit))
+        return _with_acceleration(draft, events, name, 4)
+    final = _final(figures, usual, draft.unit)
+    anywhere = draft.with_choices({key: choice for key, choice in final.items() if key not in OF_DEPTH})
+    draft = _more_probable(draft.with_choices(final), anywhere, events, name)
+    # where tracks were lost by other settings, their acceleration was too large
+    draft = _with_acceleration(draft, events, name, 4)
     return _with_damping(draft, figures.speed_std, events, name)
+
+
+def _more_probable(first: Draft, second: Draft, parts: list[list[Event]], name: str) -> Draft:
+    """Return the draft with which the log is more probable, clearly if it is the second."""
+    before, after = (log_likelihoods(loaded_draft(one, name), parts).sum() for one in (first, second))
+    return second if after > before + LEAST_GAIN else first
 
 
 def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str, step: int) -> Draft:
@@ -315,12 +343,13 @@ def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str, step: 
     begin(step, "the acceleration is estimated")
     if draft.is_given("motion.acceleration_std"):
         return draft
-    start = float(draft.choices["motion.acceleration_std"].value)
+    start = float(draft.usual_acceleration or draft.choices["motion.acceleration_std"].value)
     found = estimate_acceleration(loaded_draft(draft, name), parts, start)
     why = f"from the likelihood of {len(found.tried)} values over {found.events} events"
     if found.value > found.usual:
         why += f" ({found.usual:g} for most of them, more where objects turn)"
-    return draft.with_choices({"motion.acceleration_std": Choice(found.value, f"{why}; {draft.unit}/s^2")})
+    chosen = Choice(found.value, f"{why}; {draft.unit}/s^2")
+    return replace(draft.with_choices({"motion.acceleration_std": chosen}), usual_acceleration=found.usual)
 
 
 def _with_damping(draft: Draft, speed_std: float, parts: list[list[Event]], name: str) -> Draft:
@@ -337,9 +366,7 @@ def _with_damping(draft: Draft, speed_std: float, parts: list[list[Event]], name
             rounded(settling), "in which this acceleration and the decay hold the speeds at those of the tracks; s"
         ),
     }
-    damped = draft.with_choices(changes)
-    lasting, decaying = (log_likelihoods(loaded_draft(one, name), parts).sum() for one in (draft, damped))
-    return damped if decaying > lasting + LEAST_GAIN else draft
+    return _more_probable(draft, draft.with_choices(changes), parts, name)
 
 
 def _with_detectors(

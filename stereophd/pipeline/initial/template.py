@@ -171,6 +171,7 @@ class Draft:
     findings: tuple[Finding, ...] = ()  # What is doubtful of the estimates
     given: frozenset[str] = frozenset()  # Keys and sections that the user states: nothing changes them
     covariance: CovarianceRows | None = None  # Of the cameras
+    usual_acceleration: float | None = None  # The most probable one, once it was estimated
 
     @property
     def is_unplaced(self) -> bool:
