@@ -14,10 +14,10 @@ from functools import reduce
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.numerics.rows import ArrayRows
 from stereophd.core.settings import LARGEST_LENGTH
 
 LENGTH, RADIANS, RATIO, PIXELS, SECONDS = "length", "rad", "1", "px", "s"
@@ -37,30 +37,36 @@ MOVES, IMAGES, TIMES = "moves", "images", "times"
 
 
 @dataclass(frozen=True)
-class CameraView:
-    """The view of one camera on n points of trajectories at the times of its detections."""
+class Projection(ArrayRows):
+    """What cameras see of n points of trajectories, each at the time of a detection."""
 
-    camera: Camera  # At the current values
     # `ahead`, `visible`: arrays (n,) of bool: Whether the point lies before the camera (other rows are meaningless),
     # and within the lens's `max_radius` too.
-    ahead: NDArray[np.bool_]
-    visible: NDArray[np.bool_]
-    elapsed: Array  # (n,): Time since ``camera.pose.time_s``, s
-    log_times: Array  # (n,): Times on the camera's own clock, s
-    rows: Array  # (n,): Row of the detection over the height of the image
+    ahead: Booleans
+    visible: Booleans
     points: Array  # (n, 3): The points in the camera's axes at those times, length
-    # (n, 3, 3) or None: Turn of a moving camera since ``camera.pose.time_s``; None of a camera that does not turn.
-    turns: Array | None
     # `undistorted`, `distorted`: arrays (n, 2): Normalised image coordinates before and after the lens, both of a
     # point within the lens's `max_radius`.
     undistorted: Array
     distorted: Array
+    pixels: Array  # (n, 2): Raw pixels
     # `by_point`, `by_world`: arrays (n, 2, 3): Derivative of the raw pixel with respect to the point in the camera's
     # axes, and in the world's.
     by_point: Array
     by_world: Array
+
+
+@dataclass(frozen=True)
+class CameraView(Projection):
+    """The view of one camera on points of trajectories at the times of its detections."""
+
+    camera: Camera  # At the current values
+    elapsed: Array  # (n,): Time since ``camera.pose.time_s``, s
+    log_times: Array  # (n,): Times on the camera's own clock, s
+    rows: Array  # (n,): Row of the detection over the height of the image
+    # (n, 3, 3) or None: Turn of a moving camera since ``camera.pose.time_s``; None of a camera that does not turn.
+    turns: Array | None
     by_time: Array  # (n, 2): Derivative of the raw pixel with respect to the true time of the detection, px/s
-    pixels: Array  # (n, 2): Raw pixels
 
 
 # What of ``cameras.yaml`` a quantity determines, as nested plain values.

@@ -9,30 +9,15 @@ from typing import NamedTuple
 import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
-from stereophd.core.calibration.unknowns.quantities.base import CameraView
+from stereophd.core.calibration.unknowns.quantities.base import CameraView, Projection
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.compiled_lenses import distort_point_jacobian
 from stereophd.core.geometry.layout import LENS_NONE
 from stereophd.core.geometry.trajectory import Motions
 from stereophd.core.numerics.compilation.compiled import compiled
-from stereophd.core.numerics.rows import ArrayRows
 
 # Step of differences of a lens's derivatives, in normalised coordinates.
 LENS_STEP = 1e-4
-
-
-@dataclass(frozen=True)
-class Projection(ArrayRows):
-    """What cameras see of points, row by row; the fields are those of a `CameraView`."""
-
-    ahead: Booleans
-    visible: Booleans
-    points: Array
-    undistorted: Array
-    distorted: Array
-    pixels: Array
-    by_point: Array
-    by_world: Array
 
 
 class Places(NamedTuple):
@@ -90,9 +75,14 @@ class Sights:
             turns = motions.rotations[poses] @ pose.rotation.T
             by_time += np.einsum("nij,nj->ni", part.by_point, np.cross(part.points, motions.rates[poses]))
         return CameraView(
-            camera, part.ahead, part.visible, times - pose.time_s, log_times, rows, part.points, turns,
-            part.undistorted, part.distorted, part.by_point, part.by_world, by_time, part.pixels,
-        )  # fmt: skip
+            **vars(part),
+            camera=camera,
+            elapsed=times - pose.time_s,
+            log_times=log_times,
+            rows=rows,
+            turns=turns,
+            by_time=by_time,
+        )
 
 
 def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:
