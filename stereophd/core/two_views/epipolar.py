@@ -79,25 +79,66 @@ def ray_distances(cameras: Sequence[Camera], rays: Rays, sigma: Array) -> Array:
 
 
 @compiled
+def _sampson(
+    matrix: Array, a: Array, b0: float, b1: float, b2: float, scales_a: Array, scales_b: Array, least: float
+) -> float:
+    """`sampson_distances` of the ray a (3,) and another one by an essential matrix, of at least this variance."""
+    a0, a1, a2 = a[0], a[1], a[2]
+    line_b0 = matrix[0, 0] * a0 + matrix[0, 1] * a1 + matrix[0, 2] * a2
+    line_b1 = matrix[1, 0] * a0 + matrix[1, 1] * a1 + matrix[1, 2] * a2
+    line_b2 = matrix[2, 0] * a0 + matrix[2, 1] * a1 + matrix[2, 2] * a2
+    line_a0 = matrix[0, 0] * b0 + matrix[1, 0] * b1 + matrix[2, 0] * b2
+    line_a1 = matrix[0, 1] * b0 + matrix[1, 1] * b1 + matrix[2, 1] * b2
+    variance = (line_a0 / scales_a[0]) ** 2 + (line_a1 / scales_a[1]) ** 2
+    variance += (line_b0 / scales_b[0]) ** 2 + (line_b1 / scales_b[1]) ** 2
+    return float((b0 * line_b0 + b1 * line_b1 + b2 * line_b2) / math.sqrt(max(variance, least)))
+
+
+@compiled
 def _sampson_rows(
     essential: Array, which: Integers, rays: Array, focal: Array, cameras: Integers, sigma: Array, out: Array
 ) -> None:
     """`sampson_distances` of rows (r,), each with one of several essential matrices (e, 3, 3)."""
-    line_a, line_b = np.empty(3), np.empty(3)
-    for row in range(len(out)):
-        matrix, a, b = essential[which[row]], rays[row, 0], rays[row, 1]
-        for k in range(3):
-            line_b[k] = matrix[k, 0] * a[0] + matrix[k, 1] * a[1] + matrix[k, 2] * a[2]
-            line_a[k] = matrix[0, k] * b[0] + matrix[1, k] * b[1] + matrix[2, k] * b[2]
-        variance = 0.0
-        for k in range(2):
-            variance += (line_a[k] / focal[cameras[row, 0], k]) ** 2 + (line_b[k] / focal[cameras[row, 1], k]) ** 2
-        value = b[0] * line_b[0] + b[1] * line_b[1] + b[2] * line_b[2]
-        out[row] = value / (math.sqrt(max(variance, 1e-300)) * sigma[row])
+    for n in range(len(out)):
+        a, b, of_a, of_b = rays[n, 0], rays[n, 1], focal[cameras[n, 0]], focal[cameras[n, 1]]
+        out[n] = _sampson(essential[which[n]], a, b[0], b[1], b[2], of_a, of_b, 1e-300) / sigma[n]
 
 
 # Rays are parallel at a sine of their angle below the root of this: their depths are cut off.
 LEAST_SQUARED_SINE = 1e-12
+# Rays at a smaller angle (sine) meet anywhere: the depth has no sign.
+LEAST_SINE = 1e-3
+
+
+@compiled
+def distances_in_front(
+    essential: Array, rays_a: Array, rays_b: Array, scales_a: Array, scales_b: Array, turn: Array, between: Array
+) -> tuple[Array, Array]:
+    """Distances (s, n, k) of rays (n, 3) and (s, n, k, 3), and depths before A of where they come nearest.
+
+    Distances are those of `sampson_distances`, infinite where rays do not meet in front of both cameras. `turn` (3, 3)
+    leads from the axes of B to those of A, and `between` (3,) to B, in the axes of A.
+    """
+    distances, depths = np.empty(rays_b.shape[:3]), np.empty(rays_b.shape[:3])
+    least = 1e-300 * (essential**2).sum()
+    for s in range(rays_b.shape[0]):
+        for n in range(rays_b.shape[1]):
+            a = rays_a[n]
+            aa = a[0] ** 2 + a[1] ** 2 + a[2] ** 2
+            da = a[0] * between[0] + a[1] * between[1] + a[2] * between[2]
+            for k in range(rays_b.shape[2]):
+                b0, b1, b2 = rays_b[s, n, k, 0], rays_b[s, n, k, 1], rays_b[s, n, k, 2]
+                bb, ab, db = b0 * b0 + b1 * b1 + b2 * b2, 0.0, 0.0
+                for i in range(3):
+                    turned = turn[i, 0] * b0 + turn[i, 1] * b1 + turn[i, 2] * b2
+                    ab, db = ab + a[i] * turned, db + between[i] * turned
+                determinant = max(aa * bb - ab * ab, LEAST_SQUARED_SINE * aa * bb)
+                depths[s, n, k] = (da * bb - db * ab) / determinant
+                is_ahead = depths[s, n, k] > 0.0 and da * ab - db * aa > 0.0
+                distance = _sampson(essential, a, b0, b1, b2, scales_a, scales_b, least)
+                met = (is_ahead or determinant < LEAST_SINE**2 * aa * bb) and math.isfinite(distance)
+                distances[s, n, k] = distance if met else math.inf
+    return distances, depths
 
 
 def nearest_depths(rays_a: Array, rays_b: Array, between: Array) -> tuple[Array, Array, Array]:

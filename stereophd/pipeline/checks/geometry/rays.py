@@ -18,7 +18,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.two_views.epipolar import essential_matrices, nearest_depths, sampson_distances
+from stereophd.core.two_views.epipolar import distances_in_front, essential_matrices, sampson_distances
 from stereophd.pipeline.checks.log.sample import CameraSample
 
 # Of the detections of both cameras of a pair; None: not computed.
@@ -32,8 +32,6 @@ TOLERANCES = (3.0, 8.0, 20.0)
 # By how much detections are moved for distances of chance, as a share of the image, and the angle between successive
 # directions. At other times alone the rays of objects that hardly move still meet.
 OFFSETS, GOLDEN_ANGLE = (0.08, 0.25), 2.39996
-# Rays at a smaller angle (sine) meet anywhere: the depth has no sign.
-LEAST_SINE = 1e-3
 
 
 def unchanged(camera: Camera, pixels: Array) -> Array:
@@ -175,14 +173,10 @@ def distances(found: Candidates, first: Reading, second: Reading, known: Rays = 
     `rays_of`).
     """
     rays_a, rays_b = rays_of(found, first, second, known)
-    pose_a, pose_b = first.camera.pose, second.camera.pose
-    rays_a = rays_a[:, None]
-    distance = signed_of_rays(first.camera, second.camera, rays_a, rays_b)
-    depth_a, depth_b, sines = nearest_depths(
-        rays_a @ pose_a.rotation, rays_b @ pose_b.rotation, pose_b.center - pose_a.center
-    )
-    in_front = (sines < LEAST_SINE) | ((depth_a > 0.0) & (depth_b > 0.0))
-    return np.where(in_front & np.isfinite(distance), distance, np.inf), depth_a
+    one, other, (scales_a, scales_b) = first.camera, second.camera, _scales(first.camera, second.camera)
+    turn, between = one.pose.rotation @ other.pose.rotation.T, one.pose.rotation @ (other.pose.center - one.pose.center)
+    rays_b = np.ascontiguousarray(rays_b)
+    return distances_in_front(_essential(one, other), rays_a, rays_b, scales_a, scales_b, turn, between)
 
 
 def rays_of(found: Candidates, first: Reading, second: Reading, known: Rays = (None, None)) -> tuple[Array, Array]:
@@ -202,10 +196,16 @@ def signed_distances(first: Camera, second: Camera, pixels_a: Array, pixels_b: A
 
 def signed_of_rays(first: Camera, second: Camera, rays_a: Array, rays_b: Array) -> Array:
     """Return the distances (...,) of rays (..., 3) in standard deviations, with their sign."""
-    pose_a, pose_b = first.pose, second.pose
-    essential = essential_matrices(pose_a.rotation, pose_a.center, pose_b.rotation, pose_b.center)
-    scales = [np.array([camera.fx, camera.fy]) / camera.detector.sigma for camera in (first, second)]
-    return sampson_distances(essential, rays_a, rays_b, *scales).signed
+    return sampson_distances(_essential(first, second), rays_a, rays_b, *_scales(first, second)).signed
+
+
+def _essential(first: Camera, second: Camera) -> Array:
+    return essential_matrices(first.pose.rotation, first.pose.center, second.pose.rotation, second.pose.center)
+
+
+def _scales(first: Camera, second: Camera) -> list[Array]:
+    """Noise's worth of a unit of slope, of both cameras."""
+    return [np.array([camera.fx, camera.fy]) / camera.detector.sigma for camera in (first, second)]
 
 
 def meeting(
