@@ -220,21 +220,24 @@ def test_cameras_beside_a_wrong_one_are_not_called_wrong(
     assert len(asked) == len({*asked})
 
 
-@pytest.mark.parametrize(("late", "named"), [(False, 0), (True, 2)])
+@pytest.mark.parametrize(
+    ("gains", "named"),
+    [((50.0, 50.0, 50.0, 50.0), 0), ((50.0, 50.0, -100.0, -100.0), 2), ((150.0, -100.0, -100.0, -100.0), 2)],
+)
 def test_cameras_that_agree_at_both_ends_are_compared_there_alone(
-    monkeypatch: pytest.MonkeyPatch, late: bool, named: int
+    monkeypatch: pytest.MonkeyPatch, gains: tuple[float, ...], named: int
 ) -> None:
-    """A wrong rate shows at the end of the log, if not at its beginning."""
+    """A wrong rate shows at one of them, however well the cameras agree at the other."""
     asked = set()
 
     def likelihood(_loaded: object, parts: list[int], group: tuple[int, ...]) -> float:
         asked.update(parts)
-        return float(sum(-100.0 if late and part > 1 else 50.0 for part in parts)) if len(group) == 2 else 0.0
+        return sum(gains[part] for part in parts) if len(group) == 2 else 0.0
 
     monkeypatch.setattr("stereophd.pipeline.initial.draft._log_likelihood", likelihood)
     found = tuple(_strangers(SimpleNamespace(cameras=dict.fromkeys("ab")), [0, 1, 2, 3]))  # type: ignore[arg-type]
     assert len(found) == named
-    assert asked == ({0, 1, 2, 3} if late else {0, 3})
+    assert asked == ({0, 1, 2, 3} if named else {0, 3})
 
 
 @pytest.mark.usefixtures("without_checks")

@@ -88,3 +88,7 @@ def test_cameras_agree_that_do_so_at_the_most_probable_acceleration(monkeypatch:
     assert why is None
     assert set(asked) == {8.0, 0.5}
     assert found.choices["motion.acceleration_std"].value == 8.0
+    asked.clear()
+    _, why = drafts._with_tracks(draft.with_given({"motion.acceleration_std": 8.0}), samples, {}, "log.parquet")
+    assert why is not None
+    assert asked == [8.0] * 3  # once: there is no other acceleration

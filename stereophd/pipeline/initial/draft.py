@@ -113,10 +113,10 @@ def _with_tracks(
     begin(5, "cameras are compared by their tracks")
     # with more acceleration than they have, or less than they turn with, tracks of two cameras wander from one another
     every, gain = range(len(samples)), -np.inf
-    for value in (None, found.usual_acceleration):
+    written, usual = found.choices["motion.acceleration_std"].value, found.usual_acceleration
+    for value in [written] if usual in (None, written) else [written, usual]:
         if gain <= -BELIEVED:
-            changes = {} if value is None else {"motion.acceleration_std": Choice(value, "the most probable")}
-            loaded = loaded_draft(found.with_choices(changes), name)
+            loaded = loaded_draft(found.with_choices({"motion.acceleration_std": Choice(value, "")}), name)
             events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
             alone = sum(_log_likelihood(loaded, events, [k]) for k in every)
             gain = max(gain, _log_likelihood(loaded, events, every) - alone)
@@ -222,7 +222,7 @@ def _strangers(loaded: LoadedConfig, parts: list[list[Event]]) -> Iterator[Findi
     def of(some: list[list[Event]]) -> Callable[..., float]:
         return cache(lambda *group: _log_likelihood(loaded, some, group))
 
-    if len(parts) > 2 and len(alike) > 1 and strangest(of([parts[0], parts[-1]]))[1] > BELIEVED:
+    if len(parts) > 2 and len(alike) > 1 and all(strangest(of([parts[end]]))[1] > BELIEVED for end in (0, -1)):
         return
     likelihood = of(parts)
     while len(alike) > 1:
@@ -323,7 +323,7 @@ def _with_filter(
         events = [list(part.with_cameras(cameras)) for part in parts]
     figures = measure_with_filter(loaded_draft(draft, name), events)
     if figures is None:
-        return _with_acceleration(draft, events, name, 4)
+        return _with_acceleration(draft, events, name, 4) if priors else draft
     final = _final(figures, usual, draft.unit)
     anywhere = draft.with_choices({key: choice for key, choice in final.items() if key not in OF_DEPTH})
     draft = _more_probable(draft.with_choices(final), anywhere, events, name)

@@ -31,7 +31,8 @@ STRETCHES, JOINED, BEYOND_CHANCE = 64, (1, 2, 4), 1.5
 def disagreement_of_stretches(problem: Problem, adjustment: Adjustment) -> tuple[Array, float, float]:
     """Return the covariance (m, m) that disagreeing stretches add to that of a fit, and by how much they widen most.
 
-    By what factors of standard deviations, 1 where they agree: of all unknowns with the noise of the motion, of values.
+    These are two factors of standard deviations, 1 where stretches agree: along any direction of all unknowns, with the
+    noise of the motion, and along any direction of the values alone.
     """
     size, (posterior, point) = problem.parameters.size, at_answer(problem, adjustment)
     covariance, prior_std = posterior.covariance(point), posterior.prior_std

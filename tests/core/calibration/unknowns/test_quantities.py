@@ -110,6 +110,36 @@ def test_second_derivatives_by_the_point_are_those_of_first_ones(lens: str, movi
     np.testing.assert_allclose(found, numeric, atol=1e-5 * np.abs(numeric).max())
 
 
+def test_a_rig_is_seen_as_its_cameras_one_by_one() -> None:
+    """Cameras of all lenses, at rest, moving without a turn, turning and mounted, one of them without a row."""
+    rng, count = np.random.default_rng(6), 120
+    rig = [
+        make_camera(lens, moving, mounted)
+        for lens in LENSES
+        for moving, mounted in ((False, False), (True, False), (False, True))
+    ]
+    rig += [replace(rig[0], pose=Pose(rig[0].pose.rotation, rig[0].pose.center, velocity=(0.3, 0.1, 0.0)))] * 2
+    of_row, times = rng.integers(0, len(rig) - 1, count), rng.uniform(-3.0, 9.0, count)
+    world = rig[0].pose.to_world(np.column_stack([rng.uniform(-3.0, 3.0, (count, 2)), rng.uniform(-1.0, 9.0, count)]))
+    velocities = rng.normal(0.0, 0.3, (count, 3))
+    sights = Sights.of(tuple(rig), of_row, times)
+    found = sights.project(world)
+    bends = sights.bends(found)
+    for number, camera in enumerate(rig):
+        here = np.flatnonzero(of_row == number)
+        view = sights.view(number, here, found, velocities, times, times, times)
+        alone = look(camera, world[here], velocities[here], times[here], times[here], times[here])
+        for name in ("ahead", "visible", "elapsed", "points", "distorted", "pixels", "by_point", "by_world", "by_time"):
+            np.testing.assert_allclose(getattr(view, name), getattr(alone, name), rtol=1e-9, atol=1e-9)
+        moved = world[here] - camera.pose.motions(times[here]).centers
+        expected = np.einsum("nij,nj->ni", camera.pose.motions(times[here]).rotations, moved)
+        np.testing.assert_allclose(view.points, expected, atol=1e-9)
+        one = Sights.of((camera,), np.zeros(len(here), dtype=np.int64), times[here])
+        # else kernels are compiled once more
+        assert all(values.flags.c_contiguous for values in (*sights.places.motions, *one.places.motions))
+        np.testing.assert_allclose(bends[here], one.bends(one.project(world[here])), rtol=1e-9, atol=1e-9)
+
+
 def test_what_lies_beyond_the_edge_of_a_lens_is_imaged_on_it() -> None:
     """The pixel goes on without a jump; it moves about the axis alone."""
     camera = replace(make_camera("radial", moving=False), pose=Pose(np.eye(3), np.zeros(3)))

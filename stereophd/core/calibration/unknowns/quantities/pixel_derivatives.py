@@ -46,7 +46,8 @@ class Sights:
             found.append(camera.pose.motions(np.zeros(1) if is_static else times[here]))
             poses[here] = count + (0 if is_static else np.arange(len(here)))
             count += len(found[-1].centers)
-        motions = Motions(*(np.concatenate(parts) for parts in zip(*found, strict=True)))
+        # joined copies of one vector have other strides, for which kernels would be compiled once more
+        motions = Motions(*(np.ascontiguousarray(np.concatenate(parts)) for parts in zip(*found, strict=True)))
         intrinsics = np.array([[c.fx, c.fy, c.cx, c.cy, c.lens.code, c.lens.max_radius] for c in cameras])
         return Sights(
             cameras, Places(of_row, poses, motions, intrinsics, np.array([c.lens.coefficients for c in cameras]))
