@@ -61,7 +61,7 @@ class Sights:
         """Second derivatives (n, 2, 3, 3) of the raw pixels by the point in the world."""
         return np.asarray(_bends(seen.points, seen.ahead, self.places))
 
-    def view(self, number: int, here: Integers, seen: Projection, velocities: Array, *at: Array) -> CameraView:
+    def view(self, number: int, here: Integers | slice, seen: Projection, velocities: Array, *at: Array) -> CameraView:
         """View of a camera on its rows `here`, with all that derivatives by its values need.
 
         `velocities` (n, 3) are those of the points; `at` are true times, log times and rows of detections, as in
@@ -93,7 +93,7 @@ def look(camera: Camera, world: Array, velocities: Array, times: Array, log_time
     detections over the height of the image.
     """
     sights = Sights.of((camera,), np.zeros(len(world), dtype=np.int64), times)
-    return sights.view(0, np.arange(len(world)), sights.project(world), velocities, times, log_times, rows)
+    return sights.view(0, slice(None), sights.project(world), velocities, times, log_times, rows)
 
 
 @compiled
