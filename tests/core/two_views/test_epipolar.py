@@ -11,7 +11,14 @@ from scipy.spatial.transform import Rotation
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose
-from stereophd.core.two_views.epipolar import essential_matrices, nearest_depths, ray_distances, sampson_distances
+from stereophd.core.two_views.epipolar import (
+    LEAST_SINE,
+    distances_in_front,
+    essential_matrices,
+    nearest_depths,
+    ray_distances,
+    sampson_distances,
+)
 from stereophd.core.two_views.track_rays import Rays
 from tests.scenes import build_camera
 
@@ -90,3 +97,30 @@ def test_rays_to_a_point_meet_at_its_depths(cameras: tuple[Camera, ...]) -> None
     np.testing.assert_allclose(depth_b, seen[1][:, 2], rtol=1e-9)
     cosines = np.einsum("ni,ni->n", *(d / np.linalg.norm(d, axis=1)[:, None] for d in directions))
     np.testing.assert_allclose(sines, np.sqrt(1.0 - cosines**2), rtol=1e-6)
+
+
+@pytest.mark.parametrize("apart", [1.0, -1.0, 0.0])
+def test_distances_in_front_are_those_of_arrays(cameras: tuple[Camera, ...], apart: float) -> None:
+    """Rays that meet before and behind cameras, that are parallel, or are not known; cameras at one place."""
+    one, other = (camera.pose for camera in cameras[:2])
+    # it looks across, from either side: rays meet before one camera and behind the other
+    across = Rotation.from_rotvec([0.1, 1.4, 0.2]).as_matrix() @ other.rotation
+    other = Pose(across, one.center + apart * (other.center - one.center))
+    rng = np.random.default_rng(7)
+    rays_a, rays_b = rng.normal(0.0, 0.5, (40, 3)), rng.normal(0.0, 0.5, (2, 40, 3, 3))
+    rays_a[:, 2], rays_b[..., 2] = 1.0, 1.0
+    rays_b[0, :10, 0] = rays_a[:10] @ one.rotation @ other.rotation.T
+    rays_b[0, 10, 0], rays_a[11] = np.nan, np.nan
+    essential = essential_matrices(one.rotation, one.center, other.rotation, other.center)
+    scales = [np.array([500.0, 520.0]), np.array([540.0, 490.0]) / 2.0]
+    turn, between = one.rotation @ other.rotation.T, one.rotation @ (other.center - one.center)
+    signed = sampson_distances(essential, rays_a[:, None], rays_b, *scales).signed
+    depth_a, depth_b, sines = nearest_depths(rays_a[:, None], rays_b @ turn.T, between)
+    met = (sines < LEAST_SINE) | ((depth_a > 0.0) & (depth_b > 0.0))
+    expected = np.where(met & np.isfinite(signed), signed, np.inf)
+    found, depths = distances_in_front(essential, rays_a, rays_b, *scales, turn, between)
+    np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
+    parallel = sines < LEAST_SINE
+    np.testing.assert_allclose(np.where(parallel, 0.0, depths), np.where(parallel, 0.0, depth_a), rtol=1e-7)
+    assert np.isfinite(found).any() == (apart != 0.0)
+    assert (np.isinf(found) & np.isfinite(depths)).any()
