@@ -26,7 +26,7 @@ from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run_figures import check_estimated_detectors
 from stereophd.pipeline.checks.settings import expected_depths, measure_scene
 from stereophd.pipeline.detectors.displacements import usual_turn
-from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
+from stereophd.pipeline.detectors.passes import OF_BOX, estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, are_compared, starting_detectors
 from stereophd.pipeline.detectors.statistics import NoisePrior
 from stereophd.pipeline.initial.acceleration import LEAST_GAIN, estimate_acceleration, log_likelihoods
@@ -166,7 +166,7 @@ def _with_bodies(
         return None
     cameras, priors = starting_box_detectors([sample.camera for sample in samples], unknown)
     name = str(log_path)
-    parts = stretches(open_stream(loaded_draft(draft, name).config, cameras, log_path))
+    parts = stretches(open_stream(loaded_draft(draft, name).config, cameras, log_path), OF_BOX)
     events = [list(part) for part in parts]
     usual = draft = _with_cameras(draft, cameras, unknown)
     if not stated:
