@@ -43,6 +43,7 @@ class Suspicion:
     values: Array
     stds: Array
     log_evidence: float  # For freeing the group.
+    gain: float  # Part of it that residuals have: it falls with their square where errors are larger.
     # How far tracks move for one standard deviation of the group, and by all that it leaves uncertain, over how far
     # they move for one of the answer as stated.
     moves: float
@@ -52,7 +53,12 @@ class Suspicion:
     @property
     def is_contradicted(self) -> bool:
         """Whether the data contradict the statement."""
-        return self.log_evidence + float(np.log(self.group.odds)) > float(np.log(CONTRADICTED_ODDS))
+        return self.is_contradicted_at(1.0)
+
+    def is_contradicted_at(self, widening: float) -> bool:
+        """Whether they do where the errors that stretches of a log have in common are so many times as large."""
+        evidence = self.log_evidence - self.gain * (1.0 - widening**-2) + len(self.values) * np.log(widening)
+        return bool(evidence + np.log(self.group.odds) > np.log(CONTRADICTED_ODDS))
 
 
 @dataclass(frozen=True)
@@ -95,7 +101,7 @@ def suspect(quadratic: QuadraticPosterior, enlarged: EnlargedSet, free: Integers
     log_odds = np.array([e + np.log(group.odds) for e, group in zip(evidences, enlarged.groups, strict=True)])
     probabilities = np.exp(log_odds - np.logaddexp.reduce(np.append(log_odds, 0.0)))
     suspicions = []
-    for group, log_evidence, (*_, step), probability in zip(
+    for group, log_evidence, (of_both, _, step), probability in zip(
         enlarged.groups, evidences, tested, probabilities.tolist(), strict=True
     ):
         both = np.append(free, group.places)
@@ -111,7 +117,7 @@ def suspect(quadratic: QuadraticPosterior, enlarged: EnlargedSet, free: Integers
         suspicions.append(
             Suspicion(
                 group, values * std[group.places], np.sqrt(np.diag(covariance)) * std[group.places], log_evidence,
-                moves[0], moves[1], added,
+                of_both - gain, moves[0], moves[1], added,
             )
         )  # fmt: skip
     return sorted(suspicions, key=lambda suspicion: -suspicion.log_evidence)

@@ -135,8 +135,9 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     believed = believe(task, fit, choices)
     task, answer = believed.task, believed.answer
     remarks += (*motion_remarks(answer), *believed.remarks)
+    widening = 1.0
     if not choices.is_sampled:
-        answer, remark = widened(task, answer, believed.doubtful)
+        answer, widening, remark = widened(task, answer, believed.doubtful)
         remarks += remark
     fit, pairs = answer, None
     if (known := choices.known) is not None and known.kind == "length" and task.scale is not None:
@@ -154,7 +155,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
         by = known.kind if known is not None else "baseline" if task.scale is not None else ""
         doubt = f"with the known {by} {against}" if by else against
     history, moves = history_of(task, answer, fit), track_moves(problem_of(task, fit), fit.adjustment)
-    remarks += (*statement_remarks(believed, is_doubted=bool(doubt)), *prior_remarks(task, values))
+    remarks += (*statement_remarks(believed, bool(doubt), widening), *prior_remarks(task, values))
     if not choices.is_sampled:  # particles need no Gaussian
         remarks += spread_remarks(moves, fit.adjustment.covariance)
     return Calibrated(believed, fit, history, pairs, moves, doubt, remarks, world)
@@ -303,10 +304,11 @@ def suspected(task: Task, answer: Fit) -> tuple[EnlargedSet, list[Suspicion]]:
     return enlarged, suspect(quadratic, enlarged, np.arange(task.parameters.size))
 
 
-def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, tuple[Remark, ...]]:
+def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, float, tuple[Remark, ...]]:
     """Give an answer its exact covariance, and widen it by the disagreement of stretches of the log; say if large.
 
-    `doubtful` (m, k) is the root of the covariance that what is stated adds.
+    `doubtful` (m, k) is the root of the covariance that what is stated adds. By how much the cameras were widened at
+    most is returned as well.
     """
     problem, adjustment = stated_problem(task, answer), answer.adjustment
     task.limit.begin("the covariance of the answer is computed")
@@ -319,14 +321,14 @@ def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, tuple[Remark
     try:
         more, factor, of_cameras = disagreement_of_stretches(problem, adjustment)
     except LinAlgError:
-        return replace(answer, adjustment=replace(adjustment, converged=False)), ()
+        return replace(answer, adjustment=replace(adjustment, converged=False)), 1.0, ()
     adjustment = replace(adjustment, covariance=adjustment.covariance + more + doubtful @ doubtful.T)
     text = (
         f"stretches of the log disagree by up to {factor:.1f} times what their noise allows, on the cameras by "
         f"{of_cameras:.1f}: the stated deviations were widened; errors of detections last, or something stated is wrong"
     )
     remark = Remark("stretches", text, factor > LARGEST_WIDENING)
-    return replace(answer, adjustment=adjustment), (remark,) if factor > SAID_FACTOR else ()
+    return replace(answer, adjustment=adjustment), of_cameras, (remark,) if factor > SAID_FACTOR else ()
 
 
 def may_be_freed(suspicion: Suspicion, choices: Choices, parameters: ParameterSet) -> bool:
@@ -399,10 +401,11 @@ def noise_remarks(task: Task, noise: Array) -> tuple[Remark, ...]:
     )
 
 
-def statement_remarks(believed: Believed, is_doubted: bool) -> tuple[Remark, ...]:
+def statement_remarks(believed: Believed, is_doubted: bool, widening: float = 1.0) -> tuple[Remark, ...]:
     """Return remarks on statements that were given up or that the data contradict, and on which the answer depends.
 
-    Of an answer that is doubted only the contradictions are reported.
+    Of an answer that is doubted only the contradictions are reported. What lasting errors may do as well, by how much
+    they have widened the answer, is no contradiction.
     """
     remarks = [
         Remark(
@@ -420,6 +423,8 @@ def statement_remarks(believed: Believed, is_doubted: bool) -> tuple[Remark, ...
             model = "lenses" if contradicted.group.is_unmeasured else "free"
             remedy = f"state it, give it a prior, or let it be estimated (calibration.model: {model})"
         text = f"the data contradict what is stated: {fitting(contradicted, is_doubted or not can_tell)} fits; {remedy}"
+        if not contradicted.is_contradicted_at(widening):
+            text = f"{fitting(contradicted, is_doubted=True)} may fit better, or errors of detections last; {remedy}"
         remarks.append(Remark("model", text, is_reservation=True))
     largest = max(believed.held, key=lambda s: s.expected_move, default=None)
     if contradicted is None and not is_doubted and largest is not None and largest.expected_move > LARGEST_MOVE:

@@ -76,6 +76,10 @@ def test_the_evidence_is_that_of_a_gaussian_model() -> None:
     assert suspicion.log_evidence == pytest.approx(free - held)
     value = np.linalg.solve(precision, matrix.T @ data)[2] * names.prior_std[2]
     assert suspicion.values == pytest.approx([value])
+    # that of the residuals is half of the square of the value, in its standard deviations
+    assert suspicion.gain == pytest.approx(0.5 * (value / suspicion.stds[0]) ** 2)
+    certain = replace(suspicion, log_evidence=30.0, gain=33.0)
+    assert [certain.is_contradicted_at(widening) for widening in (1.0, 1.5, 3.0)] == [True, True, False]
 
 
 def test_a_move_of_tracks_is_counted_but_for_the_growth_of_the_cameras() -> None:

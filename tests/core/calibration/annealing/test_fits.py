@@ -169,6 +169,12 @@ def test_core_alone_calibrates(made: MadeUp, task: Task, right: Calibrated) -> N
         assert "+2.67e+06 +- " in said
         assert "+" not in doubted
         assert f"stated: another {contradicted.group.names[0]}" in doubted
+    # what errors that last may do as well is no contradiction
+    for log_evidence, widening, is_sure in ((20.0, 1.0, True), (20.0, 2.6, False), (200.0, 2.6, True)):
+        believed = replace(right.believed, held=(replace(first, log_evidence=log_evidence, gain=log_evidence + 5.0),))
+        text = statement_remarks(believed, False, widening)[0].text
+        assert text.startswith("the data contradict what is stated: ") == is_sure
+        assert ("may fit better, or errors of detections last; " in text) != is_sure
     # two cameras do not show their focal lengths
     focal = next(one for one in right.believed.held if one.group.quantity == "focal")
     wrong = replace(focal, log_evidence=1e3)
