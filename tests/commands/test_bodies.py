@@ -214,7 +214,7 @@ def test_cameras_beside_a_wrong_one_are_not_called_wrong(
 
     monkeypatch.setattr("stereophd.pipeline.initial.draft._log_likelihood", likelihood)
     loaded = SimpleNamespace(cameras=dict.fromkeys(of))
-    found = tuple(_strangers(loaded, []))  # type: ignore[arg-type]
+    found = tuple(_strangers(loaded, [[]]))  # type: ignore[arg-type]
     assert [one.camera for one in found] == [*named]
     assert {*map(is_mistake, found)} <= {named != of}
     assert len(asked) == len({*asked})

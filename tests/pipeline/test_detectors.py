@@ -24,7 +24,7 @@ from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.detectors import passes
-from stereophd.pipeline.detectors.passes import OF_BOX, estimate_detectors, stretches
+from stereophd.pipeline.detectors.passes import MOST_BOXES, estimate_detectors, stretches
 from stereophd.pipeline.detectors.statistics import BETWEEN_AXES, DetectorSums, NoisePrior, estimate_detector
 from stereophd.pipeline.stream import EventStream, open_stream
 from tests.commands.test_track import SCENE
@@ -322,7 +322,7 @@ def test_boxes_count_twice_as_much_as_points() -> None:
     """Each is four numbers instead of two, and costs a filter of bodies several times the time."""
     pixels = np.full((100, 2), 50.0)
     stream = EventStream((build_camera("a"),), [Frame(0.1 * k, 0, k, pixels, None, sizes=pixels) for k in range(400)])
-    assert [sum(len(part.frames) for part in stretches(stream, *taken)) for taken in ((), (OF_BOX,))] == [120, 60]
+    assert [sum(len(part.frames) for part in stretches(stream, *taken)) for taken in ((), (MOST_BOXES,))] == [120, 60]
 
 
 def test_passes_that_make_the_log_less_probable_are_not_kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

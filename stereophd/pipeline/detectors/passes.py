@@ -27,10 +27,9 @@ from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.knocked import NO_TEST
 from stereophd.pipeline.tracking.loop import FORGET_EVERY, Estimator, RunState, run_estimator
 
-# Frames of a log that are looked at, stretches of it that a filter runs over, events and measured numbers of them all:
-# more add little, and the time stays bounded for logs of any length. Numbers that a filter takes of a point and a box.
-MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_NUMBERS = 20_000, 6, 1500, 24_000
-OF_POINT, OF_BOX = 2, 4
+# Frames of a log that are looked at, stretches of it that a filter runs over, events of them all, and detections, of
+# boxes half as many, which have twice the numbers: more add little, and the time stays bounded for logs of any length.
+MOST_FRAMES, STRETCHES, MOST_EVENTS, MOST_DETECTIONS, MOST_BOXES = 20_000, 6, 1500, 12_000, 6000
 # Frames of each camera in a stretch, at least: in fewer no track is settled.
 LEAST_FRAMES = 10
 # Log-likelihood that a change must gain, and runs of the filter at most.
@@ -138,14 +137,11 @@ class _Watched:
             each.previous = {label: residual for label, residual in each.previous.items() if label in alive}
 
 
-def stretches(stream: EventStream, measured: int = OF_POINT) -> list[EventStream]:
-    """Return stretches of a log in memory, spread over its first `MOST_FRAMES` frames: all of it if it is short.
-
-    `measured` is how many numbers a filter takes of each detection.
-    """
+def stretches(stream: EventStream, most_detections: int = MOST_DETECTIONS) -> list[EventStream]:
+    """Return stretches of a log in memory, spread over its first `MOST_FRAMES` frames: all of it if it is short."""
     frames = list(islice(stream.frames, MOST_FRAMES))
-    numbers = measured * sum(len(frame.pixels) for frame in frames)
-    most = int(min(MOST_EVENTS, len(frames) * MOST_NUMBERS / max(numbers, 1)))
+    detections = sum(len(frame.pixels) for frame in frames)
+    most = int(min(MOST_EVENTS, len(frames) * most_detections / max(detections, 1)))
     least = LEAST_FRAMES * len(stream.cameras)
     count = min(max(most // least, 1), STRETCHES)
     length = max(most // count, least)

@@ -5,7 +5,7 @@ with (`stereophd.pipeline.checks`). Then the filter runs over stretches of the l
 acceleration, its tracks give depths, speeds and births, and its residuals the detectors that are unknown.
 """
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from functools import cache
 from pathlib import Path
@@ -26,7 +26,7 @@ from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run_figures import check_estimated_detectors
 from stereophd.pipeline.checks.settings import expected_depths, measure_scene
 from stereophd.pipeline.detectors.displacements import usual_turn
-from stereophd.pipeline.detectors.passes import OF_BOX, estimate_detectors, stretches
+from stereophd.pipeline.detectors.passes import MOST_BOXES, estimate_detectors, stretches
 from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, are_compared, starting_detectors
 from stereophd.pipeline.detectors.statistics import NoisePrior
 from stereophd.pipeline.initial.acceleration import LEAST_GAIN, estimate_acceleration, log_likelihoods
@@ -115,11 +115,12 @@ def _with_tracks(
     every, gain = range(len(samples)), -np.inf
     written, usual = found.choices["motion.acceleration_std"].value, found.usual_acceleration
     for value in [written] if usual in (None, written) else [written, usual]:
-        if gain <= -BELIEVED:
-            loaded = loaded_draft(found.with_choices({"motion.acceleration_std": Choice(value, "")}), name)
-            events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
-            alone = sum(_log_likelihood(loaded, events, [k]) for k in every)
-            gain = max(gain, _log_likelihood(loaded, events, every) - alone)
+        loaded = loaded_draft(found.with_choices({"motion.acceleration_std": Choice(value, "")}), name)
+        events = [list(part.with_cameras(loaded.build_cameras())) for part in parts]
+        alone = sum(_log_likelihood(loaded, events, [k]) for k in every)
+        gain = max(gain, _log_likelihood(loaded, events, every) - alone)
+        if gain > -BELIEVED:
+            break
     why = f"the log is more probable (by {-gain:,.0f} of the logarithm) if each sees objects of its own"
     return found, why if is_compared and gain <= -BELIEVED else None
 
@@ -166,7 +167,7 @@ def _with_bodies(
         return None
     cameras, priors = starting_box_detectors([sample.camera for sample in samples], unknown)
     name = str(log_path)
-    parts = stretches(open_stream(loaded_draft(draft, name).config, cameras, log_path), OF_BOX)
+    parts = stretches(open_stream(loaded_draft(draft, name).config, cameras, log_path), MOST_BOXES)
     events = [list(part) for part in parts]
     usual = draft = _with_cameras(draft, cameras, unknown)
     if not stated:
@@ -213,20 +214,24 @@ def _strangers(loaded: LoadedConfig, parts: list[list[Event]]) -> Iterator[Findi
     """
     names, alike, strange = list(loaded.cameras), list(range(len(loaded.cameras))), dict[int, float]()
 
-    def strangest(likelihood: Callable[..., float]) -> tuple[int, float]:
+    @cache
+    def likelihood_in(part: int, *group: int) -> float:
+        return _log_likelihood(loaded, [parts[part]], group)
+
+    def strangest(among: Sequence[int]) -> tuple[int, float]:
         """Return the camera whose boxes are least those of the others, and the log-likelihood that they are."""
+
+        def likelihood(*group: int) -> float:
+            return sum(likelihood_in(part, *group) for part in among)
+
         apart = {k: likelihood(k) + likelihood(*(other for other in alike if other != k)) for k in alike}
         worst = max(alike, key=lambda k: apart[k])
         return worst, likelihood(*alike) - apart[worst]
 
-    def of(some: list[list[Event]]) -> Callable[..., float]:
-        return cache(lambda *group: _log_likelihood(loaded, some, group))
-
-    if len(parts) > 2 and len(alike) > 1 and all(strangest(of([parts[end]]))[1] > BELIEVED for end in (0, -1)):
+    if len(parts) > 2 and len(alike) > 1 and all(strangest([end])[1] > BELIEVED for end in (0, len(parts) - 1)):
         return
-    likelihood = of(parts)
     while len(alike) > 1:
-        worst, gain = strangest(likelihood)
+        worst, gain = strangest(range(len(parts)))
         if gain > -BELIEVED:
             break
         strange |= dict.fromkeys(alike if len(alike) == 2 else [worst], gain)
@@ -334,6 +339,8 @@ def _with_filter(
 
 def _more_probable(first: Draft, second: Draft, parts: list[list[Event]], name: str) -> Draft:
     """Return the draft with which the log is more probable, clearly if it is the second."""
+    if first.choices == second.choices:
+        return first
     before, after = (log_likelihoods(loaded_draft(one, name), parts).sum() for one in (first, second))
     return second if after > before + LEAST_GAIN else first
 

@@ -76,14 +76,9 @@ class Sights:
             turns = motions.rotations[poses] @ pose.rotation.T
             by_time += np.einsum("nij,nj->ni", part.by_point, np.cross(part.points, motions.rates[poses]))
         return CameraView(
-            **vars(part),
-            camera=camera,
-            elapsed=times - pose.time_s,
-            log_times=log_times,
-            rows=rows,
-            turns=turns,
+            **vars(part), camera=camera, elapsed=times - pose.time_s, log_times=log_times, rows=rows, turns=turns,
             by_time=by_time,
-        )
+        )  # fmt: skip
 
 
 def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:
