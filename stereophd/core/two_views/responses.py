@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,27 +41,40 @@ class PoseChange:
     misfit: float | None
 
 
-@compiled
-def predict_track(
-    state: Array, covariance: Array, since_s: float, pose: tuple[Array, Array],
-    camera: tuple[float, float, float, float], out: tuple[Array, Array, Array, Array, Array],
-) -> None:  # fmt: skip
-    """Predict a track into an image.
+class Pinhole(NamedTuple):
+    """A camera without a lens, for kernels."""
 
-    Into `out`: its place along the camera's axes (3,), its pixel (2,), the derivative of that with respect to the
-    position (2, 3), its covariance with the state (2, 6), and its covariance (2, 2).
-    """
-    rotation, center = pose
-    fx, fy, cx, cy = camera
-    place, pixel, seen, shared, spread = out
+    rotation: Array  # (3, 3)
+    center: Array  # (3,)
+    fx: float  # px, as the next three
+    fy: float
+    cx: float
+    cy: float
+
+
+class Predicted(NamedTuple):
+    """Tracks (k, ...) predicted into an image, or one of them."""
+
+    place: Array  # (3,): Along the camera's axes
+    pixel: Array  # (2,)
+    seen: Array  # (2, 3): Derivative of the pixel with respect to the position
+    shared: Array  # (2, 6): Covariance of the pixel with the state
+    spread: Array  # (2, 2): Covariance of the pixel, and of a detection about it once its noise is added
+
+
+@compiled
+def predict_track(state: Array, covariance: Array, since_s: float, camera: Pinhole, out: Predicted) -> None:
+    """Predict a track into an image, after a time since its state."""
+    rotation, center = camera.rotation, camera.center
+    place, pixel, seen, shared, spread = out.place, out.pixel, out.seen, out.shared, out.spread
     for a in range(3):
         place[a] = 0.0
         for b in range(3):
             place[a] += rotation[a, b] * (state[b] + since_s * state[b + 3] - center[b])
-    pixel[0], pixel[1] = fx * place[0] / place[2] + cx, fy * place[1] / place[2] + cy
+    pixel[0], pixel[1] = camera.fx * place[0] / place[2] + camera.cx, camera.fy * place[1] / place[2] + camera.cy
     for b in range(3):
-        seen[0, b] = fx / place[2] * (rotation[0, b] - place[0] / place[2] * rotation[2, b])
-        seen[1, b] = fy / place[2] * (rotation[1, b] - place[1] / place[2] * rotation[2, b])
+        seen[0, b] = camera.fx / place[2] * (rotation[0, b] - place[0] / place[2] * rotation[2, b])
+        seen[1, b] = camera.fy / place[2] * (rotation[1, b] - place[1] / place[2] * rotation[2, b])
     for r in range(2):
         for b in range(6):
             shared[r, b] = 0.0
@@ -83,21 +97,17 @@ def square_of(u: float, v: float, covariance: Array) -> float:
 
 
 @compiled
-def follow_detection(
-    response: Array, predicted: tuple[Array, Array, Array, Array], camera: tuple[float, float], index: int
-) -> Array:
+def follow_detection(response: Array, predicted: Predicted, camera: Pinhole, index: int) -> Array:
     """Move the response (6, 6 c) of a track by a detection of the camera with an index.
 
-    `predicted` is the track's place, the derivative of its pixel, the covariance of that with the state, and that of
-    the detection, as `predict_track` writes them; `camera` is fx, fy, px. Returns the derivative of the residual
-    with respect to the poses (2, 6 c).
+    Returns the derivative of the residual with respect to the poses (2, 6 c).
     """
-    place, seen, shared, spread = predicted
-    out = np.empty((2, response.shape[1]))
+    place, seen, shared, spread = predicted.place, predicted.seen, predicted.shared, predicted.spread
+    out, focal = np.empty((2, response.shape[1])), (camera.fx, camera.fy)
     for r in range(2):
         for q in range(out.shape[1]):
             out[r, q] = -(seen[r, 0] * response[0, q] + seen[r, 1] * response[1, q] + seen[r, 2] * response[2, q])
-        per_length = camera[r] / place[2]
+        per_length = focal[r] / place[2]
         along = -per_length * place[r] / place[2]
         out[r, 6 * index + 3 + r] -= per_length
         out[r, 6 * index + 5] -= along

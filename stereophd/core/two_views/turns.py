@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,14 @@ from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.sorting import copy_gaussian
-from stereophd.core.two_views.responses import add_residual, follow_detection, predict_track, square_of
+from stereophd.core.two_views.responses import (
+    Pinhole,
+    Predicted,
+    add_residual,
+    follow_detection,
+    predict_track,
+    square_of,
+)
 
 # Sizes of the turns (rad), how many sides each is to, and the standard deviation that a turn lends to each point, as a
 # part of its size: the family has no gaps.
@@ -22,13 +29,12 @@ SPREAD = 0.2
 SPREAD_ABOUT = 0.02
 
 
-@dataclass(frozen=True)
-class Turns:
-    """What turns (h,) do to a normalised image: shifts (h, 2), matrices (h, 2, 2), added noise (h,)."""
+class Turns(NamedTuple):
+    """What turns (h,) do to a normalised image."""
 
-    shifts: Array
-    linear: Array
-    spread: Array
+    shifts: Array  # (h, 2)
+    linear: Array  # (h, 2, 2)
+    spread: Array  # (h,): Added noise
 
     def size(self, turn: int) -> float:
         """Angle of a turn, rad."""
@@ -50,72 +56,84 @@ def all_turns() -> Turns:
     )
 
 
+class LookedAt(NamedTuple):
+    """Tracks that are looked at, t of n, and how they have followed the cameras."""
+
+    rows: Integers  # (t,): Their rows among all, -1 for none
+    counting: Booleans  # (t,): Whether they count
+    responses: Array  # (t, 6, 6 c): To the poses of all c cameras; they become those after a frame
+    passed_s: float  # Time since these
+
+
+class TracksBefore(NamedTuple):
+    """All tracks before a frame."""
+
+    states: Array  # (n, 6)
+    covariances: Array  # (n, 6, 6)
+    in_view: Booleans  # (n,)
+    since_s: float  # Time since then
+
+
+class FrameDetections(NamedTuple):
+    """Detections of a frame."""
+
+    points: Array  # (m, 2): Undistorted pixels
+    covariances: Array  # (m, 2, 2), px^2
+    limit: float  # Squared residual, in variances, within which a detection is a track's
+    factor: float  # Of the variances, for what detections say about poses
+
+
 def prepare_turns() -> None:
     """Load the kernels, with no points."""
-    turns, none = all_turns(), np.empty((0, 2))
-    ratios = turn_ratios(
-        none, np.empty((0, 2, 2)), none, (1.0, 1.0, 0.0, 0.0), (turns.shifts, turns.linear, turns.spread), 1.0, 1.0
-    )
-    frame_ratios(ratios, 0.0)
-    tracks = np.empty((0, 6)), np.empty((0, 6, 6)), np.empty(0, dtype=np.bool_), 0.0
-    followed = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.bool_), np.empty((0, 6, 6)), 0.0
-    pose, detections = Pose(np.eye(3), np.zeros(3)), (none, np.empty((0, 2, 2)))
+    none, covariances, nobody = np.empty((0, 2)), np.empty((0, 2, 2)), np.empty(0, dtype=np.bool_)
+    pose = Pose(np.eye(3), np.zeros(3))
     # the arrays of a pose are read-only: those of others would load another form of the kernel
-    look_at_frame(
-        tracks, followed, (pose.rotation, pose.center), (1.0, 1.0, 0.0, 0.0), 0, detections, (1.0, 1.0),
-        np.zeros((2, 1, 6, 7)),
-    )  # fmt: skip
+    camera = Pinhole(pose.rotation, pose.center, 1.0, 1.0, 0.0, 0.0)
+    frame_ratios(turn_ratios(none, covariances, none, camera, all_turns(), 1.0, 1.0), 0.0)
+    tracks = TracksBefore(np.empty((0, 6)), np.empty((0, 6, 6)), nobody, 0.0)
+    followed = LookedAt(np.empty(0, dtype=np.int64), nobody, np.empty((0, 6, 6)), 0.0)
+    look_at_frame(tracks, followed, camera, 0, FrameDetections(none, covariances, 1.0, 1.0), np.zeros((2, 1, 6, 7)))
 
 
 @compiled
 def look_at_frame(
-    tracks: tuple[Array, Array, Booleans, float], followed: tuple[Integers, Booleans, Array, float],
-    pose: tuple[Array, Array], camera: tuple[float, float, float, float], index: int,
-    detections: tuple[Array, Array], noise: tuple[float, float], sums: Array,
-) -> tuple[Array, Array, Array, Booleans, Array]:  # fmt: skip
+    tracks: TracksBefore, followed: LookedAt, camera: Pinhole, index: int, detections: FrameDetections, sums: Array
+) -> tuple[Array, Array, Array, Booleans, Array]:
     """Return tracks predicted into an image and what detections are about them; add what these say about the poses.
 
-    The tracks are states (n, 6), covariances (n, 6, 6), which of them are in view (n,), and the time since then, s.
-    `followed` has the rows of those that are looked at (t,), -1 for none; which of those count (t,), their responses
-    (t, 6, 6 c) to the poses of all c cameras, which become those after the frame, and the time since these, s. The pose
-    is rotation (3, 3) and centre (3,), the camera fx, fy, cx, cy, px, and its number the index; detections are
-    undistorted pixels (m, 2) and their covariances (m, 2, 2), px^2. The noise is the squared residual, in variances,
-    within which a detection is a track's, and the factor of the variances of `sums` (2, c, 6, 7): information about the
-    pose of each camera, and gradient, from every other one of the tracks looked at, to which the frame is added.
+    The camera's number is the index. To `sums` (2, c, 6, 7), information about the pose of each camera, and gradient,
+    from every other one of the tracks looked at, the frame is added.
 
     Returns, of the tracks looked at that count and are in view, pixels (k, 2) and the covariances (k, 2, 2) of a
     detection about them, squared residuals (k,) of their nearest detections, in variances; which detections (m,) belong
     to no other track; and the sum (2,) of those residuals that are within the limit, in its standard deviations, NaN
     without any.
     """
-    states, covariances, in_view, since_s = tracks
-    rows, counting, responses, passed_s = followed
-    points, noises = detections
-    limit, factor = noise
+    in_view, rows, counting, responses = tracks.in_view, followed.rows, followed.counting, followed.responses
+    points, limit = detections.points, detections.limit
     average = np.zeros((2, 2))
     for j in range(len(points)):
         for r in range(2):
             for s in range(2):
-                average[r, s] += noises[j, r, s] / len(points)
-    place_of = np.full(len(states), -1)
+                average[r, s] += detections.covariances[j, r, s] / len(points)
+    place_of = np.full(len(in_view), -1)
     for i in range(len(rows)):
         if rows[i] >= 0:
             place_of[rows[i]] = i
         for r in range(3):
             for q in range(responses.shape[2]):
-                responses[i, r, q] += passed_s * responses[i, r + 3, q]
+                responses[i, r, q] += followed.passed_s * responses[i, r + 3, q]
     # of the tracks that are looked at, and of one of the others
     places, pixels, seen = np.empty((len(rows) + 1, 3)), np.empty((len(rows) + 1, 2)), np.empty((len(rows) + 1, 2, 3))
     shared, spreads = np.empty((len(rows) + 1, 2, 6)), np.empty((len(rows) + 1, 2, 2))
     squares, nearest = np.full(len(rows), np.inf), np.full(len(rows), -1)
     owners, free = np.zeros(len(points), dtype=np.int64), np.ones(len(points), dtype=np.bool_)
-    for k in range(len(states)):
+    for k in range(len(in_view)):
         if not in_view[k]:
             continue
         i = place_of[k]
-        predict_track(
-            states[k], covariances[k], since_s, pose, camera, (places[i], pixels[i], seen[i], shared[i], spreads[i])
-        )
+        predicted = Predicted(places[i], pixels[i], seen[i], shared[i], spreads[i])
+        predict_track(tracks.states[k], tracks.covariances[k], tracks.since_s, camera, predicted)
         for r in range(2):
             for s in range(2):
                 spreads[i, r, s] += average[r, s]
@@ -137,9 +155,10 @@ def look_at_frame(
             a, b, c = a + spreads[i, 0, 0], b + spreads[i, 0, 1], c + spreads[i, 1, 1]
             count += 1
         if owners[j] == 1:
-            slope = follow_detection(responses[i], (places[i], seen[i], shared[i], spreads[i]), camera[:2], index)
+            predicted = Predicted(places[i], pixels[i], seen[i], shared[i], spreads[i])
+            slope = follow_detection(responses[i], predicted, camera, index)
             if counting[i]:
-                add_residual(sums[i % 2], slope, (u, v), spreads[i], factor)
+                add_residual(sums[i % 2], slope, (u, v), spreads[i], detections.factor)
     mean = np.full(2, np.nan)
     if count > 0:
         mean[0] = total_u / math.sqrt(a)
@@ -155,18 +174,16 @@ def look_at_frame(
 
 @compiled
 def turn_ratios(
-    points: Array, covariances: Array, detections: Array, camera: tuple[float, float, float, float],
-    turns: tuple[Array, Array, Array], missed: float, weight: float,
-) -> Array:  # fmt: skip
+    points: Array, covariances: Array, detections: Array, camera: Pinhole, turns: Turns, missed: float, weight: float
+) -> Array:
     """Log-likelihood ratios (n, h) of a frame for each of n predicted points alone, of each turn against none.
 
     Points (n, 2) are predicted pixels, with the covariances (n, 2, 2) of a detection about them, px^2. Each of the
     detections (m, 2) may be the point's; it is missed with the probability `missed`, and `weight` is the probability
-    that it is detected over the density of detections in the image, px^2. Pixels are undistorted; the camera is fx, fy,
-    cx, cy, px, and the turns are the fields of `Turns`.
+    that it is detected over the density of detections in the image, px^2. Pixels are undistorted.
     """
-    fx, fy, cx, cy = camera
-    shifts, linear, spread = turns
+    fx, fy, cx, cy = camera.fx, camera.fy, camera.cx, camera.cy
+    shifts, linear, spread = turns.shifts, turns.linear, turns.spread
     out = np.empty((len(points), len(spread)))
     for i in range(len(points)):
         x, y = (points[i, 0] - cx) / fx, (points[i, 1] - cy) / fy

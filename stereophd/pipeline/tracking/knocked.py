@@ -31,8 +31,16 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.multi.state.estimates import Estimates
-from stereophd.core.two_views.responses import PoseChange, find_change
-from stereophd.core.two_views.turns import all_turns, frame_ratios, look_at_frame, turn_ratios
+from stereophd.core.two_views.responses import Pinhole, PoseChange, find_change
+from stereophd.core.two_views.turns import (
+    FrameDetections,
+    LookedAt,
+    TracksBefore,
+    all_turns,
+    frame_ratios,
+    look_at_frame,
+    turn_ratios,
+)
 
 # Mean time between two false alarms, s, if the model holds: ten days.
 FALSE_ALARM_S = 864_000.0
@@ -150,16 +158,14 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
     predicted = max(MOST_PAIRS // len(event.points), MOST_TRACKS)
     if predicted < len(in_view):
         in_view[predicted:] &= np.isin(before.track_ids[predicted:], responses.track_ids)
-    pixels = camera.fx, camera.fy, camera.cx, camera.cy
+    pinhole = Pinhole(camera.pose.rotation, camera.pose.center, camera.fx, camera.fy, camera.cx, camera.cy)
     # what belongs to a track that is not looked at speaks for no turn of the others
     values, sums_of_block = responses.values.copy(), responses.blocks[-1].copy()
+    is_old = responses.since_s <= event.time_s - LEAST_AGE_S
     points, noise, nearest, is_free, alone = look_at_frame(
-        (before.states, before.covariances, in_view, elapsed_s),
-        (
-            responses.rows, responses.since_s <= event.time_s - LEAST_AGE_S, values, event.time_s - responses.time_s,
-        ),
-        (camera.pose.rotation, camera.pose.center), pixels, event.camera, (event.points, event.covariances),
-        (TAKEN * known.spread, known.spread), sums_of_block,
+        TracksBefore(before.states, before.covariances, in_view, elapsed_s),
+        LookedAt(responses.rows, is_old, values, event.time_s - responses.time_s), pinhole, event.camera,
+        FrameDetections(event.points, event.covariances, TAKEN * known.spread, known.spread), sums_of_block,
     )  # fmt: skip
     responses = replace(responses, time_s=event.time_s, values=values, blocks=(*responses.blocks[:-1], sums_of_block))
     waits = known.blocks > BLOCKS and event.time_s < known.asked_s + (BLOCKS - 1) * BLOCK_S
@@ -181,10 +187,9 @@ def look(test: KnockTest, cameras: tuple[Camera, ...], event: Event, since_s: fl
         return KnockTest({**test.cameras, name: replace(known, looked_s=event.time_s)}, responses), None
     sums, rising_s = (None, None) if event.time_s > known.looked_s + FORGET_S else (known.sums, known.since_s)
     if known.looks >= FIRST_LOOKS and (sums is not None or median(squares) > CALM * known.spread):
-        turns, p_detect = all_turns(), camera.detector.p_detect
+        p_detect = camera.detector.p_detect
         ratios = turn_ratios(
-            points, noise * known.spread, event.points[is_free], pixels,
-            (turns.shifts, turns.linear, turns.spread), max(1.0 - p_detect, MISSED),
+            points, noise * known.spread, event.points[is_free], pinhole, all_turns(), max(1.0 - p_detect, MISSED),
             p_detect * camera.width * camera.height / len(event.points),
         )  # fmt: skip
         sums, rising_s = _added(sums, rising_s, ratios, known.coherence, event.time_s)

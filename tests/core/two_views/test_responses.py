@@ -7,7 +7,15 @@ import pytest
 
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.pose import rotation_from_vector
-from stereophd.core.two_views.responses import USUAL, add_residual, find_change, follow_detection, predict_track
+from stereophd.core.two_views.responses import (
+    USUAL,
+    Pinhole,
+    Predicted,
+    add_residual,
+    find_change,
+    follow_detection,
+    predict_track,
+)
 
 CAMERA = (650.0, 640.0, 320.0, 240.0)
 ROTATIONS = [rotation_from_vector(np.array(turn)) for turn in ([0.1, 0.4, 0.02], [0.05, -0.4, 0.1])]
@@ -27,20 +35,20 @@ def filtered(pose_error: Array) -> tuple[Array, Array, Array, Array]:
     state, covariance, response = TRUTH.copy(), np.diag([0.2, 0.2, 0.2, 0.1, 0.1, 0.1]), np.zeros((6, 12))
     transition, truth = np.eye(6), TRUTH.copy()
     transition[:3, 3:] = STEP_S * np.eye(3)
-    place, pixel, seen = np.empty(3), np.empty(2), np.empty((2, 3))
-    shared, spread = np.empty((2, 6)), np.empty((2, 2))
+    predicted = Predicted(np.empty(3), np.empty(2), np.empty((2, 3)), np.empty((2, 6)), np.empty((2, 2)))
+    _, pixel, seen, shared, spread = predicted
     slope, residual = np.empty((2, 12)), np.empty(2)
     for frame in range(40):
         index = frame % 2
-        pose = ROTATIONS[index], CENTERS[index]
-        predict_track(state, covariance, STEP_S, pose, CAMERA, (place, pixel, seen, shared, spread))
+        camera = Pinhole(ROTATIONS[index], CENTERS[index], *CAMERA)
+        predict_track(state, covariance, STEP_S, camera, predicted)
         state, truth = transition @ state, transition @ truth
         covariance = transition @ covariance @ transition.T
         response[:3] += STEP_S * response[3:]
         np.testing.assert_allclose(pixel, seen_from(state, index, np.zeros(12)))
         np.testing.assert_allclose(shared, np.hstack([seen, np.zeros((2, 3))]) @ covariance, atol=1e-9)
         spread += np.eye(2)
-        slope = follow_detection(response, (place, seen, shared, spread), CAMERA[:2], index)
+        slope = follow_detection(response, predicted, camera, index)
         residual = seen_from(truth, index, pose_error) - pixel
         gain = shared.T @ np.linalg.inv(spread)
         state, covariance = state + gain @ residual, covariance - gain @ shared

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.stats import multivariate_normal
 
+from stereophd.core.two_views.responses import Pinhole
 from stereophd.core.two_views.turns import all_turns, turn_ratios
 
 
@@ -16,9 +17,8 @@ def test_ratios_are_those_of_the_mixture_of_detections() -> None:
     covariances = roots @ np.swapaxes(roots, 1, 2) + np.eye(2)
     fx, fy, cx, cy = 650.0, 640.0, 320.0, 240.0
     turns, missed, weight = all_turns(), 0.1, 4e4
-    found = turn_ratios(
-        points, covariances, detections, (fx, fy, cx, cy), (turns.shifts, turns.linear, turns.spread), missed, weight
-    )
+    camera = Pinhole(np.eye(3), np.zeros(3), fx, fy, cx, cy)
+    found = turn_ratios(points, covariances, detections, camera, turns, missed, weight)
 
     def likelihood(point: np.ndarray, covariance: np.ndarray) -> float:
         return missed + weight * sum(multivariate_normal.pdf(each, point, covariance) for each in detections)
