@@ -69,7 +69,6 @@ class NormalEquations:
     state_vector: Array
     value_vector: Array
     distances: Array
-    by_noise: NoiseEquations | None = None
 
 
 class Seen(NamedTuple):
@@ -119,14 +118,17 @@ class Linearisation:
             row[: len(index)] = index
         return Linearisation(problem, members, path, rates, MotionPrior.of(problem.knots), columns)
 
-    def at(self, values: Array, states: Array, noise: Array = STATED) -> NormalEquations:
-        """Return the normal equations at values (m,), knots (k, 2, 3) and a noise of the motion (6,)."""
+    def at(self, values: Array, states: Array, noise: Array | None = None) -> NormalEquations:
+        """Return the normal equations at values (m,), knots (k, 2, 3) and the stated noise of the motion.
+
+        At another noise of the motion (6,) its unknowns follow the values; they have no prior here.
+        """
         problem, parameters = self.problem, self.problem.parameters
         is_free = problem.held is None or not problem.held.all()
         sums = self.summed(*self.residuals(values, states, by_values=is_free))
         coupling, matrix, value_vector = sums.coupling, sums.matrix, sums.value_vector
         # motion model, its noise in units of the scene's scale
-        motion = self.noise_at(values, noise)
+        motion = self.noise_at(values, STATED if noise is None else noise)
         energy, pulls, products = self._add_motion(sums, states, motion)
         by_noise = NoiseEquations.of(motion, pulls, products)
         # a larger scale is a larger noise along every axis
@@ -148,10 +150,17 @@ class Linearisation:
             cost += residual**2
         if problem.held is not None:
             held = problem.held
-            coupling[:, held], value_vector[held] = 0.0, 0.0
+            coupling[:, held], value_vector[held], gradient[held] = 0.0, 0.0, 0.0
             matrix[held], matrix[:, held] = 0.0, 0.0
             matrix[held, held] = parameters.prior_std[held] ** -2
-        return replace(sums, cost=cost, by_noise=by_noise)
+        if noise is None:
+            return replace(sums, cost=cost)
+        with_scale = np.outer(gradient, by_noise.matrix[0])
+        return replace(
+            sums, cost=cost, coupling=np.hstack([coupling, by_noise.coupling]),
+            matrix=np.block([[matrix, with_scale], [with_scale.T, by_noise.matrix]]),
+            value_vector=np.append(value_vector, by_noise.vector),
+        )  # fmt: skip
 
     def summed(self, path: Interpolation, seen: Seen, loss: Loss | None = None) -> NormalEquations:
         """Contributions of all detections, from what `residuals` returns; by default with the loss of the problem.

@@ -219,24 +219,14 @@ class MarginalPosterior:
 
     def equations(self, unknowns: Array, states: Array) -> NormalEquations:
         """Normal equations of all unknowns and the knots (k, 2, 3)."""
-        problem = self.linearisation.problem
-        count = problem.parameters.size
-        if self.size == count:
-            return self.linearisation.at(unknowns, states)
-        values, noise, std = unknowns[:count], unknowns[count:], self.prior_std[count:]
-        found = self.linearisation.at(values, states, noise)
-        assert found.by_noise is not None
-        coupling, matrix, vector = found.by_noise
-        with_scale = np.outer(log_scale(problem.parameters, problem.reference, values)[1], matrix[0])
-        if problem.held is not None:
-            with_scale[problem.held] = 0.0
-        return replace(
-            found,
-            cost=found.cost + float(((noise / std) ** 2).sum()),
-            coupling=np.hstack([found.coupling, coupling]),
-            matrix=np.block([[found.matrix, with_scale], [with_scale.T, matrix + np.diag(std**-2)]]),
-            value_vector=np.append(found.value_vector, vector - noise / std**2),
-        )
+        (values, noise), count = self.parted(unknowns), self.linearisation.problem.parameters.size
+        found, std = self.linearisation.at(values, states, noise if self.links else None), self.prior_std[count:]
+        if not self.links:
+            return found
+        matrix, vector = found.matrix.copy(), found.value_vector.copy()
+        matrix[count:, count:] += np.diag(std**-2)
+        vector[count:] -= noise / std**2
+        return replace(found, cost=found.cost + float(((noise / std) ** 2).sum()), matrix=matrix, value_vector=vector)
 
     def _volume(self, unknowns: Array, factor: Array) -> float:
         problem, (values, noise) = self.linearisation.problem, self.parted(unknowns)
