@@ -408,14 +408,14 @@ def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple
 
 
 def _tried(posterior: MarginalPosterior, at: Point, *steps: Array) -> Iterator[tuple[float, list[Point]]]:
-    """Points after steps and shorter and shorter shares of them, where the normal equations are regular.
+    """Points after steps and shorter and shorter shares of them, where there are cameras and regular equations.
 
     The knots begin where they follow the step to first order, near their minimum.
     """
     following = [at.eliminated.followed(step).reshape(at.states.shape) for step in steps]
     share = 1.0
     while share >= LEAST_SHARE:
-        with suppress(LinAlgError):
+        with suppress(LinAlgError, ValueError):  # the values may be those of no camera
             moved = zip(steps, following, strict=True)
             yield share, [posterior.at(at.unknowns + share * u, at.states + share * x) for u, x in moved]
         share *= 0.5

@@ -152,6 +152,17 @@ def test_the_equations_of_the_knots_alone_are_those_of_all(motion: Motion) -> No
     np.testing.assert_allclose(vector, whole.state_vector, rtol=1e-9, atol=1e-9 * np.abs(whole.state_vector).max())
 
 
+def test_a_step_to_values_of_no_camera_is_shortened() -> None:
+    """A focal length of 0 is none."""
+    problem, states, drawn = some_problem(("center", "rotation", "focal"))
+    posterior = MarginalPosterior(Linearisation.of(problem))
+    at = posterior.at(np.append(drawn, NOISE), states)
+    step = np.zeros(posterior.size)
+    step[problem.parameters.names.index("cam1.focal")] = -1000.0
+    shares = [share for share, _ in marginal._tried(posterior, at, step)]
+    assert 1.0 not in shares
+
+
 @pytest.mark.parametrize("factor", [0.5, 2.0])
 def test_the_marginal_posterior_does_not_tell_the_scale(factor: float) -> None:
     """Cameras and knots stretched about the reference change nothing but the prior, whatever the noise."""
