@@ -395,17 +395,20 @@ def test_a_known_length_between_two_objects_is_kept(tmp_path: Path) -> None:
     overrides = (*QUICK, *ONE_START, *shown)
     simulate(load_config(CONFIG, overrides), tmp_path / "scene")
     log, outcomes = tmp_path / "scene" / "detections.parquet", {}
-    for length in (18.0, 30.0):
+    sampled = ("calibration.posterior=smc", "calibration.smc={particles: 8, moves: 1}")
+    for name, length, more in (("18.0", 18.0, ()), ("30.0", 30.0, ()), ("smc", 18.0, sampled)):
         scale = f"calibration.scale={{kind: length, length: {length}, std: 0.1}}"
-        chosen = loaded(tmp_path / "scene", (*overrides, scale))
-        outcomes[length] = calibrate(chosen, log, tmp_path / str(length), plots=False)
+        chosen = loaded(tmp_path / "scene", (*overrides, scale, *more))
+        outcomes[name] = calibrate(chosen, log, tmp_path / name, plots=False)
     # a fifth too long: everything is found a fifth too large
     scores = evaluate_calibration(tmp_path / "18.0" / "cameras.yaml", tmp_path / "scene" / "cameras.yaml")
     assert scores["joint"]["scale_ratio"] == pytest.approx(1.2, rel=0.03)
-    assert outcomes[18.0]["scale"]["determined_by"] == "length"
+    assert outcomes["18.0"]["scale"]["determined_by"] == "length"
     # twice the true one does not go with the prior of the cameras
-    assert outcomes[30.0]["status"] == "undetermined"
-    assert "standard deviations from the prior" in outcomes[30.0]["reason"]
+    assert outcomes["30.0"]["status"] == "undetermined"
+    assert "standard deviations from the prior" in outcomes["30.0"]["reason"]
+    # particles use the scale of the length, and no distance at single times
+    assert [outcomes[name].get("known_lengths") for name in ("18.0", "smc")] == [1, None]
 
 
 def test_more_clutter_than_stated_is_told_from_objects(scene: Path, tmp_path: Path) -> None:

@@ -139,8 +139,9 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     if not choices.is_sampled:
         answer, widening, remark = widened(task, answer, believed.doubtful)
         remarks += remark
-    fit, pairs = answer, None
-    if (known := choices.known) is not None and known.kind == "length" and task.scale is not None:
+    fit, pairs, known = answer, None, choices.known
+    # particles are weighed by the scale of lengths alone
+    if known is not None and known.kind == "length" and task.scale is not None and not choices.is_sampled:
         fit, pairs = with_lengths(task, fit, known.value, known.std)
     world = None
     if choices.control is not None:
