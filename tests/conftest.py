@@ -33,7 +33,8 @@ hypothesis.settings.load_profile("stereophd")
 # No test cuts the power: nothing is gained by waiting for the disk.
 os.fsync = lambda descriptor: None
 
-# Processes that tests start keep their bytecode, beside which kernels lie already: they need not compile the sources.
+# Bytecode of tests and of what they start is kept, beside which kernels lie already: it took 4 s of every worker.
+sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # A shell starts what runs in the background with SIGINT ignored, and nohup with SIGHUP; both would be inherited by

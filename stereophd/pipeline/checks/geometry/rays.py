@@ -208,15 +208,13 @@ def _scales(first: Camera, second: Camera) -> list[Array]:
     return [np.array([camera.fx, camera.fy]) / camera.detector.sigma for camera in (first, second)]
 
 
-def meeting(
-    found: Candidates,
-    first: Reading,
-    second: Reading,
-    tolerances: tuple[float, ...] = TOLERANCES,
-    known: Rays = (None, None),
-) -> Meeting:
-    """Return how often the rays meet, at the tolerance with the highest score (`known`: see `distances`)."""
-    least = np.abs(distances(found, first, second, known)[0]).min(axis=2)
+def nearest(found: Candidates, first: Reading, second: Reading, known: Rays = (None, None)) -> Array:
+    """Return the distances (1 + s, n) from the nearest ray of B, in standard deviations (`known`: see `distances`)."""
+    return np.asarray(np.abs(distances(found, first, second, known)[0]).min(axis=2))
+
+
+def meeting(least: Array, tolerances: tuple[float, ...] = TOLERANCES) -> Meeting:
+    """Return how often the rays of `nearest` meet, at the tolerance with the highest score."""
     count = len(least[0])
     meets = least <= np.array(tolerances)[:, None, None]
     shares = meets.mean(axis=2)
@@ -279,7 +277,8 @@ class Geometry:
     def with_pairs(self, pairs: tuple[Candidates, ...], tolerances: tuple[float, ...]) -> Geometry:
         """Return how often rays of these detections of the pairs meet, at the best of the tolerances."""
         views = self.views
-        return replace(self, pairs=pairs, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in pairs))
+        given = (meeting(nearest(pair, views[pair.a], views[pair.b]), tolerances) for pair in pairs)
+        return replace(self, pairs=pairs, given=tuple(given))
 
     @cached_property
     def rays(self) -> list[tuple[Array, Array]]:
@@ -291,8 +290,8 @@ class Geometry:
         """Return how well rays of pair k meet at one tolerance, with the cameras as stated."""
         pair, views = self.pairs[k], self.views
         if (k, tolerance) not in self._given_at:
-            met = meeting(pair, views[pair.a], views[pair.b], (tolerance,), self.rays[k])
-            self._given_at[k, tolerance] = met
+            least = nearest(pair, views[pair.a], views[pair.b], self.rays[k])
+            self._given_at[k, tolerance] = meeting(least, (tolerance,))
         return self._given_at[k, tolerance]
 
     @cached_property
