@@ -11,6 +11,8 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import hypothesis
@@ -140,3 +142,10 @@ def leave_out_checks(patch: pytest.MonkeyPatch) -> None:
 def without_checks(monkeypatch: pytest.MonkeyPatch) -> None:
     """`track` does not check its log."""
     leave_out_checks(monkeypatch)
+
+
+def leave_out_rendering(patch: pytest.MonkeyPatch) -> None:
+    """Let plots be drawn, but their files be empty: to arrange and render them takes longer than a short run."""
+    if find_spec("matplotlib") is not None:
+        patch.setattr("stereophd.report.style._lay_out", lambda figure: None)
+        patch.setattr("matplotlib.figure.Figure.savefig", lambda figure, path, **options: Path(path).touch())
