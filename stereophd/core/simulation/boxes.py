@@ -35,8 +35,7 @@ def draw_boxes(
     Returns middles and sizes (m, 2), width and height, in distorted px, cut at the borders of the image, and labels
     (m,), -1 for a false box. The camera is that at the time of the frame.
     """
-    # costly to import, and few scenes have boxes
-    from stereophd.core.bodies.occlusion import CUT_SHARE, detection_probabilities, hidden_shares
+    from stereophd.core.bodies.occlusion import CUT_SHARE, detection_probabilities, hidden_shares  # costly to import
 
     bodies = np.empty((len(states), STATE_SIZE))
     bodies[:, : VELOCITY.stop], bodies[:, LOG_AXES] = states, objects.log_axes[labels]

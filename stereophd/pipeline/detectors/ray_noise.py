@@ -127,13 +127,11 @@ def _draws(likelihoods: dict[tuple[int, int], Array], links: Sequence[Array]) ->
     def of_two(a: int, b: int, turn: int, others: tuple[tuple[int, int], ...]) -> Array:
         mean = (usual * NOISE_SPREAD**-2 + logs[[s for _, s in others]].sum() * BETWEEN_CAMERAS**-2) / precision
         apart = logs - mean
-        total = likelihoods.get((a, b), 0.0) - inverse[0, 1] * apart[:, None] * apart
         alone = 0.5 * inverse[0, 0] * apart**2
-        for camera, shape in ((a, (-1, 1)), (b, (1, -1))):
-            told = links[camera][:, turn]
-            told = told + sum(of_either[camera, k][:, s] for k, s in others if (camera, k) in of_either)
-            total = total + (told - alone).reshape(shape)
-        return _summed(total)
+        shared = {c: sum(of_either[c, k][:, s] for k, s in others if (c, k) in of_either) for c in (a, b)}
+        first, second = (links[c][:, turn] + shared[c] - alone for c in (a, b))
+        both = likelihoods.get((a, b), 0.0) - inverse[0, 1] * apart[:, None] * apart
+        return _summed(both + first[:, None] + second)
 
     for _ in range(max(LEAST_DRAWS, DRAWS // len(pairs))):
         for a, b in pairs:

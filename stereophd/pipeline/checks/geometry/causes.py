@@ -66,29 +66,28 @@ QUICK_DISTANCES, LEAST_DETECTIONS = 8000, 8
 
 
 def best_explanation(
-    geometry: Geometry,
-    thorough: bool = True,
-    clocks_only: bool = False,
-    tolerances: Sequence[tuple[float, ...]] = (TOLERANCES, SHARP),
+    geometry: Geometry, is_suspicious: bool = True, thorough: bool = True, is_blurred: bool = False
 ) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
-    Every alternative (with `clocks_only` only clocks, and a pose where one of them is promising) is tried on a few
-    detections, and the best of them on all. If `thorough`, the first look takes more detections, and finer steps of the
-    clock. Tolerances are those of a meeting, in standard deviations: the first count at which a mistake explains it.
+    Every alternative (unless rays are suspicious only clocks, and a pose where one of them is promising) is tried on a
+    few detections, and the best of them on all. If `thorough`, clock offsets are always tried, in finer steps, and the
+    first look takes more detections. What is far off makes rays meet at a wide tolerance, which the remedy must not be
+    compared with: where they are suspicious or blurred, one standard deviation follows.
     """
     size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
     few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
     quick, steps = replace(geometry, pairs=few), SHIFT_STEPS if thorough else QUICK_STEPS
-    of_cameras = [] if clocks_only else [*_camera_trials(geometry)]
     # what holds at all tolerances is computed once
     of_clock, of_pose = cache(partial(_clock_trials, geometry, steps)), cache(partial(_pose_trial, geometry))
-    first_look = cache(lambda trial: trial.partners(quick))
+    of_cameras, first_look = cache(lambda: [*_camera_trials(geometry)]), cache(lambda trial: trial.partners(quick))
 
-    def best_at(tolerances: tuple[float, ...]) -> Explanation | None:
-        given = geometry if tolerances == TOLERANCES else geometry.with_pairs(geometry.pairs, tolerances)
-        clocks = sorted(usable_clocks(given)[:MOST_CLOCKS])  # of many, those whose rays meet least
-        trials = [*of_cameras, *(trial for camera in clocks for trial in of_clock(camera))]
+    def best_at(tolerances: tuple[float, ...], clocks_only: bool = False) -> Explanation | None:
+        stated = geometry
+        if tolerances == SHARP:
+            stated = replace(geometry, given=tuple(geometry.given_at(k, *SHARP) for k in range(len(geometry.pairs))))
+        clocks = sorted(usable_clocks(stated)[:MOST_CLOCKS])  # of many, those whose rays meet least
+        trials = [*([] if clocks_only else of_cameras()), *(one for camera in clocks for one in of_clock(camera))]
         looks = [(trial, trial.explain(quick, tolerances, first_look(trial))) for trial in trials]
         promising = [
             (t, one) for t, one in looks if one is not None and one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN
@@ -96,7 +95,7 @@ def best_explanation(
         best_first = sorted(promising, key=lambda look: -look[1].met.sharpness)[:FINALISTS]
         chosen = {trial for trial, _ in best_first}
         finalists = [trial for trial in trials if trial in chosen]
-        scope = best_first[0][0].scope[:FINALISTS] if best_first else _least_met(given)[: not clocks_only]
+        scope = best_first[0][0].scope[:FINALISTS] if best_first else _least_met(stated)[: not clocks_only]
         finalists += [trial for camera in scope if (trial := of_pose(camera)) is not None]
         tried = sum(1 if trial.samples is None else steps for trial in trials)
         # a rate is found from two offsets
@@ -111,7 +110,8 @@ def best_explanation(
         alike = [one for one in compete if one.met.sharpness >= best - 0.03]
         return next((one for one in alike[:1] if is_wrong or _is_confirmed(one, geometry, tolerances, least)), None)
 
-    return next(filter(None, map(best_at, tolerances)), None)
+    found = best_at(TOLERANCES, clocks_only=not is_suspicious) if is_suspicious or thorough else None
+    return best_at(SHARP) if found is None and (is_suspicious or is_blurred) else found
 
 
 def _affordable(pair: Candidates, count: int, tables: int) -> int:
@@ -135,20 +135,18 @@ class Trial:
         """Return the pairs concerned by their numbers, which detections remain, and how far the nearest ray is then."""
         found: list[tuple[int, Booleans, Array]] = []
         for k, pair in enumerate(geometry.pairs):
-            if pair.a not in self.scope and pair.b not in self.scope:
+            if {pair.a, pair.b}.isdisjoint(self.scope):
                 continue
-            there: Candidates | None = pair
-            known: Rays = (None, None)
+            there, (rays_a, rays_b) = pair, geometry.rays[k]
+            known: Rays = (None if pair.a in self.scope else rays_a, None if pair.b in self.scope else rays_b)
             if self.samples is not None:
-                there = candidates(
-                    self.samples, pair.a, pair.b, len(pair.detections), len(pair.pixels_b) - 1, among=pair.detections
-                )
-            else:
-                rays_a, rays_b = geometry.rays[k]
-                known = None if pair.a in self.scope else rays_a, None if pair.b in self.scope else rays_b
-            if there is not None:
-                kept = np.isin(pair.detections, there.detections)
-                found.append((k, kept, nearest(there, self.views[pair.a], self.views[pair.b], known)))
+                count, shifts, known = len(pair.detections), len(pair.pixels_b) - 1, (None, None)
+                moved = candidates(self.samples, pair.a, pair.b, count, shifts, among=pair.detections)
+                if moved is None:
+                    continue
+                there = moved
+            kept = np.isin(pair.detections, there.detections)
+            found.append((k, kept, nearest(there, self.views[pair.a], self.views[pair.b], known)))
         return found
 
     def explain(
@@ -264,7 +262,7 @@ def _pose_trial(geometry: Geometry, camera: int) -> Trial | None:
         found, of = [by / POSE_STD], views(by)
         for k in concerned:
             pair, (rays_a, rays_b) = geometry.pairs[k], geometry.rays[k]
-            signed = distances(pair.unshifted, of[pair.a], of[pair.b], (rays_a, rays_b[:1]))[0][0]
+            signed = distances(pair, of[pair.a], of[pair.b], (rays_a, rays_b[:1]))[0][0]
             signed = np.where(np.isfinite(signed), signed, FARTHEST)
             found.append(np.take_along_axis(signed, np.abs(signed).argmin(axis=1)[:, None], axis=1)[:, 0])
         return np.concatenate(found)

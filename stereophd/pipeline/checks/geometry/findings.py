@@ -4,15 +4,7 @@ from collections.abc import Iterator
 
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding, Status
 from stereophd.pipeline.checks.geometry.causes import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
-from stereophd.pipeline.checks.geometry.rays import (
-    LEAST_EXPECTED,
-    LEAST_SCORE,
-    MOST_CHANCE,
-    SHARP,
-    TOLERANCES,
-    Geometry,
-    pairs_of,
-)
+from stereophd.pipeline.checks.geometry.rays import LEAST_EXPECTED, LEAST_SCORE, MOST_CHANCE, Geometry, pairs_of
 from stereophd.wording import percent
 
 # Below this score rays meet by chance, and the share of what the settings promise that right cameras reach.
@@ -29,14 +21,7 @@ def check_geometry(geometry: Geometry, thorough: bool, is_blurred: bool = False)
     """
     yield from left_out(geometry)
     suspicious = [k for k in range(len(geometry.pairs)) if geometry.is_suspicious(k)]
-    explanation = None
-    # what is far off makes rays meet at a wide tolerance, which the remedy must not be compared with
-    if suspicious:
-        explanation = best_explanation(geometry, thorough)
-    elif geometry.pairs and thorough:
-        explanation = best_explanation(geometry, thorough, clocks_only=True, tolerances=(TOLERANCES,))
-    if explanation is None and is_blurred and not suspicious:
-        explanation = best_explanation(geometry, thorough, tolerances=(SHARP,))
+    explanation = best_explanation(geometry, bool(suspicious), thorough, is_blurred) if geometry.pairs else None
     if explanation is not None:
         yield _named(geometry, explanation)
     alone = set() if explanation is not None else _alone(geometry)
