@@ -21,7 +21,9 @@ def check_geometry(geometry: Geometry, thorough: bool, is_blurred: bool = False)
     """
     yield from left_out(geometry)
     suspicious = [k for k in range(len(geometry.pairs)) if geometry.is_suspicious(k)]
-    explanation = best_explanation(geometry, bool(suspicious), thorough, is_blurred) if geometry.pairs else None
+    explanation = None
+    if geometry.pairs and (suspicious or thorough or is_blurred):
+        explanation = best_explanation(geometry, bool(suspicious), thorough, is_blurred)
     if explanation is not None:
         yield _named(geometry, explanation)
     alone = set() if explanation is not None else _alone(geometry)
