@@ -11,6 +11,8 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 import hypothesis
@@ -33,7 +35,8 @@ hypothesis.settings.load_profile("stereophd")
 # No test cuts the power: nothing is gained by waiting for the disk.
 os.fsync = lambda descriptor: None
 
-# Processes that tests start keep their bytecode, beside which kernels lie already: they need not compile the sources.
+# Bytecode of tests and of what they start is kept, beside which kernels lie already: it took 4 s of every worker.
+sys.dont_write_bytecode = False
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 # A shell starts what runs in the background with SIGINT ignored, and nohup with SIGHUP; both would be inherited by
@@ -139,3 +142,10 @@ def leave_out_checks(patch: pytest.MonkeyPatch) -> None:
 def without_checks(monkeypatch: pytest.MonkeyPatch) -> None:
     """`track` does not check its log."""
     leave_out_checks(monkeypatch)
+
+
+def leave_out_rendering(patch: pytest.MonkeyPatch) -> None:
+    """Let plots be drawn, but their files be empty: to arrange and render them takes longer than a short run."""
+    if find_spec("matplotlib") is not None:
+        patch.setattr("stereophd.report.style._lay_out", lambda figure: None)
+        patch.setattr("matplotlib.figure.Figure.savefig", lambda figure, path, **options: Path(path).touch())

@@ -27,6 +27,8 @@ from stereophd import Camera, Clock, Detector, InputError, Lens, Pose
 from stereophd.commands.demo import config_text
 from stereophd.core.arrays import Array
 
+from .conftest import leave_out_rendering
+
 ROOT = Path(__file__).resolve().parent.parent
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"
 PAGE = (ROOT / "docs" / "reference" / "api.md").read_text()
@@ -89,6 +91,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., object]:
     short = re.sub(r"duration_s: [\d.]+", "duration_s: 2.0", config_text())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("stereophd.commands.demo.config_text", lambda: short)
+        leave_out_rendering(patch)
         stereophd.demo(folder)
     return lambda out, force=False: shutil.copytree(folder, out)
 
@@ -105,6 +108,7 @@ def test_the_examples_run(
         pq.write_table(table.filter(pc.less(table["time_s"], 8.0)), path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(stereophd, "demo", demo, raising=False)
+    leave_out_rendering(monkeypatch)
     names: dict[str, object] = {}
     outputs = []
     for number, block in enumerate(BLOCKS):
@@ -118,6 +122,7 @@ def test_the_examples_run(
     assert "expected number of objects: 1." in outputs[5]
 
 
+@pytest.mark.usefixtures("without_checks")
 @pytest.mark.parametrize("script", sorted((ROOT / "docs" / "notebooks").glob("*.py")), ids=lambda path: path.stem)
 def test_the_notebooks_run_and_are_those_of_the_scripts(
     script: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, demo: Callable[..., object]
@@ -158,6 +163,7 @@ class TestOutputs:
         assert run.covariances.shape == (len(run.tracks), 6, 6)
         assert len(run.report["tracks"]) == 3
 
+    @pytest.mark.usefixtures("without_checks")
     def test_vanish_with_the_object_and_not_before(self) -> None:
         scene = stereophd.simulate(QUICKSTART, overrides=["simulate.duration_s=0.5"])
         run = stereophd.track(scene, QUICKSTART, scene)

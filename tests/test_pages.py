@@ -19,6 +19,8 @@ import stereophd
 from stereophd.cli.app import run
 from stereophd.commands.demo import config_text, demo
 
+from .conftest import leave_out_rendering
+
 ROOT = Path(__file__).resolve().parent.parent
 FOLDERS = ("docs/start", "docs/howto")
 PAGES = ["README.md", *sorted(p.relative_to(ROOT).as_posix() for f in FOLDERS for p in (ROOT / f).glob("*.md"))]
@@ -77,6 +79,7 @@ def ready(tmp_path_factory: pytest.TempPathFactory) -> Path:
     short = re.sub(r"duration_s: [\d.]+", "duration_s: 2.0", config_text())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("stereophd.commands.demo.config_text", lambda: short)
+        leave_out_rendering(patch)
         demo(folder / "out")
     (folder / "study").mkdir()
     (folder / "days").mkdir()
@@ -113,6 +116,7 @@ def test_the_commands_of_a_page_run(
     folder = tmp_path / "page"
     shutil.copytree(ready, folder)
     monkeypatch.chdir(folder)
+    leave_out_rendering(monkeypatch)
     for words in wanted:
         if words[0] == "demo":
             continue  # the folder of the page has the short one

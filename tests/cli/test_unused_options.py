@@ -138,7 +138,7 @@ REPORTED = [
 
 
 @pytest.fixture
-def words_of(call: Call, config: Path, tmp_path: Path) -> Callable[[Sequence[str]], list[str]]:
+def words_of(call: Call, config: Path, tmp_path: Path, without_checks: None) -> Callable[[Sequence[str]], list[str]]:
     """Return a function that puts files in the place of words in capitals; a word in small letters is no file."""
 
     def file(name: str) -> Path:
@@ -207,6 +207,7 @@ def test_a_camera_that_the_source_does_not_have_is_not_renamed(
     assert call(*words, "--rename", f"left={new}").code == 0
 
 
+@pytest.mark.usefixtures("without_checks")
 def test_a_log_has_the_same_tracks_with_jobs(call: Call, config: Path, log: Path, tmp_path: Path) -> None:
     for name, words in (("one", []), ("two", ["--jobs", "2"])):
         outcome = call("track", config, log, "--out", tmp_path / name, "-q", *words)

@@ -168,6 +168,7 @@ def test_a_pattern_without_files_is_refused(tmp_path: Path) -> None:
         expand([tmp_path / "*.parquet"])
 
 
+@pytest.mark.usefixtures("without_checks")
 def test_the_command_line_ends_with_2_and_prints_a_table(
     scenes: Path, loaded: LoadedConfig, tmp_path: Path, capsys: pytest.CaptureFixture[str], run_cli: Callable[..., int]
 ) -> None:
@@ -288,6 +289,7 @@ def test_a_batch_continues_over_a_folder_that_a_killed_run_only_made(
         assert (tmp_path / "out" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
+@pytest.mark.usefixtures("without_checks")
 def test_an_empty_folder_of_the_user_is_no_run(
     loaded: LoadedConfig, scenes: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

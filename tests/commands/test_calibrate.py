@@ -60,9 +60,12 @@ def result(scene: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def again(scene: Path) -> Path:
-    """The same calibration on two processes, with plots where there is a library for them."""
-    out = scene.parent / "again"
-    calibrate(loaded(scene), scene / "detections.parquet", out, jobs=2, plots=find_spec("matplotlib") is not None)
+    """The same calibration on two processes, with plots, of few pairs, where there is a library for them."""
+    out, can_draw = scene.parent / "again", find_spec("matplotlib") is not None
+    with pytest.MonkeyPatch.context() as patch:
+        if can_draw:
+            patch.setattr("stereophd.report.plots.calibration_plots.MOST_PAIRS", 2)
+        calibrate(loaded(scene), scene / "detections.parquet", out, jobs=2, plots=can_draw)
     return out
 
 
@@ -355,7 +358,8 @@ def test_an_optimum_that_was_not_found_is_not_determined(
 
 @pytest.mark.parametrize("model", ["constant_velocity", "static"])
 def test_one_object_that_stands_still_leaves_the_cameras_undetermined(tmp_path: Path, model: str) -> None:
-    overrides = (*QUICK, "simulate.objects=null", "simulate.given=[{position: [0, 0, 150]}]", f"motion.model={model}")
+    given = "simulate.given=[{position: [0, 0, 150]}]"
+    overrides = (*QUICK, *ONE_START, "simulate.objects=null", given, f"motion.model={model}")
     simulate(load_config(CONFIG, overrides), tmp_path / "scene")
     report = calibrate(
         loaded(tmp_path / "scene", overrides), tmp_path / "scene" / "detections.parquet", tmp_path / "out", plots=False

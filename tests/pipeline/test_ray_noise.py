@@ -13,6 +13,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
+from stereophd.pipeline.detectors.displacements import PRIOR
 from stereophd.pipeline.detectors.mixture import BORDERS, NOISES, Mixture, unmix
 from stereophd.pipeline.detectors.ray_noise import (
     BETWEEN_CAMERAS,
@@ -20,6 +21,7 @@ from stereophd.pipeline.detectors.ray_noise import (
     RAYS,
     SHARES,
     USUAL_NOISE_PX,
+    _draws,
     noise_from_rays,
     starting_detectors,
 )
@@ -238,3 +240,10 @@ def test_the_stated_error_of_a_noise_among_strangers_covers_it() -> None:
         mean = posterior @ logs
         squares.append((np.log(noise) - mean) ** 2 / (posterior @ (logs - mean) ** 2))
     assert np.mean(squares) < 1.0 + 1.3
+
+
+def test_the_noise_is_that_at_the_turn_that_links_show() -> None:
+    """2 px at the turn that both cameras show, 20 px at every other one."""
+    there, elsewhere = (-2.0 * np.log(NOISES / noise) ** 2 for noise in (2.0, 20.0))
+    link = np.where(np.arange(len(PRIOR)) == 40, there[:, None], elsewhere[:, None] - 50.0)
+    np.testing.assert_allclose(np.exp(_draws({}, [link, link]).mean(axis=0)), 2.0, rtol=0.15)

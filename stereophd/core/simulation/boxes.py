@@ -6,7 +6,6 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.bodies.boxes import box_variances, corners, share_in_image
-from stereophd.core.bodies.occlusion import CUT_SHARE, detection_probabilities, hidden_shares
 from stereophd.core.bodies.outline import BOTTOM, LOG_AXES, STATE_SIZE, TOP, VELOCITY, WIDTH, U, outline_boxes
 from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.geometry.camera import Camera
@@ -36,6 +35,8 @@ def draw_boxes(
     Returns middles and sizes (m, 2), width and height, in distorted px, cut at the borders of the image, and labels
     (m,), -1 for a false box. The camera is that at the time of the frame.
     """
+    from stereophd.core.bodies.occlusion import CUT_SHARE, detection_probabilities, hidden_shares  # costly to import
+
     bodies = np.empty((len(states), STATE_SIZE))
     bodies[:, : VELOCITY.stop], bodies[:, LOG_AXES] = states, objects.log_axes[labels]
     boxes, _ = outline_boxes(bodies, camera, objects.shape.direction)

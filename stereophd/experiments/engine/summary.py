@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import stdtrit
 
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
@@ -113,6 +112,8 @@ def _bound(bound: Series | None, times_s: Array | None, count: int) -> Array:
 
 
 def _summary(quantity: str, unit: str, times_s: Array | None, values: Array, bound: Array) -> Summary:
+    from scipy.special import stdtrit  # costly to import, which workers need not
+
     rms = is_rms(quantity)
     defined = ~np.isnan(values)
     runs = defined.sum(axis=0)

@@ -82,7 +82,7 @@ def _depth_samples(geometry: Geometry, least_score: float) -> tuple[Array, Array
     for pair, given in zip(geometry.pairs, geometry.given, strict=True):
         a, b = views[pair.a], views[pair.b]
         apart = replace(pair.elsewhere(a.camera), pixels_b=pair.pixels_b[1:])
-        measured = distances(pair.unshifted, a, b), distances(apart, a, b)
+        measured = distances(replace(pair, pixels_b=pair.pixels_b[:1]), a, b), distances(apart, a, b)
         distance, depth = (np.concatenate(each) for each in zip(*measured, strict=True))
         meets = given.score >= least_score
         near = (np.abs(distance) <= (given.tolerance if meets else TOLERANCES[0])) & np.isfinite(depth) & (depth > 0.0)

@@ -21,6 +21,7 @@ camera with little data takes its value from the others, and without any data th
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -118,29 +119,35 @@ def _draws(likelihoods: dict[tuple[int, int], Array], links: Sequence[Array]) ->
     count, turn = len(links), int(PRIOR.argmax())
     rng, logs, usual = np.random.default_rng(RAY_NOISE_SEED), np.log(NOISES), float(np.log(USUAL_NOISE_PX))
     of_either = likelihoods | {(b, a): table.T for (a, b), table in likelihoods.items()}
-    state, draws, pairs = np.full(count, int(np.abs(logs - usual).argmin())), [], pairs_of(count)
+    state, draws, pairs = [int(np.abs(logs - usual).argmin())] * count, [], pairs_of(count)
     precision = NOISE_SPREAD**-2 + (count - 2) * BETWEEN_CAMERAS**-2
     inverse = np.linalg.inv(np.full((2, 2), 1.0 / precision) + BETWEEN_CAMERAS**2 * np.eye(2))
+
+    @lru_cache  # few states are probable, which come again and again
+    def of_two(a: int, b: int, turn: int, others: tuple[tuple[int, int], ...]) -> Array:
+        mean = (usual * NOISE_SPREAD**-2 + logs[[s for _, s in others]].sum() * BETWEEN_CAMERAS**-2) / precision
+        apart = logs - mean
+        alone = 0.5 * inverse[0, 0] * apart**2
+        shared = {c: sum(of_either[c, k][:, s] for k, s in others if (c, k) in of_either) for c in (a, b)}
+        first, second = (links[c][:, turn] + shared[c] - alone for c in (a, b))
+        both = likelihoods.get((a, b), 0.0) - inverse[0, 1] * apart[:, None] * apart
+        return _summed(both + first[:, None] + second)
+
     for _ in range(max(LEAST_DRAWS, DRAWS // len(pairs))):
         for a, b in pairs:
-            rest = [k for k in range(count) if k not in (a, b)]
-            mean = (usual * NOISE_SPREAD**-2 + logs[state[rest]].sum() * BETWEEN_CAMERAS**-2) / precision
-            apart = logs - mean
-            total = likelihoods.get((a, b), 0.0) - inverse[0, 1] * apart[:, None] * apart
-            alone = 0.5 * inverse[0, 0] * apart**2
-            for camera, shape in ((a, (-1, 1)), (b, (1, -1))):
-                told = links[camera][:, turn]
-                told = told + sum(of_either[camera, k][:, state[k]] for k in rest if (camera, k) in of_either)
-                total = total + (told - alone).reshape(shape)
-            state[[a, b]] = divmod(_drawn(rng, total), len(logs))
-        turn = _drawn(rng, PRIOR + np.sum([table[k] for table, k in zip(links, state, strict=True)], axis=0))
+            others = tuple((k, s) for k, s in enumerate(state) if k not in (a, b))
+            state[a], state[b] = divmod(_drawn(rng, of_two(a, b, turn, others)), len(logs))
+        turn = _drawn(rng, _summed(PRIOR + np.sum([table[k] for table, k in zip(links, state, strict=True)], axis=0)))
         draws.append(logs[state])
     return np.array(draws[len(draws) // 5 :])
 
 
-def _drawn(rng: np.random.Generator, likelihoods: Array) -> int:
-    """Return the index, within the flat array, of a draw with these log-likelihoods."""
-    summed = np.exp(likelihoods - likelihoods.max()).cumsum()
+def _summed(likelihoods: Array) -> Array:
+    return np.asarray(np.exp(likelihoods - likelihoods.max()).cumsum())
+
+
+def _drawn(rng: np.random.Generator, summed: Array) -> int:
+    """Return the index of a draw, from sums of probabilities up to each, in proportion."""
     return int(np.searchsorted(summed, rng.random() * summed[-1]))
 
 

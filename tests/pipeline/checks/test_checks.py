@@ -280,7 +280,6 @@ def test_a_change_is_asked_of_the_detections_that_were_asked_before_it() -> None
     frames = _frames(CAMERAS, count=120)
     samples, shorter = sample_log(frames, CAMERAS), sample_log(frames[:-1], CAMERAS)
     geometry = measure(samples, DEPTHS, thorough=False)
-    geometry = geometry.with_pairs(geometry.pairs, SHARP)
     change = Trial((1,), "frame_rate", "", "", geometry.views, shorter).explain(geometry, SHARP)
     assert change is not None
     assert len(samples[0].pixels) > 2 * len(geometry.pairs[0].detections)

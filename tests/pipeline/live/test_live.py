@@ -34,6 +34,7 @@ from stereophd.pipeline.live.frames import FrameChecks
 from stereophd.pipeline.tracking import loop
 from stereophd.pipeline.tracking.knocked import Knock, KnockTest
 from stereophd.pipeline.workers.aside import Aside
+from tests.conftest import leave_out_checks
 from tests.scenes import build_camera
 
 pytestmark = pytest.mark.usefixtures("without_checks")
@@ -76,7 +77,9 @@ Plain = tuple[dict[str, Any], list[Any], Path]
 def plain(loaded: LoadedConfig, frames: list[Message], tmp_path_factory: pytest.TempPathFactory) -> Plain:
     """A run in which no frame is late."""
     out = tmp_path_factory.mktemp("live") / "plain"
-    return *run(loaded, frames, out), out
+    with pytest.MonkeyPatch.context() as patch:
+        leave_out_checks(patch)
+        return *run(loaded, frames, out), out
 
 
 def by_event(lines: Sequence[Any]) -> dict[tuple[str, int], Any]:

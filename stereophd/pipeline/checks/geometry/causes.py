@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cache, partial
 from itertools import pairwise, product
 from statistics import NormalDist
 
 import numpy as np
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Booleans
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET
 from stereophd.pipeline.checks.geometry.alternatives import Alternative, alternatives, posed
@@ -26,6 +27,7 @@ from stereophd.pipeline.checks.geometry.rays import (
     candidates,
     distances,
     meeting,
+    nearest,
     pairs_of,
     pixels_at,
 )
@@ -64,42 +66,52 @@ QUICK_DISTANCES, LEAST_DETECTIONS = 8000, 8
 
 
 def best_explanation(
-    geometry: Geometry, thorough: bool = True, clocks_only: bool = False, tolerances: tuple[float, ...] = TOLERANCES
+    geometry: Geometry, is_suspicious: bool = True, thorough: bool = True, is_blurred: bool = False
 ) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
-    Every alternative (with `clocks_only` only clocks, and a pose where one of them is promising) is tried on a few
-    detections, and the best of them on all. If `thorough`, the first look takes more detections, and finer steps of the
-    clock. Tolerances are those of a meeting, in standard deviations.
+    Every alternative (unless rays are suspicious only clocks, and a pose where one of them is promising) is tried on a
+    few detections, and the best of them on all. If `thorough`, clock offsets are always tried, in finer steps, and the
+    first look takes more detections. What is far off makes rays meet at a wide tolerance, which the remedy must not be
+    compared with: where they are suspicious or blurred, one standard deviation follows.
     """
     size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
     few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
-    quick = geometry.with_pairs(few, tolerances)
-    if tolerances != TOLERANCES:  # those that it was measured with
-        geometry = geometry.with_pairs(geometry.pairs, tolerances)
-    steps = SHIFT_STEPS if thorough else QUICK_STEPS
-    trials = [*([] if clocks_only else _camera_trials(geometry)), *_clock_trials(geometry, steps)]
-    looks = [(trial, trial.explain(quick, tolerances)) for trial in trials]
-    promising = [
-        (t, one) for t, one in looks if one is not None and one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN
-    ]
-    best_first = sorted(promising, key=lambda look: -look[1].met.sharpness)[:FINALISTS]
-    chosen = {id(trial) for trial, _ in best_first}
-    finalists = [trial for trial in trials if id(trial) in chosen]
-    scope = best_first[0][0].scope[:FINALISTS] if best_first else _least_met(geometry)[: not clocks_only]
-    finalists += [trial for camera in scope if (trial := _pose_trial(geometry, camera)) is not None]
-    tried = sum(1 if trial.samples is None else steps for trial in trials)
-    # a rate is found from two offsets
-    least, of_rate = (NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried * n, 1)) for n in (1, steps))
-    explained = [one for trial in finalists if (one := trial.explain(geometry, tolerances)) is not None]
-    certain = [one for one in explained if one.is_decisive(of_rate if one.trial.cause == "frame_rate" else least)]
-    is_wrong = any(one.trial.cause != DO_NOT_MEET for one in certain)
-    # where a usual mistake is certain, something is wrong: a pose that explains more, certain or not, competes
-    compete = [one for one in explained if one in certain or (is_wrong and one.trial.cause == DO_NOT_MEET)]
-    best = max((one.met.sharpness for one in compete), default=0.0)
-    # of those that explain as much the first: the list begins with the likely ones
-    alike = [one for one in compete if one.met.sharpness >= best - 0.03]
-    return next((one for one in alike[:1] if is_wrong or _is_confirmed(one, geometry, tolerances, least)), None)
+    quick, steps = replace(geometry, pairs=few), SHIFT_STEPS if thorough else QUICK_STEPS
+    # what holds at all tolerances is computed once
+    of_clock, of_pose = cache(partial(_clock_trials, geometry, steps)), cache(partial(_pose_trial, geometry))
+    of_cameras, first_look = cache(lambda: [*_camera_trials(geometry)]), cache(lambda trial: trial.partners(quick))
+
+    def best_at(tolerances: tuple[float, ...], clocks_only: bool = False) -> Explanation | None:
+        stated = geometry
+        if tolerances == SHARP:
+            stated = replace(geometry, given=tuple(geometry.given_at(k, *SHARP) for k in range(len(geometry.pairs))))
+        clocks = sorted(usable_clocks(stated)[:MOST_CLOCKS])  # of many, those whose rays meet least
+        trials = [*([] if clocks_only else of_cameras()), *(one for camera in clocks for one in of_clock(camera))]
+        looks = [(trial, trial.explain(quick, tolerances, first_look(trial))) for trial in trials]
+        promising = [
+            (t, one) for t, one in looks if one is not None and one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN
+        ]
+        best_first = sorted(promising, key=lambda look: -look[1].met.sharpness)[:FINALISTS]
+        chosen = {trial for trial, _ in best_first}
+        finalists = [trial for trial in trials if trial in chosen]
+        scope = best_first[0][0].scope[:FINALISTS] if best_first else _least_met(stated)[: not clocks_only]
+        finalists += [trial for camera in scope if (trial := of_pose(camera)) is not None]
+        tried = sum(1 if trial.samples is None else steps for trial in trials)
+        # a rate is found from two offsets
+        least, of_rate = (NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried * n, 1)) for n in (1, steps))
+        explained = [one for trial in finalists if (one := trial.explain(geometry, tolerances)) is not None]
+        certain = [one for one in explained if one.is_decisive(of_rate if one.trial.cause == "frame_rate" else least)]
+        is_wrong = any(one.trial.cause != DO_NOT_MEET for one in certain)
+        # where a usual mistake is certain, something is wrong: a pose that explains more, certain or not, competes
+        compete = [one for one in explained if one in certain or (is_wrong and one.trial.cause == DO_NOT_MEET)]
+        best = max((one.met.sharpness for one in compete), default=0.0)
+        # of those that explain as much the first: the list begins with the likely ones
+        alike = [one for one in compete if one.met.sharpness >= best - 0.03]
+        return next((one for one in alike[:1] if is_wrong or _is_confirmed(one, geometry, tolerances, least)), None)
+
+    found = best_at(TOLERANCES, clocks_only=not is_suspicious) if is_suspicious or thorough else None
+    return best_at(SHARP) if found is None and (is_suspicious or is_blurred) else found
 
 
 def _affordable(pair: Candidates, count: int, tables: int) -> int:
@@ -107,7 +119,7 @@ def _affordable(pair: Candidates, count: int, tables: int) -> int:
     return min(count, max(LEAST_DETECTIONS, QUICK_DISTANCES // (tables * int(pair.pixels_b.shape[2]))))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Trial:
     """Cameras or clocks with one mistake undone."""
 
@@ -119,31 +131,37 @@ class Trial:
     samples: list[CameraSample] | None = None  # With other times; None: as they are
     change: str | None = None  # As that of a `Finding`
 
-    def explain(self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES) -> Explanation | None:
-        """Return how much the change explains of the pairs concerned; None if it concerns none.
+    def partners(self, geometry: Geometry) -> list[tuple[int, Booleans, Array]]:
+        """Return the pairs concerned by their numbers, which detections remain, and how far the nearest ray is then."""
+        found: list[tuple[int, Booleans, Array]] = []
+        for k, pair in enumerate(geometry.pairs):
+            if {pair.a, pair.b}.isdisjoint(self.scope):
+                continue
+            there, (rays_a, rays_b) = pair, geometry.rays[k]
+            known: Rays = (None if pair.a in self.scope else rays_a, None if pair.b in self.scope else rays_b)
+            if self.samples is not None:
+                count, shifts, known = len(pair.detections), len(pair.pixels_b) - 1, (None, None)
+                moved = candidates(self.samples, pair.a, pair.b, count, shifts, among=pair.detections)
+                if moved is None:
+                    continue
+                there = moved
+            kept = np.isin(pair.detections, there.detections)
+            found.append((k, kept, nearest(there, self.views[pair.a], self.views[pair.b], known)))
+        return found
+
+    def explain(
+        self, geometry: Geometry, tolerances: tuple[float, ...] = TOLERANCES,
+        partners: list[tuple[int, Booleans, Array]] | None = None,
+    ) -> Explanation | None:  # fmt: skip
+        """Return how much the change explains of the pairs concerned (see `partners`); None if it concerns none.
 
         Rays as stated are held to the tolerance at which those with the change meet best: at another one fewer meet.
         """
         after, before, changed = [], [], []
-        for k, pair in enumerate(geometry.pairs):
-            if pair.a not in self.scope and pair.b not in self.scope:
-                continue
-            found: Candidates | None = pair
-            known: Rays = (None, None)
-            if self.samples is not None:
-                found = candidates(
-                    self.samples, pair.a, pair.b, len(pair.detections), len(pair.pixels_b) - 1, among=pair.detections
-                )
-            else:
-                rays_a, rays_b = geometry.rays[k]
-                known = None if pair.a in self.scope else rays_a, None if pair.b in self.scope else rays_b
-            if found is not None:
-                met = meeting(found, self.views[pair.a], self.views[pair.b], tolerances, known)
-                given = geometry.given_at(k, met.tolerance)
-                after.append(met)
-                before.append(given)
-                kept = np.isin(pair.detections, found.detections)
-                changed.append(_changed(met.meets.astype(float) - given.meets[:, kept]))
+        for k, kept, least in self.partners(geometry) if partners is None else partners:
+            after.append(met := meeting(least, tolerances))
+            before.append(given := geometry.given_at(k, met.tolerance))
+            changed.append(_changed(met.meets.astype(float) - given.meets[:, kept]))
         if not after:
             return None
         gain, variance = np.sum(changed, axis=0).tolist()
@@ -244,7 +262,7 @@ def _pose_trial(geometry: Geometry, camera: int) -> Trial | None:
         found, of = [by / POSE_STD], views(by)
         for k in concerned:
             pair, (rays_a, rays_b) = geometry.pairs[k], geometry.rays[k]
-            signed = distances(pair.unshifted, of[pair.a], of[pair.b], (rays_a, rays_b[:1]))[0][0]
+            signed = distances(pair, of[pair.a], of[pair.b], (rays_a, rays_b[:1]))[0][0]
             signed = np.where(np.isfinite(signed), signed, FARTHEST)
             found.append(np.take_along_axis(signed, np.abs(signed).argmin(axis=1)[:, None], axis=1)[:, 0])
         return np.concatenate(found)
@@ -280,7 +298,7 @@ def _is_confirmed(found: Explanation, geometry: Geometry, tolerances: tuple[floa
     def quarters(first: int) -> Geometry:
         among = [np.searchsorted(ends, sample.times)[sample.frame_of] % 2 == first for sample in samples]
         pairs = (candidates(samples, p.a, p.b, among=np.flatnonzero(among[p.a])) for p in geometry.pairs)
-        return geometry.with_pairs(tuple(filter(None, pairs)), tolerances)
+        return replace(geometry, pairs=tuple(filter(None, pairs)))
 
     trial = _pose_trial(quarters(0), camera)
     explained = None if trial is None else trial.explain(quarters(1), tolerances)
@@ -303,18 +321,18 @@ def _pairs_with(geometry: Geometry, camera: int) -> list[int]:
     return [k for k, pair in enumerate(geometry.pairs) if camera in (pair.a, pair.b)]
 
 
-def _clock_trials(geometry: Geometry, steps: int) -> Iterator[Trial]:
-    """Yield clock offsets and rates of single cameras; of many, those whose rays meet least."""
-    for c in sorted(usable_clocks(geometry)[:MOST_CLOCKS]):
-        sample, concerned = geometry.samples[c], _pairs_with(geometry, c)[:MOST_CLOCK_PAIRS]
-        shift = _best_shift(geometry, concerned, c, steps)
-        if shift is not None:
-            yield Trial(
-                (c,), "clock_offset", f"its clock seems to be off by {-shift:+.3g} s", shift_remedy(shift),
-                geometry.views, _with_times(geometry, c, sample.times + shift), clock_change(sample, shift),
-            )  # fmt: skip
-        if (found := _clock(geometry, concerned, c, steps)) is not None:
-            yield _of_rate(geometry, c, *found)
+def _clock_trials(geometry: Geometry, steps: int, camera: int) -> list[Trial]:
+    """Return the trials of a clock offset and of a rate of one camera."""
+    sample, concerned, found = geometry.samples[camera], _pairs_with(geometry, camera)[:MOST_CLOCK_PAIRS], []
+    shift = _best_shift(geometry, concerned, camera, steps)
+    if shift is not None:
+        found.append(Trial(
+            (camera,), "clock_offset", f"its clock seems to be off by {-shift:+.3g} s", shift_remedy(shift),
+            geometry.views, _with_times(geometry, camera, sample.times + shift), clock_change(sample, shift),
+        ))  # fmt: skip
+    if (rate := _clock(geometry, concerned, camera, steps)) is not None:
+        found.append(_of_rate(geometry, camera, *rate))
+    return found
 
 
 def _clock(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> tuple[float, float] | None:

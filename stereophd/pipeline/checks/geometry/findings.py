@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding, Status
 from stereophd.pipeline.checks.geometry.causes import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
-from stereophd.pipeline.checks.geometry.rays import LEAST_EXPECTED, LEAST_SCORE, MOST_CHANCE, SHARP, Geometry, pairs_of
+from stereophd.pipeline.checks.geometry.rays import LEAST_EXPECTED, LEAST_SCORE, MOST_CHANCE, Geometry, pairs_of
 from stereophd.wording import percent
 
 # Below this score rays meet by chance, and the share of what the settings promise that right cameras reach.
@@ -22,11 +22,8 @@ def check_geometry(geometry: Geometry, thorough: bool, is_blurred: bool = False)
     yield from left_out(geometry)
     suspicious = [k for k in range(len(geometry.pairs)) if geometry.is_suspicious(k)]
     explanation = None
-    if geometry.pairs and (suspicious or thorough):
-        explanation = best_explanation(geometry, thorough, clocks_only=not suspicious)
-    # what is far off makes rays meet at a wide tolerance, which the remedy must not be compared with
-    if explanation is None and (suspicious or is_blurred):
-        explanation = best_explanation(geometry, thorough, tolerances=SHARP)
+    if geometry.pairs and (suspicious or thorough or is_blurred):
+        explanation = best_explanation(geometry, bool(suspicious), thorough, is_blurred)
     if explanation is not None:
         yield _named(geometry, explanation)
     alone = set() if explanation is not None else _alone(geometry)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cache, cached_property
 from itertools import combinations
 
 import numpy as np
@@ -71,11 +71,6 @@ class Candidates:
             self.a, self.b, self.detections[kept], self.times[kept], self.pixels_a[kept],
             np.ascontiguousarray(self.pixels_b[: 1 + shifts, kept]),
         )  # fmt: skip
-
-    @property
-    def unshifted(self) -> Candidates:
-        """Those at the same times alone."""
-        return replace(self, pixels_b=self.pixels_b[:1])
 
     def elsewhere(self, camera: Camera) -> Candidates:
         """Return the detections of A, the given camera, at other places of the image, each in its own direction."""
@@ -208,15 +203,13 @@ def _scales(first: Camera, second: Camera) -> list[Array]:
     return [np.array([camera.fx, camera.fy]) / camera.detector.sigma for camera in (first, second)]
 
 
-def meeting(
-    found: Candidates,
-    first: Reading,
-    second: Reading,
-    tolerances: tuple[float, ...] = TOLERANCES,
-    known: Rays = (None, None),
-) -> Meeting:
-    """Return how often the rays meet, at the tolerance with the highest score (`known`: see `distances`)."""
-    least = np.abs(distances(found, first, second, known)[0]).min(axis=2)
+def nearest(found: Candidates, first: Reading, second: Reading, known: Rays = (None, None)) -> Array:
+    """Return the distances (1 + s, n) from the nearest ray of B, in standard deviations (`known`: see `distances`)."""
+    return np.asarray(np.abs(distances(found, first, second, known)[0]).min(axis=2))
+
+
+def meeting(least: Array, tolerances: tuple[float, ...] = TOLERANCES) -> Meeting:
+    """Return how often the rays of `nearest` meet, at the tolerance with the highest score."""
     count = len(least[0])
     meets = least <= np.array(tolerances)[:, None, None]
     shares = meets.mean(axis=2)
@@ -276,28 +269,17 @@ class Geometry:
         """The cameras as stated."""
         return [Reading(sample.camera) for sample in self.samples]
 
-    def with_pairs(self, pairs: tuple[Candidates, ...], tolerances: tuple[float, ...]) -> Geometry:
-        """Return how often rays of these detections of the pairs meet, at the best of the tolerances."""
-        views = self.views
-        return replace(self, pairs=pairs, given=tuple(meeting(p, views[p.a], views[p.b], tolerances) for p in pairs))
-
     @cached_property
     def rays(self) -> list[tuple[Array, Array]]:
         """The rays of every pair, with the cameras as stated (see `rays_of`)."""
         views = self.views
         return [rays_of(pair, views[pair.a], views[pair.b]) for pair in self.pairs]
 
-    def given_at(self, k: int, tolerance: float) -> Meeting:
-        """Return how well rays of pair k meet at one tolerance, with the cameras as stated."""
-        pair, views = self.pairs[k], self.views
-        if (k, tolerance) not in self._given_at:
-            met = meeting(pair, views[pair.a], views[pair.b], (tolerance,), self.rays[k])
-            self._given_at[k, tolerance] = met
-        return self._given_at[k, tolerance]
-
     @cached_property
-    def _given_at(self) -> dict[tuple[int, float], Meeting]:
-        return {}
+    def given_at(self) -> Callable[[int, float], Meeting]:
+        """How well rays of a pair, by its number, meet at one tolerance, with the cameras as stated."""
+        views, least = self.views, cache(lambda k: nearest(p := self.pairs[k], views[p.a], views[p.b], self.rays[k]))
+        return cache(lambda k, tolerance: meeting(least(k), (tolerance,)))
 
     def is_suspicious(self, k: int) -> bool:
         """Whether fewer rays of pair k meet than the configuration promises, or no more than by chance.
@@ -341,4 +323,6 @@ def measure(samples: list[CameraSample], depths: tuple[float, float], thorough: 
         if found is not None:
             pairs.append(found)
     expected = tuple(expected_excess(pair, samples, depths) for pair in pairs)
-    return Geometry(samples, (), (), expected).with_pairs(tuple(pairs), TOLERANCES)
+    views = [Reading(sample.camera) for sample in samples]
+    given = tuple(meeting(nearest(pair, views[pair.a], views[pair.b])) for pair in pairs)
+    return Geometry(samples, tuple(pairs), given, expected)
