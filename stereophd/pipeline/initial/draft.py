@@ -46,7 +46,7 @@ NEARER, FARTHER, SPREAD, FASTER = 0.7, 1.5, 1.3, 2.5
 SPREADS = 3.0
 REGION_NEARER, REGION_FARTHER = 0.4, 2.5
 # Largest standard deviation of a reported position, and the cutoff of scores, over the middle depth.
-UNCERTAIN, CUTOFF = 0.1, 0.1
+UNCERTAIN, CUTOFF = 0.2, 0.1
 CAUSES_OF_DETECTORS = ("clutter", "sigma")
 # Steps that a run shows; the check of the log is the last of them.
 STEPS = 6
@@ -360,20 +360,21 @@ def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str, step: 
 
 
 def _with_damping(draft: Draft, speed_std: float, parts: list[list[Event]], name: str) -> Draft:
-    """Return the draft with velocities that decay, where that is more probable than that they last.
+    """Return the draft with velocities that decay, unless the log is more probable if they last.
 
-    They decay in the time in which the acceleration of the draft holds the speeds at those of the tracks.
+    They decay in the time in which the acceleration of the draft holds the speeds at those of the tracks. Where the log
+    shows neither, an object that nobody sees for a while would otherwise become faster than any that was seen.
     """
     if draft.is_given("motion.model") or draft.is_given("motion.acceleration_std"):
         return draft
     settling = 2.0 * (speed_std / float(draft.choices["motion.acceleration_std"].value)) ** 2
     changes = {
-        "motion.model": Choice("damped_velocity", "the log is more probable than with constant_velocity"),
+        "motion.model": Choice("damped_velocity", "the log is no more probable with constant_velocity"),
         "motion.time_constant_s": Choice(
             rounded(settling), "in which this acceleration and the decay hold the speeds at those of the tracks; s"
         ),
     }
-    return _more_probable(draft, draft.with_choices(changes), parts, name)
+    return _more_probable(draft.with_choices(changes), draft, parts, name)
 
 
 def _with_detectors(
@@ -430,7 +431,7 @@ def _final(figures: SceneFigures, usual: Draft, unit: str) -> dict[str, Choice]:
         "filter.birth.depth_range": Choice([rounded(NEARER * near), rounded(FARTHER * far)], seen),
         "filter.birth.velocity_std": Choice(rounded(max(SPREAD * figures.speed_std, 1e-3 * middle)), speed),
         "report.max_position_std": Choice(
-            rounded(UNCERTAIN * middle), "a tenth of the middle depth: new tracks appear once two cameras locate them"
+            rounded(UNCERTAIN * middle), "a fifth of the middle depth: new tracks appear once two cameras locate them"
         ),
         "evaluation.cutoff": Choice(
             rounded(CUTOFF * middle, 1),
