@@ -88,7 +88,8 @@ class DetectorSums:
     # `frames`, `detections`, `attributed`: Frames, detections, and those of confirmed tracks.
     frames: int = 0
     detections: int = 0
-    attributed: int = 0
+    attributed: float = 0.0
+    doubtful: float = 0.0  # Variance of the number of these
     outside: int = 0  # Detections that see nothing of the region
     view: float = 1.0  # Share of the image that sees the region
     undecided: int = 0  # Detections that only objects claim which were still tentative at the end, not alone
@@ -318,7 +319,7 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
     if sums.frames > 0:
         frames = sums.frames * max(sums.view, LEAST_VIEW)
         clutter = (max(sums.detections - sums.outside - sums.attributed, 0) + 0.5) / frames
-        clutter_error = float(np.hypot(np.sqrt(clutter / frames), sums.undecided / frames))
+        clutter_error = float(np.sqrt(clutter / frames + (sums.doubtful + sums.undecided**2) / frames**2))
     return DetectorEstimate(
         prior.put(Detector(present.sigma, p_detect, clutter, present.box_noise), noise), noise, error, p_error,
         clutter_error, sums.correlation, sums.pairs, in_view, sums.frames, sums.outside / max(sums.frames, 1), ratio,

@@ -360,21 +360,20 @@ def _with_acceleration(draft: Draft, parts: list[list[Event]], name: str, step: 
 
 
 def _with_damping(draft: Draft, speed_std: float, parts: list[list[Event]], name: str) -> Draft:
-    """Return the draft with velocities that decay, unless the log is more probable if they last.
+    """Return the draft with velocities that decay, where that is more probable than that they last.
 
-    They decay in the time in which the acceleration of the draft holds the speeds at those of the tracks. Where the log
-    shows neither, an object that nobody sees for a while would otherwise become faster than any that was seen.
+    They decay in the time in which the acceleration of the draft holds the speeds at those of the tracks.
     """
     if draft.is_given("motion.model") or draft.is_given("motion.acceleration_std"):
         return draft
     settling = 2.0 * (speed_std / float(draft.choices["motion.acceleration_std"].value)) ** 2
     changes = {
-        "motion.model": Choice("damped_velocity", "the log is no more probable with constant_velocity"),
+        "motion.model": Choice("damped_velocity", "the log is more probable than with constant_velocity"),
         "motion.time_constant_s": Choice(
             rounded(settling), "in which this acceleration and the decay hold the speeds at those of the tracks; s"
         ),
     }
-    return _more_probable(draft.with_choices(changes), draft, parts, name)
+    return _more_probable(draft, draft.with_choices(changes), parts, name)
 
 
 def _with_detectors(
