@@ -22,10 +22,10 @@ Probability of detection. sum(D) / sum(D + M), with D the probability that a tra
 the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last
 detection of the track only: what comes after is the object's end, not misses.
 
-Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame. Those
-that see nothing of a region are counted apart: clutter is that of the part of the image that sees it, as if it were all
-of the image. Those that a tentative object claims together with others at the end are undecided: they are part of the
-standard error.
+Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame; to a
+settled one as probably as it made them, because what is false and near it is not all its own. Those that see nothing of
+a region are counted apart: clutter is that of the part of the image that sees it, as if it were all of the image. Those
+that a tentative object claims together with others at the end are undecided: they are part of the standard error.
 
 Whether it is noise at all. At the true values the residuals e / sqrt(S) of a track in one camera are white. If those
 of successive frames agree, errors last: of the pose, the clock or the lens, or of labels that were smoothed. No
