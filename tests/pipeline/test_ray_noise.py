@@ -139,6 +139,15 @@ def test_nothing_to_compare_gives_the_prior() -> None:
     assert priors["cam1"].spread == NOISE_SPREAD
 
 
+def test_detections_that_no_track_links_are_not_all_false() -> None:
+    """One-camera tracks link hardly any detection of this noise; of about eleven in a frame half a one is false."""
+    cameras = cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0))
+    samples = samples_of(cameras, [60.0, 60.0, 60.0], 12, 60, 1.0)
+    assert min(sample.isolated_per_frame for sample in samples) > 4.0
+    for camera in starting_detectors(cameras, [camera.name for camera in cameras], samples)[0]:
+        assert 0.25 < camera.detector.clutter_per_frame < 1.5
+
+
 def test_noise_of_a_crowd_between_frames_that_no_track_links() -> None:
     """Five frames of 80 objects, whose cameras are not synchronised: one-camera tracks are mostly wrong."""
     rng = np.random.default_rng(2)

@@ -100,6 +100,10 @@ class _Watched:
         probabilities = zip(sighting.detected.tolist(), sighting.missed.tolist(), strict=True)
         for label, (detected, missed) in zip(sighting.labels.tolist(), probabilities, strict=True):
             settled.count(label, event.camera, detected, missed, sums)
+        # of settled tracks as probably as they made it, where another detection, or none, may have been theirs
+        claimed = np.isin(sighting.labels, info.detected)
+        sums[event.camera].attributed += float((sighting.detected - claimed).sum())
+        sums[event.camera].doubtful += float((sighting.detected * (1.0 - sighting.detected)).sum())
         for label in info.detected.tolist():
             settled.seen_by.setdefault(label, set()).add(event.camera)
         settled.confirmed.update(estimates.labels.tolist())

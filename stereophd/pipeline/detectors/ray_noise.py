@@ -45,8 +45,9 @@ from stereophd.pipeline.detectors.statistics import BETWEEN_CAMERAS, USUAL_P_DET
 
 # The prior: the noise of one detector, px, and the spread of its logarithm.
 USUAL_NOISE_PX, NOISE_SPREAD = 1.7, 1.5
-# False detections of a frame to begin with: no detector is free of them, and births need some to compete with.
-LEAST_CLUTTER = 0.02
+# Share of the detections that are false, and their number in a frame at least, to begin with: where noise or motion
+# outrun one-camera tracks nothing shows it, and with too many no track is found that would show there are fewer.
+USUAL_FALSE, LEAST_CLUTTER = 0.1, 0.02
 # Frames of each camera that are looked at.
 SAMPLE_FRAMES = 1500
 # Detections of a pair that are examined at most, and distances of them all, those of chance included, of one pair and
@@ -172,7 +173,7 @@ def starting_detectors(
     for k, camera in enumerate(cameras):
         if camera.name in estimated:
             prior = priors[camera.name] = NoisePrior(np.array(np.broadcast_to(noise[k], 2)), float(spreads[k]))
-            clutter = max(samples[k].isolated_per_frame, LEAST_CLUTTER)
+            clutter = max(USUAL_FALSE * samples[k].detections_per_frame, LEAST_CLUTTER)
             camera = replace(camera, detector=Detector(prior.noise, USUAL_P_DETECT, clutter))
         used.append(camera)
     return tuple(used), priors

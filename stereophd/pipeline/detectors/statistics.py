@@ -22,10 +22,10 @@ Probability of detection. sum(D) / sum(D + M), with D the probability that a tra
 the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last
 detection of the track only: what comes after is the object's end, not misses.
 
-Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame. Those
-that see nothing of a region are counted apart: clutter is that of the part of the image that sees it, as if it were all
-of the image. Those that a tentative object claims together with others at the end are undecided: they are part of the
-standard error.
+Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame; to a
+settled one as probably as it made them, because what is false and near it is not all its own. Those that see nothing of
+a region are counted apart: clutter is that of the part of the image that sees it, as if it were all of the image. Those
+that a tentative object claims together with others at the end are undecided: they are part of the standard error.
 
 Whether it is noise at all. At the true values the residuals e / sqrt(S) of a track in one camera are white. If those
 of successive frames agree, errors last: of the pose, the clock or the lens, or of labels that were smoothed. No
@@ -88,7 +88,8 @@ class DetectorSums:
     # `frames`, `detections`, `attributed`: Frames, detections, and those of confirmed tracks.
     frames: int = 0
     detections: int = 0
-    attributed: int = 0
+    attributed: float = 0.0
+    doubtful: float = 0.0  # Variance of the number of these
     outside: int = 0  # Detections that see nothing of the region
     view: float = 1.0  # Share of the image that sees the region
     undecided: int = 0  # Detections that only objects claim which were still tentative at the end, not alone
@@ -318,7 +319,7 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
     if sums.frames > 0:
         frames = sums.frames * max(sums.view, LEAST_VIEW)
         clutter = (max(sums.detections - sums.outside - sums.attributed, 0) + 0.5) / frames
-        clutter_error = float(np.hypot(np.sqrt(clutter / frames), sums.undecided / frames))
+        clutter_error = float(np.sqrt(clutter / frames + (sums.doubtful + sums.undecided**2) / frames**2))
     return DetectorEstimate(
         prior.put(Detector(present.sigma, p_detect, clutter, present.box_noise), noise), noise, error, p_error,
         clutter_error, sums.correlation, sums.pairs, in_view, sums.frames, sums.outside / max(sums.frames, 1), ratio,

@@ -46,7 +46,7 @@ NEARER, FARTHER, SPREAD, FASTER = 0.7, 1.5, 1.3, 2.5
 SPREADS = 3.0
 REGION_NEARER, REGION_FARTHER = 0.4, 2.5
 # Largest standard deviation of a reported position, and the cutoff of scores, over the middle depth.
-UNCERTAIN, CUTOFF = 0.1, 0.1
+UNCERTAIN, CUTOFF = 0.2, 0.1
 CAUSES_OF_DETECTORS = ("clutter", "sigma")
 # Steps that a run shows; the check of the log is the last of them.
 STEPS = 6
@@ -430,7 +430,7 @@ def _final(figures: SceneFigures, usual: Draft, unit: str) -> dict[str, Choice]:
         "filter.birth.depth_range": Choice([rounded(NEARER * near), rounded(FARTHER * far)], seen),
         "filter.birth.velocity_std": Choice(rounded(max(SPREAD * figures.speed_std, 1e-3 * middle)), speed),
         "report.max_position_std": Choice(
-            rounded(UNCERTAIN * middle), "a tenth of the middle depth: new tracks appear once two cameras locate them"
+            rounded(UNCERTAIN * middle), "a fifth of the middle depth: new tracks appear once two cameras locate them"
         ),
         "evaluation.cutoff": Choice(
             rounded(CUTOFF * middle, 1),
