@@ -12,6 +12,7 @@ from stereophd.core.calibration.annealing.fits import (
     fit_from,
     fit_until,
     marginal_fit,
+    paired_fit,
     pairings_of,
     refitted,
     restated_fit,
@@ -36,7 +37,6 @@ from stereophd.core.calibration.annealing.starts import (
     squared_residuals,
 )
 from stereophd.core.calibration.annealing.task import Fit, Task
-from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.motion.constant_velocity import ConstantVelocity
@@ -60,15 +60,8 @@ def task(made: MadeUp) -> Task:
 
 
 @pytest.fixture(scope="module")
-def pairing(task: Task) -> Pairing:
-    return pairings_of(task, task.parameters.prior_mean, np.random.SeedSequence(1))[0]
-
-
-@pytest.fixture(scope="module")
-def tracked(task: Task, pairing: Pairing) -> Fit:
-    fit = tracked_fit(task, pairing.values, 1.0)
-    assert fit is not None
-    return fit
+def paired(task: Task) -> Fit:
+    return paired_fit(task, pairings_of(task, task.parameters.prior_mean, np.random.SeedSequence(1))[0])
 
 
 @pytest.fixture(scope="module")
@@ -90,33 +83,33 @@ def check_near_truth(made: MadeUp, fit: Fit) -> None:
     assert (np.abs(error) < 4.0 * np.sqrt(np.diag(fit.adjustment.covariance))).all()
 
 
-def test_a_fit_of_tracks_has_one_object_in_each_trajectory(made: MadeUp, tracked: Fit) -> None:
-    assert sorted(map(sorted, objects_of(tracked))) == [[j] for j in range(OBJECTS)]
-    check_near_truth(made, tracked)
+def test_a_fit_of_paired_tracks_has_one_object_in_each_trajectory(made: MadeUp, paired: Fit) -> None:
+    assert sorted(map(sorted, objects_of(paired))) == [[j] for j in range(OBJECTS)]
+    check_near_truth(made, paired)
 
 
-def test_a_fit_of_tracks_moves_only_what_is_free(task: Task, tracked: Fit) -> None:
+def test_a_fit_of_tracks_moves_only_what_is_free(task: Task, paired: Fit) -> None:
     held = np.arange(task.parameters.size) < 3
-    fit = tracked_fit(task, tracked.adjustment.values, 1.4, held)
+    fit = tracked_fit(task, paired.adjustment.values, 1.4, held)
     assert fit is not None
-    moved = fit.adjustment.values != tracked.adjustment.values
+    moved = fit.adjustment.values != paired.adjustment.values
     assert moved.tolist() == (~held).tolist()
     assert fit.held is held
 
 
-def test_tracks_of_too_few_detections_are_no_fit(task: Task, tracked: Fit) -> None:
+def test_tracks_of_too_few_detections_are_no_fit(task: Task, paired: Fit) -> None:
     settings = AnnealedSettings(min_detections=FRAMES + 1)
-    assert tracked_fit(replace(task, settings=settings), tracked.adjustment.values, 1.0) is None
+    assert tracked_fit(replace(task, settings=settings), paired.adjustment.values, 1.0) is None
 
 
-def test_trajectories_choose_all_their_detections_and_no_others(made: MadeUp, task: Task, tracked: Fit) -> None:
-    half = fit_until(task, tracked, (FRAMES - 1) / 2)
+def test_trajectories_choose_all_their_detections_and_no_others(made: MadeUp, task: Task, paired: Fit) -> None:
+    half = fit_until(task, paired, (FRAMES - 1) / 2)
     assert half is not None
     assert half.observations.times.max() <= (FRAMES - 1) / 2
     # a tenth of the detections in the wrong trajectory
-    wrong = tracked.observations.trajectories.copy()
+    wrong = paired.observations.trajectories.copy()
     wrong[::10] = (wrong[::10] + 1) % OBJECTS
-    mixed = replace(tracked, observations=replace(tracked.observations, trajectories=wrong))
+    mixed = replace(paired, observations=replace(paired.observations, trajectories=wrong))
     again = refitted(task, mixed)
     assert again is not None
     assert sorted(map(sorted, objects_of(again))) == [[j] for j in range(OBJECTS)]
@@ -125,17 +118,17 @@ def test_trajectories_choose_all_their_detections_and_no_others(made: MadeUp, ta
     check_near_truth(made, again)
 
 
-def test_detections_that_share_errors_count_less_and_show_the_noise_at_full_weight(task: Task, tracked: Fit) -> None:
+def test_detections_that_share_errors_count_less_and_show_the_noise_at_full_weight(task: Task, paired: Fit) -> None:
     counted = task.with_noise(np.ones(2), np.array([0.0, 0.5]))
-    cameras = task.parameters.build(tracked.adjustment.values)
-    observations = counted.observations(cameras, tracked.observations.trajectories, tracked.detections)
+    cameras = task.parameters.build(paired.adjustment.values)
+    observations = counted.observations(cameras, paired.observations.trajectories, paired.detections)
     assert observations.weights is not None
     np.testing.assert_array_equal(observations.weights[observations.cameras == 0], 1.0)
     assert np.median(observations.weights[observations.cameras == 1]) < 0.5
-    still = refitted(counted, tracked, still=True)
+    still = refitted(counted, paired, still=True)
     assert still is not None
     assert still.observations.weights is None
-    np.testing.assert_array_equal(still.adjustment.values, tracked.adjustment.values)
+    np.testing.assert_array_equal(still.adjustment.values, paired.adjustment.values)
 
 
 def test_a_fit_from_the_truth_explains_the_log(made: MadeUp, task: Task) -> None:

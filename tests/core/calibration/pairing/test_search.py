@@ -10,7 +10,7 @@ import pytest
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.annealing.starts import paired, run_start
 from stereophd.core.calibration.annealing.task import PAIRING, WIDE, Start, Task
-from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio, paired_ratio
+from stereophd.core.calibration.annealing.tracking_scale import depth_ratio
 from stereophd.core.calibration.pairing.refinement import behind
 from stereophd.core.calibration.pairing.search import distinct_pairings
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs
@@ -125,8 +125,6 @@ def test_a_start_finds_cameras_whose_scale_is_far_off(made: MadeUp) -> None:
     assert start.origin.startswith(PAIRING)
     assert start.fit is not None
     assert depth_ratio(task, start.fit) == pytest.approx(4.0, rel=0.6)
-    assert start.pairing is not None
-    assert paired_ratio(task, start.pairing) == pytest.approx(depth_ratio(task, start.fit, KEPT_WITHIN), rel=0.1)
     # at this scale the truth has the centre of the guess, and its turn is 0.05 rad back
     error = start.fit.adjustment.values + np.array([0.0, 0.0, 0.0, 0.0, 0.05, 0.0])
     assert (np.abs(error) < 4.0 * np.sqrt(np.diag(start.fit.adjustment.covariance))).all()
