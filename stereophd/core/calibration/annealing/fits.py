@@ -30,7 +30,8 @@ from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.pairing.association import keep, shared, track_detections, with_cameras
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import offset_places
-from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings
+from stereophd.core.calibration.pairing.refinement import meeting_points
+from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import enlarged, reduced
 from stereophd.core.numerics.threads import in_threads
@@ -73,6 +74,25 @@ def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list
     draws[0] = values
     draws[1:] = with_clocks(task, draws[1:])
     return distinct_pairings(task.parameters, task.pairs, draws, task.stages[0].free)
+
+
+def paired_fit(task: Task, pairing: Pairing) -> Fit:
+    """Adjust cameras and trajectories to paired one-camera tracks. See `calibration.pairing`."""
+    objects = paired_objects(task.pairs, pairing, len(task.tracks))
+    detections = np.concatenate([rows for (_, rows), o in zip(task.tracks, objects, strict=True) if o >= 0])
+    of_object = np.concatenate([np.full(len(rows), o) for (_, rows), o in zip(task.tracks, objects, strict=True)])
+    of_object = of_object[of_object >= 0]
+    order = np.lexsort((detections, of_object))
+    trajectories, detections = of_object[order], detections[order]
+    rows, times, points = meeting_points(task.parameters, task.pairs, pairing)
+    met = objects[task.pairs.tracks[task.pairs.pair[rows], 0]]
+    cameras = task.parameters.build(pairing.values)
+    observations = task.observations(cameras, trajectories, detections)
+    nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
+    knots = _knots(task, observations, nearest[trajectories], pairing.values)
+    states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
+    return confirmed_fit(task, problem, pairing.values, states, detections)
 
 
 def with_clocks(task: Task, draws: Array) -> Array:

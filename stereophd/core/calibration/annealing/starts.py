@@ -17,9 +17,9 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.marginal import LEFT_OUT
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.adjustment.trajectories import STATED
-from stereophd.core.calibration.annealing.fits import FITTED_PASSES, pairings_of, refitted, tracked_fit
+from stereophd.core.calibration.annealing.fits import FITTED_PASSES, paired_fit, pairings_of, refitted, tracked_fit
 from stereophd.core.calibration.annealing.task import PAIRING, SUCCEEDED, WIDE, Fit, Start, Task
-from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio, paired_ratio
+from stereophd.core.calibration.annealing.tracking_scale import KEPT_WITHIN, depth_ratio
 from stereophd.core.calibration.pairing.association import track_detections, with_cameras
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.refinement import MERGED
@@ -82,26 +82,26 @@ def run_start(task: Task, number: int, values: Array, pairings: list[Pairing]) -
     for place, pairing in enumerate(pairings):
         if best_of(tried) is not None and pairing.gain < AMBIGUOUS * pairings[0].gain:
             break
-        found = _follow(task, number, f"{PAIRING} {place}", pairing.values, paired_ratio(task, pairing))
+        task.limit.begin(f"start {number + 1} of at most {task.most_starts}: cameras are fitted to {PAIRING} {place}")
+        found = _follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing))
         tried.append(replace(found, pairing=pairing))
     if best_of(tried) is None:
-        tried.append(_follow(task, number, WIDE, values))
+        tried.append(_follow(task, number, WIDE, values, None))
     return best_of(tried) or max(tried, key=lambda one: one.explained)
 
 
-def _follow(task: Task, number: int, origin: str, values: Array, ratio: float | None = None) -> Start:
-    """Follow a start from its values (m,) through all passes.
-
-    From the widest noise on, or, with the `paired_ratio` of the pairing that has these values, from less.
-    """
-    begun, fit = Start(number, "", np.empty((0, len(values))), None, np.nan, np.nan, 0.0, origin), None
-    inflations, ratio, noise = task.settings.inflation, ratio or 1.0, STATED
-    if origin != WIDE:
+def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> Start:
+    """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes."""
+    begun = Start(number, "", np.empty((0, len(start))), None, np.nan, np.nan, 0.0, origin)
+    values, inflations = start, task.settings.inflation
+    if fit is not None:
+        begun, values = begun.with_pass(fit), fit.adjustment.values
         inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
     for number_of_pass, inflation in enumerate(inflations):
         step = f"pass {number_of_pass + 1} of {len(inflations)}, {inflation:g} times the noise"
         if not task.limit.begin(f"{_name_of(task, begun)}: {step}"):
             return replace(begun, fit=None, outcome=TIME_OVER)
+        ratio, noise = 1.0, STATED
         if fit is not None:
             ratio, noise = depth_ratio(task, fit, KEPT_WITHIN), fit.adjustment.motion_noise
         fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio, noise)

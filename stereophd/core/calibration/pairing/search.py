@@ -93,3 +93,14 @@ def _same(parameters: ParameterSet, pairs: TrackPairs, one: Pairing, other: Pair
     if not parameters.only_moves:
         return True
     return bool((np.abs(one.values - other.values) <= SAME_CAMERAS * parameters.prior_std).all())
+
+
+def paired_objects(pairs: TrackPairs, pairing: Pairing, tracks: int) -> Integers:
+    """Object of every track (tracks,), numbered from 0; -1 of those that are not paired."""
+    leader = np.arange(tracks)
+    for a, b in pairs.tracks[pairing.chosen].tolist():
+        leader[leader == leader[b]] = leader[a]
+    paired = np.isin(np.arange(tracks), pairs.tracks[pairing.chosen])
+    objects = np.full(tracks, -1)
+    objects[paired] = np.unique(leader[paired], return_inverse=True)[1]
+    return objects
