@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import gc
 import re
+import weakref
 from dataclasses import replace
 from pathlib import Path
 
@@ -285,6 +287,19 @@ def test_a_change_is_asked_of_the_detections_that_were_asked_before_it() -> None
     assert len(samples[0].pixels) > 2 * len(geometry.pairs[0].detections)
     assert change.met.share == pytest.approx(change.given.share, abs=0.01)
     assert abs(change.certainty) < 2.0
+
+
+def test_what_is_kept_with_a_geometry_goes_with_it() -> None:
+    """Rays of many cameras are large: none may wait for the next collection of cycles."""
+    geometry = measure(sample_log(_frames(CAMERAS), CAMERAS), DEPTHS)
+    assert geometry.given_at(0, *SHARP) is geometry.given_at(0, *SHARP)
+    left = weakref.ref(geometry)
+    gc.disable()
+    try:
+        del geometry
+        assert left() is None
+    finally:
+        gc.enable()
 
 
 @pytest.mark.parametrize(("late_s", "certain"), [(0.0, False), (0.3, True)])

@@ -77,7 +77,7 @@ def best_explanation(
     """
     size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
     few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
-    quick, steps = replace(geometry, pairs=few), SHIFT_STEPS if thorough else QUICK_STEPS
+    quick, steps = replace(geometry, pairs=few, given=()), SHIFT_STEPS if thorough else QUICK_STEPS
     # what holds at all tolerances is computed once
     of_clock, of_pose = cache(partial(_clock_trials, geometry, steps)), cache(partial(_pose_trial, geometry))
     of_cameras, first_look = cache(lambda: [*_camera_trials(geometry)]), cache(lambda trial: trial.partners(quick))
@@ -88,14 +88,11 @@ def best_explanation(
             stated = replace(geometry, given=tuple(geometry.given_at(k, *SHARP) for k in range(len(geometry.pairs))))
         clocks = sorted(usable_clocks(stated)[:MOST_CLOCKS])  # of many, those whose rays meet least
         trials = [*([] if clocks_only else of_cameras()), *(one for camera in clocks for one in of_clock(camera))]
-        looks = [(trial, trial.explain(quick, tolerances, first_look(trial))) for trial in trials]
-        promising = [
-            (t, one) for t, one in looks if one is not None and one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN
-        ]
-        best_first = sorted(promising, key=lambda look: -look[1].met.sharpness)[:FINALISTS]
-        chosen = {trial for trial, _ in best_first}
-        finalists = [trial for trial in trials if trial in chosen]
-        scope = best_first[0][0].scope[:FINALISTS] if best_first else _least_met(stated)[: not clocks_only]
+        looks = [one for t in trials if (one := t.explain(quick, tolerances, first_look(t))) is not None]
+        promising = [one for one in looks if one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN]
+        best_first = sorted(promising, key=lambda one: -one.met.sharpness)[:FINALISTS]
+        finalists = sorted((one.trial for one in best_first), key=trials.index)
+        scope = best_first[0].trial.scope[:FINALISTS] if best_first else _least_met(stated)[: not clocks_only]
         finalists += [trial for camera in scope if (trial := of_pose(camera)) is not None]
         tried = sum(1 if trial.samples is None else steps for trial in trials)
         # a rate is found from two offsets
@@ -298,7 +295,7 @@ def _is_confirmed(found: Explanation, geometry: Geometry, tolerances: tuple[floa
     def quarters(first: int) -> Geometry:
         among = [np.searchsorted(ends, sample.times)[sample.frame_of] % 2 == first for sample in samples]
         pairs = (candidates(samples, p.a, p.b, among=np.flatnonzero(among[p.a])) for p in geometry.pairs)
-        return replace(geometry, pairs=tuple(filter(None, pairs)))
+        return replace(geometry, pairs=tuple(filter(None, pairs)), given=())
 
     trial = _pose_trial(quarters(0), camera)
     explained = None if trial is None else trial.explain(quarters(1), tolerances)
@@ -350,7 +347,7 @@ def _clock(geometry: Geometry, concerned: list[int], camera: int, steps: int) ->
         for start, end in pairwise(samples[camera].times[[0, frames // 2, frames - 1]]):
             pairs = (_within(samples, geometry.pairs[k], start, end) for k in concerned)
             if used := tuple(pair for pair in pairs if pair is not None):
-                moved = replace(geometry, samples=samples, pairs=used)
+                moved = replace(geometry, samples=samples, pairs=used, given=())
                 shift = _best_shift(moved, list(range(len(used))), camera, steps) or 0.0
                 found.append((float(np.mean([pair.times.mean() for pair in used])), shift))
         if len(found) == 2 and found[1][0] > found[0][0]:
@@ -432,6 +429,6 @@ def _met_at(geometry: Geometry, k: int, camera: int, shifts: Array) -> Array:
         at = few.times + (1.0 if camera == pair.a else -1.0) * shifts[block, None]
         seen = pixels_at(geometry.samples[pair.b], at.ravel())
         there = replace(few, pixels_b=seen.reshape(*at.shape, *seen.shape[1:]))
-        least = np.abs(distances(there, first, second)[0]).min(axis=2)
-        met[block] = (least <= np.array((*SHARP, *TOLERANCES))[:, None, None]).mean(axis=2).sum(axis=0)
+        meets = nearest(there, first, second) <= np.array((*SHARP, *TOLERANCES))[:, None, None]
+        met[block] = meets.mean(axis=2).sum(axis=0)
     return met

@@ -278,7 +278,8 @@ class Geometry:
     @cached_property
     def given_at(self) -> Callable[[int, float], Meeting]:
         """How well rays of a pair, by its number, meet at one tolerance, with the cameras as stated."""
-        views, least = self.views, cache(lambda k: nearest(p := self.pairs[k], views[p.a], views[p.b], self.rays[k]))
+        pairs, rays, views = self.pairs, self.rays, self.views  # with self in it, it would keep itself alive
+        least = cache(lambda k: nearest(p := pairs[k], views[p.a], views[p.b], rays[k]))
         return cache(lambda k, tolerance: meeting(least(k), (tolerance,)))
 
     def is_suspicious(self, k: int) -> bool:
