@@ -40,8 +40,8 @@ class Config(Model):
     )
     detector: Literal["given", "estimate"] = Field(
         "given",
-        description="estimate: noise, probability of detection and clutter of every camera are estimated from the log, "
-        "starting from the cameras' own values (track)",
+        description="estimate: noise, probability of detection and clutter of every camera are estimated from the log "
+        "(track)",
     )
     disparity: DisparityConfig = Field(default_factory=DisparityConfig, description="disparity space of the cameras")
     motion: Motion = Field(default_factory=ConstantVelocitySettings, description="how objects move (track)")

@@ -288,6 +288,21 @@ def test_values_from_sums() -> None:
     assert estimate_detector(undecided, present, vague).clutter_error == pytest.approx(2.0, rel=0.01)
 
 
+@pytest.mark.parametrize(
+    ("sums", "clutter", "error"),
+    [
+        (DetectorSums(frames=100, detections=300, attributed=100.5), 2.0, np.sqrt(0.02)),
+        (DetectorSums(frames=100, detections=300, attributed=100.5, doubtful=900.0), 2.0, np.sqrt(0.02 + 0.09)),
+        # tracks claim 1.5 more in each frame than there are: that is not known to be no clutter
+        (DetectorSums(frames=100, detections=300, attributed=450.0), 0.005, np.sqrt(5e-5 + 1.5**2)),
+    ],
+)
+def test_the_stated_error_of_clutter(sums: DetectorSums, clutter: float, error: float) -> None:
+    """That of a count, of what is a track's only probably, and of what several tracks claim."""
+    found = estimate_detector(sums, Detector((1.0, 1.0), 0.9, 1.0), NoisePrior(np.ones(2), 1.0))
+    assert (found.detector.clutter_per_frame, found.clutter_error) == pytest.approx((clutter, error))
+
+
 @pytest.mark.parametrize(("ratio", "confirmed"), [(0.12, False), (1.0, True), (24.0, False)])
 def test_tracks_confirm_a_noise_or_not(ratio: float, confirmed: bool) -> None:
     sums = DetectorSums(pairs=400.0)

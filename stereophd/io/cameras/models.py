@@ -95,9 +95,7 @@ class DetectorConfig(Model):
         default=None,
         advice="measured for detectors of people; only where object.shape is ellipsoid, in place of sigma_px.",
     )
-    estimate: bool = parameter(
-        "estimate these from the log, starting from the values given (track); see also detector", default=False
-    )
+    estimate: bool = parameter("estimate these from the log (track); see also detector", default=False)
 
 
 # Where `detector: estimate` starts without values of its own: rather too noisy than too sure, so that the

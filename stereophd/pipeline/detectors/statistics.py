@@ -2,10 +2,10 @@
 
 A track that at least two cameras have seen predicts where the next camera will see it. With the predicted pixel H m and
 its covariance C = H P H^T, the residual of its detection has the covariance S = C + R, which includes the state's own
-uncertainty. Frames with a track in view and no detection of it show how probable a detection is. Detections that no
-confirmed track ever claimed are clutter. Sums for all three accumulate, event by event, while a Poisson multi-Bernoulli
-filter runs with the present values. A new run starts from the new values until they agree (a fixed point: at the true
-values every expectation below holds).
+uncertainty. Frames with a track in view and no detection of it show how probable a detection is. What probably belongs
+to no confirmed track is clutter. Sums for all three accumulate, event by event, while a Poisson multi-Bernoulli filter
+runs with the present values. A new run starts from the new values until they agree (a fixed point: at the true values
+every expectation below holds).
 
 Noise. With residuals e and weights w = p R / S (the probability p of the pair, and the share of R in S), the derivative
 of the log-likelihood by log R is sum(w (e^2 / S - 1)) / 2 per axis of the distorted image, with C known. A run moves R
@@ -22,10 +22,12 @@ Probability of detection. sum(D) / sum(D + M), with D the probability that a tra
 the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last
 detection of the track only: what comes after is the object's end, not misses.
 
-Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame; to a
-settled one as probably as it made them, because what is false and near it is not all its own. Those that see nothing of
+Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame. To a
+settled one they belong with the probability D, because what is false and near it is not all its own; the variance of
+their number is at most sum(D (1 - D)), for tracks compete, and part of the standard error. Those that see nothing of
 a region are counted apart: clutter is that of the part of the image that sees it, as if it were all of the image. Those
-that a tentative object claims together with others at the end are undecided: they are part of the standard error.
+that a tentative object claims together with others at the end are undecided: they are part of the standard error, as is
+the number by which tracks claim more than there are.
 
 Whether it is noise at all. At the true values the residuals e / sqrt(S) of a track in one camera are white. If those
 of successive frames agree, errors last: of the pose, the clock or the lens, or of labels that were smoothed. No
@@ -85,11 +87,11 @@ class DetectorSums:
     # `detected`, `missed`: Sums of D and M.
     detected: float = 0.0
     missed: float = 0.0
-    # `frames`, `detections`, `attributed`: Frames, detections, and those of confirmed tracks.
+    # `frames`, `detections`, `attributed`: Frames, detections, and expected number of those of confirmed tracks.
     frames: int = 0
     detections: int = 0
     attributed: float = 0.0
-    doubtful: float = 0.0  # Variance of the number of these
+    doubtful: float = 0.0  # Variance of that number
     outside: int = 0  # Detections that see nothing of the region
     view: float = 1.0  # Share of the image that sees the region
     undecided: int = 0  # Detections that only objects claim which were still tentative at the end, not alone
@@ -318,8 +320,10 @@ def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) 
     clutter, clutter_error = present.clutter_per_frame, None
     if sums.frames > 0:
         frames = sums.frames * max(sums.view, LEAST_VIEW)
-        clutter = (max(sums.detections - sums.outside - sums.attributed, 0) + 0.5) / frames
-        clutter_error = float(np.sqrt(clutter / frames + (sums.doubtful + sums.undecided**2) / frames**2))
+        left = sums.detections - sums.outside - sums.attributed  # below 0 where several tracks count one as theirs
+        clutter = (max(left, 0) + 0.5) / frames
+        doubtful = sums.doubtful + sums.undecided**2 + min(left, 0) ** 2
+        clutter_error = float(np.sqrt(clutter / frames + doubtful / frames**2))
     return DetectorEstimate(
         prior.put(Detector(present.sigma, p_detect, clutter, present.box_noise), noise), noise, error, p_error,
         clutter_error, sums.correlation, sums.pairs, in_view, sums.frames, sums.outside / max(sums.frames, 1), ratio,
