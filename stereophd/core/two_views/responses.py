@@ -53,7 +53,7 @@ class Pinhole(NamedTuple):
 
 
 class Predicted(NamedTuple):
-    """Tracks (k, ...) predicted into an image, or one of them."""
+    """A track predicted into an image."""
 
     place: Array  # (3,): Along the camera's axes
     pixel: Array  # (2,)

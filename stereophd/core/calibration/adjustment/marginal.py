@@ -223,10 +223,9 @@ class MarginalPosterior:
         found, std = self.linearisation.at(values, states, noise if self.links else None), self.prior_std[count:]
         if not self.links:
             return found
-        matrix, vector = found.matrix.copy(), found.value_vector.copy()
-        matrix[count:, count:] += np.diag(std**-2)
-        vector[count:] -= noise / std**2
-        return replace(found, cost=found.cost + float(((noise / std) ** 2).sum()), matrix=matrix, value_vector=vector)
+        found.matrix[count:, count:] += np.diag(std**-2)
+        found.value_vector[count:] -= noise / std**2
+        return replace(found, cost=found.cost + float(((noise / std) ** 2).sum()))
 
     def _volume(self, unknowns: Array, factor: Array) -> float:
         problem, (values, noise) = self.linearisation.problem, self.parted(unknowns)
