@@ -213,10 +213,7 @@ def _camera_trials(geometry: Geometry) -> Iterator[Trial]:
     singles = [(c,) for c in everything]
     for alternative in alternatives():
         scopes: Sequence[tuple[int, ...]] = singles if alternative.alone else [everything, *singles]
-        for scope in scopes:
-            trial = _trial(geometry, alternative, scope)
-            if trial is not None:
-                yield trial
+        yield from (trial for scope in scopes if (trial := _trial(geometry, alternative, scope)) is not None)
     for a, b in pairs_of(len(everything)):
         views = geometry.views
         first, second = geometry.samples[a].camera, geometry.samples[b].camera
@@ -230,14 +227,11 @@ def _camera_trials(geometry: Geometry) -> Iterator[Trial]:
 
 def _trial(geometry: Geometry, alternative: Alternative, scope: tuple[int, ...]) -> Trial | None:
     """Return a trial of an alternative with the cameras of a scope that it can concern; None if it is none of them."""
-    views = geometry.views
     changed = {c: view for c in scope if (view := alternative.apply(geometry.samples[c].camera)) is not None}
-    scope = tuple(changed)
-    if not scope:
+    if not changed:
         return None
-    for c, view in changed.items():
-        views[c] = view
-    return Trial(scope, alternative.cause, alternative.text, alternative.remedy, views)
+    views = [changed.get(c, view) for c, view in enumerate(geometry.views)]
+    return Trial(tuple(changed), alternative.cause, alternative.text, alternative.remedy, views)
 
 
 def _pose_trial(geometry: Geometry, camera: int) -> Trial | None:

@@ -317,13 +317,10 @@ def measure(samples: list[CameraSample], depths: tuple[float, float], thorough: 
 
     Objects are expected between the two depths, length.
     """
-    pairs = []
     most = (400 if len(samples) < 4 else 200) if thorough else 120
-    for a, b in pairs_of(len(samples)):
-        found = candidates(samples, a, b, most)
-        if found is not None:
-            pairs.append(found)
+    found = (candidates(samples, a, b, most) for a, b in pairs_of(len(samples)))
+    pairs = tuple(pair for pair in found if pair is not None)
     expected = tuple(expected_excess(pair, samples, depths) for pair in pairs)
     views = [Reading(sample.camera) for sample in samples]
     given = tuple(meeting(nearest(pair, views[pair.a], views[pair.b])) for pair in pairs)
-    return Geometry(samples, tuple(pairs), given, expected)
+    return Geometry(samples, pairs, given, expected)
