@@ -152,6 +152,19 @@ def test_the_equations_of_the_knots_alone_are_those_of_all(motion: Motion) -> No
     np.testing.assert_allclose(vector, whole.state_vector, rtol=1e-9, atol=1e-9 * np.abs(whole.state_vector).max())
 
 
+def test_held_values_are_coupled_to_no_noise_of_the_motion() -> None:
+    """Others are as before: a larger scale is a larger noise."""
+    problem, states, drawn = some_problem(("center", "rotation"))
+    held, count = np.arange(problem.parameters.size) % 2 == 0, problem.parameters.size
+    every, others = (
+        MarginalPosterior(Linearisation.of(each)).equations(np.append(drawn, NOISE), states).matrix[count:, :count]
+        for each in (problem, replace(problem, held=held))
+    )
+    assert every[:, held].any()
+    assert every[:, ~held].any()
+    np.testing.assert_array_equal(others, np.where(held, 0.0, every))
+
+
 def test_a_step_to_values_of_no_camera_is_shortened() -> None:
     """A focal length of 0 is none."""
     problem, states, drawn = some_problem(("center", "rotation", "focal"))
@@ -160,7 +173,7 @@ def test_a_step_to_values_of_no_camera_is_shortened() -> None:
     step = np.zeros(posterior.size)
     step[problem.parameters.names.index("cam1.focal")] = -1000.0
     shares = [share for share, _ in marginal._tried(posterior, at, step)]
-    assert 1.0 not in shares
+    assert shares[0] == 0.5
 
 
 @pytest.mark.parametrize("factor", [0.5, 2.0])
