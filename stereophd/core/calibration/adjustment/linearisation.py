@@ -43,19 +43,11 @@ def factor_knots(bands: Array, damping: float = 0.0) -> Array:
     return np.asarray(cholesky_banded(bands, overwrite_ab=True, lower=True, check_finite=False))
 
 
-class NoiseEquations(NamedTuple):
-    """What the normal equations of the noise of the motion are (`MotionNoise`), without its prior."""
-
-    coupling: Array  # (6 k, 6)
-    matrix: Array  # (6, 6)
-    vector: Array  # (6,)
-
-    @staticmethod
-    def of(noise: MotionNoise, pulls: Array, products: Array) -> NoiseEquations:
-        """Return those of a noise, from what `MotionPrior.pulls` returns."""
-        coupling = np.einsum("na,jba,bc->ncj", pulls, noise.slopes, noise.whitening, optimize=True)
-        matrix = np.einsum("iab,bc,jac->ij", noise.slopes, products, noise.slopes)
-        return NoiseEquations(coupling.reshape(-1, len(STATED)), matrix, -noise.by_unknowns(products))
+def _noise_equations(noise: MotionNoise, pulls: Array, products: Array) -> tuple[Array, Array, Array]:
+    """Return coupling (6 k, 6), matrix (6, 6), vector (6,) of a noise without its prior, from `MotionPrior.pulls`."""
+    coupling = np.einsum("na,jba,bc->ncj", pulls, noise.slopes, noise.whitening, optimize=True)
+    matrix = np.einsum("iab,bc,jac->ij", noise.slopes, products, noise.slopes)
+    return coupling.reshape(-1, len(STATED)), matrix, -noise.by_unknowns(products)
 
 
 @dataclass(frozen=True)
@@ -130,13 +122,13 @@ class Linearisation:
         # motion model, its noise in units of the scene's scale
         motion = self.noise_at(values, STATED if noise is None else noise)
         energy, pulls, products = self._add_motion(sums, states, motion)
-        by_noise = NoiseEquations.of(motion, pulls, products)
+        noise_coupling, noise_matrix, noise_vector = _noise_equations(motion, pulls, products)
         # a larger scale is a larger noise along every axis
         _, gradient = log_scale(parameters, problem.reference, values)
         scales = np.flatnonzero(gradient)
-        coupling[:, scales] += np.outer(by_noise.coupling[:, 0], gradient[scales])
-        matrix += by_noise.matrix[0, 0] * np.outer(gradient, gradient)
-        value_vector += by_noise.vector[0] * gradient
+        coupling[:, scales] += np.outer(noise_coupling[:, 0], gradient[scales])
+        matrix += noise_matrix[0, 0] * np.outer(gradient, gradient)
+        value_vector += noise_vector[0] * gradient
         # priors
         scaled = (values - parameters.prior_mean) / parameters.prior_std
         matrix += np.diag(parameters.prior_std**-2)
@@ -155,11 +147,11 @@ class Linearisation:
             matrix[held, held] = parameters.prior_std[held] ** -2
         if noise is None:
             return replace(sums, cost=cost)
-        with_scale = np.outer(gradient, by_noise.matrix[0])
+        with_scale = np.outer(gradient, noise_matrix[0])
         return replace(
-            sums, cost=cost, coupling=np.hstack([coupling, by_noise.coupling]),
-            matrix=np.block([[matrix, with_scale], [with_scale.T, by_noise.matrix]]),
-            value_vector=np.append(value_vector, by_noise.vector),
+            sums, cost=cost, coupling=np.hstack([coupling, noise_coupling]),
+            matrix=np.block([[matrix, with_scale], [with_scale.T, noise_matrix]]),
+            value_vector=np.append(value_vector, noise_vector),
         )  # fmt: skip
 
     def summed(self, path: Interpolation, seen: Seen, loss: Loss | None = None) -> NormalEquations:
