@@ -148,6 +148,19 @@ def test_detections_that_no_track_links_are_not_all_false() -> None:
         assert 0.25 < camera.detector.clutter_per_frame < 1.5
 
 
+@pytest.mark.parametrize(
+    ("noise", "are_placed", "low", "high"), [(1.0, False, 0.0, 1.0), (1.0, True, 2.0, 4.0), (60.0, False, 2.0, 4.0)]
+)
+def test_one_camera_tracks_tell_what_is_false_where_no_others_come(
+    noise: float, are_placed: bool, low: float, high: float
+) -> None:
+    """Of 28 to 36 detections half a one is false; a tenth is only usual."""
+    cameras = cameras_at((-3.0, 0.0), (3.0, 0.5), (0.0, -3.0))
+    samples = samples_of(cameras, [noise] * 3, 38, 60, 0.3)
+    for camera in starting_detectors(cameras, [camera.name for camera in cameras], samples, are_placed)[0]:
+        assert low < camera.detector.clutter_per_frame <= high
+
+
 def test_noise_of_a_crowd_between_frames_that_no_track_links() -> None:
     """Five frames of 80 objects, whose cameras are not synchronised: one-camera tracks are mostly wrong."""
     rng = np.random.default_rng(2)

@@ -164,7 +164,8 @@ def starting_detectors(
     """Return cameras with detectors to begin a first tracking run with, and what is known of their noise by then.
 
     The detectors of the cameras of `estimated` names are those that are replaced. Where poses are not known or wrong
-    (not `are_placed`), each camera alone shows its noise. Where nothing is compared, it is as the detectors have it.
+    (not `are_placed`), each camera alone shows its noise, and what is false where one-camera tracks hold. Where nothing
+    is compared, the noise is as the detectors have it.
     """
     noise, spreads = np.array([camera.detector.sigma for camera in cameras]), np.full(len(cameras), NOISE_SPREAD)
     if are_compared(samples):
@@ -173,8 +174,10 @@ def starting_detectors(
     for k, camera in enumerate(cameras):
         if camera.name in estimated:
             prior = priors[camera.name] = NoisePrior(np.array(np.broadcast_to(noise[k], 2)), float(spreads[k]))
-            clutter = max(USUAL_FALSE * samples[k].detections_per_frame, LEAST_CLUTTER)
-            camera = replace(camera, detector=Detector(prior.noise, USUAL_P_DETECT, clutter))
+            # no other tracks correct it where cameras are not placed
+            shows = not are_placed and samples[k].measured_noise_px is not None
+            false = samples[k].isolated_per_frame if shows else USUAL_FALSE * samples[k].detections_per_frame
+            camera = replace(camera, detector=Detector(prior.noise, USUAL_P_DETECT, max(false, LEAST_CLUTTER)))
         used.append(camera)
     return tuple(used), priors
 
