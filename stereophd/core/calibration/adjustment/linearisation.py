@@ -196,9 +196,15 @@ class Linearisation:
         return sums.cost + energy, sums.bands, sums.state_vector
 
     def placed(self, values: Array, by_values: bool = True) -> Placement:
-        """Return what the values determine; without `by_values` the velocities are those of the prior mean."""
+        """Return what the values determine; without `by_values` the velocities are those of the prior mean.
+
+        Raises LinAlgError where no camera has the values.
+        """
         observations, parameters = self.problem.observations, self.problem.parameters
-        cameras = parameters.build(values)
+        try:
+            cameras = parameters.build(values)
+        except ValueError as error:
+            raise LinAlgError(str(error)) from error
         times, path, rates = observations.times, self.path, self.rates
         if any(quantity.affects == TIMES for quantity in parameters.quantities):
             times = true_times(cameras, observations)

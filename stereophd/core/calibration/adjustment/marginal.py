@@ -414,7 +414,7 @@ def _tried(posterior: MarginalPosterior, at: Point, *steps: Array) -> Iterator[t
     following = [at.eliminated.followed(step).reshape(at.states.shape) for step in steps]
     share = 1.0
     while share >= LEAST_SHARE:
-        with suppress(LinAlgError, ValueError):  # the values may be those of no camera
+        with suppress(LinAlgError):
             moved = zip(steps, following, strict=True)
             yield share, [posterior.at(at.unknowns + share * u, at.states + share * x) for u, x in moved]
         share *= 0.5
