@@ -73,7 +73,7 @@ def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list
     draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
     draws[0] = values
     draws[1:] = with_clocks(task, draws[1:])
-    return distinct_pairings(task.parameters, task.pairs, draws, task.stages[0].free)
+    return distinct_pairings(task.parameters, task.pairs, draws)
 
 
 def paired_fit(task: Task, pairing: Pairing) -> Fit:

@@ -8,7 +8,6 @@ import numpy as np
 
 from stereophd.core.calibration.adjustment.recording import Recording, Scans
 from stereophd.core.calibration.pairing.hypotheses import crowded, hypotheses
-from stereophd.core.calibration.pairing.search import coarse_columns
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs, make_pairs
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.geometry.camera import Camera
@@ -72,8 +71,7 @@ def test_corners_are_paired_from_a_guess_that_is_off_by_more_than_their_distance
     guess = true.about(true.guess(moved))
     pairs = pairs_about(guess, true.cameras, 1)
     assert crowded(pairs)
-    columns = coarse_columns(guess, pairs)
-    best = hypotheses(guess, pairs, guess.prior_mean, columns)[0]
+    best = hypotheses(guess, pairs, guess.prior_mean)[0]
     tracks = pairs.tracks[best.chosen]
     assert (tracks[:, 0] % CORNERS == tracks[:, 1] % CORNERS).all()
     assert len(tracks) == 3 * CORNERS
@@ -93,4 +91,4 @@ def test_hypotheses_without_pairs_are_none() -> None:
     true = unknowns(cameras_around())
     pairs = pairs_about(true, true.cameras, 0)
     empty = pairs.take(np.empty(0, dtype=np.int64))
-    assert hypotheses(true, empty, true.prior_mean, np.arange(true.size)) == []
+    assert hypotheses(true, empty, true.prior_mean) == []
