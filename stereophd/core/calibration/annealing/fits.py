@@ -91,7 +91,7 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
-    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
     return confirmed_fit(task, problem, pairing.values, states, detections)
 
 
