@@ -114,6 +114,7 @@ def _written(session: Session, report: dict[str, Any], log: Path | None) -> list
     words = ["stereophd", command, str(config), str(log or "LOG"), *options, "--out", str(config.parent / out)]
     following = shlex.join(words)
     then = ", and `init` again with the cameras that it finds:" if command == "calibrate" else ":"
+    then = then if report["cameras"] else ", once the cameras are known:"
     return [*lines, f"Written: {config}; next{then}", f"  {following}"]
 
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.checks import REMEDIES, bad_rows
-from stereophd.pipeline.checks.finding import ERRORS_LAST, LASTING_REMEDY, Finding, is_overstated, warnings_of
+from stereophd.pipeline.checks.finding import ERRORS_LAST, LASTING_REMEDY, Finding, misleads, warnings_of
 from stereophd.wording import instant, percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
@@ -17,8 +17,7 @@ LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
 RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
 # Share of the residuals from which it matters that these are left out as outliers.
 MOST_OUTLIERS = 0.1
-# Checks before the run whose warnings look like a knock, and causes among them that a knock looks like.
-LIKE_KNOCKS = ("detector.sigma", "geometry.cause", "geometry.residuals", "tracking.errors")
+# Causes among those that mislead that a knock looks like.
 OF_KNOCKS = ("pose_inaccurate", "detections_shifted", "errors_last")
 # Share of the rays that met before a knock which must meet again with another clock, to call it a jump of times.
 MET_AGAIN = 0.7
@@ -122,12 +121,12 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
             )  # fmt: skip
 
 
-def check_errors(summary: Mapping[str, Any], before: tuple[Finding, ...], can_estimate: bool) -> Iterator[Finding]:
+def check_errors(summary: Mapping[str, Any], can_estimate: bool) -> Iterator[Finding]:
     """Yield a finding on ``track_errors`` of the figures of a run: do tracks err by more than they state?
 
     Tracks that lag behind their objects leave residuals that agree from frame to frame and between cameras. Where the
-    detections of one camera agree against those of the others, these last, as the checks `before` the run may have
-    found. `can_estimate`: whether `track` can estimate the acceleration, and has not.
+    detections of one camera agree against those of the others, these last. `can_estimate`: whether `track` can estimate
+    the acceleration, and has not.
     """
     sums = [summary["track_errors"][key] for key in ("same_camera", "other_camera")]
     same, other = ((one["excess"] or 0.0, one["standard_errors"] or 0.0) for one in sums)
@@ -140,10 +139,6 @@ def check_errors(summary: Mapping[str, Any], before: tuple[Finding, ...], can_es
         yield Finding("tracking.errors", "ok", text, round(max(same[0], other[0]), 3), 0.0)
         return
     text = f"tracks err by about {np.sqrt(1.0 + max(shown)):.2g} times what they state: "
-    doubts = [one.name for one in warnings_of(before) if one.name in LIKE_KNOCKS and not is_overstated(one)]
-    if doubts:
-        yield Finding("tracking.errors", "not checked", f"{text}mend what {doubts[0]} warns of first")
-        return
     cause, change, remedy = ERRORS_LAST, None, LASTING_REMEDY
     if other[0] < CONTRADICT * same[0]:
         text += "residuals of a camera agree from frame to frame, against those of the others: errors of detections "
@@ -167,10 +162,7 @@ def check_knocks(
     a knock. So do times that jump, as where frames were lost: the same checks, `since` a time, tell a clock of these
     cameras that is off from then on.
     """
-    alike = [
-        one for one in warnings_of(before)
-        if one.name in LIKE_KNOCKS and one.cause not in OF_KNOCKS and not is_overstated(one)
-    ]  # fmt: skip
+    alike = [one for one in before if misleads(one) and one.cause not in OF_KNOCKS]
     rays = [one.value for one in before if one.name == "geometry.rays" and isinstance(one.value, float)]
     met = float(np.mean(rays)) if rays else 0.0
     since = cache(since)

@@ -158,6 +158,11 @@ def _scored(
     scores, matchable = match_within(estimates, points, scores, order, cutoff, distance, mahalanobis=mahalanobis)
     beside = beside_another(estimates, points, scores.pairs, matchable)
     warn_of_wrong_matches(tracks_path, beside, len(scores.pairs.scan), distance)
+    if not len(scores.pairs.scan) and len(estimates.position) and len(points.position):
+        LOGGER.warning(
+            "%s: no estimate lies within %g of a true object: is the truth in another unit (that of CSV is taken to be "
+            "that of the tracks), in another frame (`align`), or on another clock?", tracks_path, distance,
+        )  # fmt: skip
     ospa2 = track_ospa(estimates, points, scores.near, options.ospa2_window, order, cutoff)
     errors = pair_errors(estimates, points, scores)
     rows, start = rows_of(tracks.events)  # tentative reports count as the first
