@@ -56,8 +56,7 @@ def init(
         begin(STEPS, "the log is checked")
         loaded = loaded_draft(draft, str(target))
         checked = check_log(loaded, log_path, thorough=False, alone=draft.is_unplaced)
-        # a mistake by which the values are chosen is named once, one in the log of all cameras; one that was found here
-        # is the cause of what the estimates show
+        # a mistake by which the values are chosen is named once; another one is the cause of what the estimates show
         named = {found.name for found in draft.findings} & {"geometry.cause", "geometry.boxes"}
         is_right = not any(map(is_mistake, checked))
         before = (found for found in draft.findings if found.name in named or (is_right and not is_mistake(found)))

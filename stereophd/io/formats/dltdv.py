@@ -119,11 +119,9 @@ def _views(tables: _Sources, options: ImportOptions, recording: ForeignRecording
     calibrated = tables.profile if tables.coefficients is None else tables.coefficients.T
     count = 0 if calibrated is None else len(calibrated)
     pointed = max((camera for path in tables.points for _, camera in _columns(path, count)[0]), default=0)
-    if calibrated is None:
-        count = pointed
-    elif pointed > count:
-        others = ", ".join(f"cam{number}" for number in range(count + 1, pointed + 1))
-        recording.warnings.append(f"{where}: no calibration of {others}, whose points are left out")
+    if 0 < count < pointed:
+        recording.warnings.append(f"{where}: the points from cam{count + 1} on are left out: it has no calibration")
+    count = count or pointed
     if tables.profile is not None and len(tables.profile) != count:
         raise InputError(f"{where}: expected a camera profile of {count} rows, found {len(tables.profile)}")
     shift = ORIGINS[options.pixel_origin or "one"]

@@ -53,10 +53,8 @@ def is_mistake(found: Finding) -> bool:
 
 def is_overstated(found: Finding) -> bool:
     """Whether a finding warns of a noise that is stated larger than it was measured."""
-    stated, measured = found.value, found.expected
-    if (found.name, found.status) != ("detector.sigma", "warning"):
-        return False
-    return isinstance(stated, float) and isinstance(measured, float) and stated > measured
+    stated, measured, warns = found.value, found.expected, (found.name, found.status) == ("detector.sigma", "warning")
+    return warns and isinstance(stated, float) and isinstance(measured, float) and stated > measured
 
 
 def misleads(found: Finding) -> bool:

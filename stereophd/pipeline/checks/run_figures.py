@@ -8,7 +8,7 @@ import numpy as np
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.checks import REMEDIES, bad_rows
-from stereophd.pipeline.checks.finding import ERRORS_LAST, LASTING_REMEDY, Finding, misleads, warnings_of
+from stereophd.pipeline.checks.finding import ERRORS_LAST, LASTING_REMEDY, Finding, misleads, once_mended, warnings_of
 from stereophd.wording import instant, percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
@@ -168,13 +168,9 @@ def check_knocks(
     since = cache(since)
     for knock in summary["knocks"]:
         names, when = (knock["camera"], *knock["others"]), f"from {instant(knock['since_s'])} s on"
-        doubts = [one.name for one in alike if one.camera in (None, *names)]
-        if doubts:
-            why = f"{names[0]} seems to be knocked; what {doubts[0]} warns of looks the same: mend that first"
-            yield Finding("tracking.knocked", "not checked", why)
-            continue
+        doubts = tuple(one for one in alike if one.camera in (None, *names))
         jumped = [
-            one for one in warnings_of(since(knock["time_s"]))
+            one for one in (() if doubts else warnings_of(since(knock["time_s"])))
             if one.cause == "clock_offset" and one.camera in (None, *names) and isinstance(one.expected, float)
             and (one.name == "geometry.residuals" or one.expected >= MET_AGAIN * met)
         ]  # fmt: skip
@@ -190,7 +186,8 @@ def check_knocks(
             text = f"the times of a camera jump {when}, as where frames were lost: after that {jumped[0].message}"
             remedy = "import with the times of the frames, or with frame numbers that count the lost ones too"
         since_s = round(knock["since_s"], 3)
-        yield Finding("tracking.knocked", "warning", text, since_s, None, camera, remedy, cause)
+        found = Finding("tracking.knocked", "warning", text, since_s, None, camera, remedy, cause)
+        yield from once_mended([found], doubts)
 
 
 def check_noise(

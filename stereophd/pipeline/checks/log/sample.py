@@ -35,8 +35,6 @@ PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.
 # Differences from which noise is estimated, and the relative error of a variance from their median over the root of
 # their number: they overlap.
 LEAST_DIFFERENCES, VARIANCE_ERROR = 60, 3.5
-# Parts of the log over which the mean number of isolated detections is taken.
-PARTS = 20
 # Least noise that one-camera tracks are taken to show, px: where objects turn hard they may show none.
 LEAST_MEASURED_PX = 0.1
 # Frames of the shortest track that counts, and the share of the links that chance may give: neighbours in a crowd of
@@ -165,7 +163,7 @@ class CameraSample:
 
     @property
     def isolated_per_frame(self) -> float:
-        """Detections of a frame that belong to no chain: the median of means over parts leaves out fast movements.
+        """Detections of a frame in no chain, the median over twenty parts of the mean: it leaves out fast movements.
 
         Objects near one another that move far between frames leave the gate of a chain too, all the time. What they
         leave over in successive frames lies nearer together than in frames that lie far apart, unlike false detections,
@@ -174,7 +172,7 @@ class CameraSample:
         if not len(self.times):
             return 0.0
         alone = (self.links < 0) & ~self.reached & ~_leaping(self)
-        parts = np.array_split(np.bincount(self.frame_of[alone], minlength=len(self.times)), PARTS)
+        parts = np.array_split(np.bincount(self.frame_of[alone], minlength=len(self.times)), 20)
         return float(np.median([part.mean() for part in parts if len(part)]))
 
     @cached_property
