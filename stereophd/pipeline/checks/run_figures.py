@@ -50,12 +50,12 @@ def check_tracking(
     objects = detections - clutter - outside - summary["left_out"]["burst_detections"]
     tracks = summary["tracks"]
     count = len(tracks)
-    if count == 0 and objects >= LEAST_DETECTIONS:
-        yield Finding(
-            "tracking.tracks", "warning", "no track was reported although the log has detections beyond the clutter",
-            0, None, None, "run `check` on the same configuration and log; look at filter.birth and the cameras",
-            "no_tracks",
-        )  # fmt: skip
+    if count == 0 and (objects >= LEAST_DETECTIONS or not detections):
+        why = (
+            "although the log has detections beyond the clutter" if detections else "because the log has no detections"
+        )
+        remedy = "run `check` on the same configuration and log; look at filter.birth and the cameras"
+        yield Finding("tracking.tracks", "warning", f"no track was reported {why}", 0, None, None, remedy, "no_tracks")
         return
     if count == 0 or objects < LEAST_DETECTIONS:
         yield Finding("tracking.tracks", "not checked", "too few detections or tracks to judge the run")

@@ -485,6 +485,9 @@ def test_tracks_of_one_camera_are_reported() -> None:
         summary = {"tracks": tracks, "left_out": {"burst_detections": 0}, "cameras": seen}
         return [found.cause for found in check_tracking(summary, counts, CAMERAS) if found.cause]
 
+    nothing = {"tracks": [], "left_out": {"burst_detections": 0}, "cameras": {}}
+    (none,) = check_tracking(nothing, {"detections": 0, "frames": 900}, CAMERAS)
+    assert (none.status, none.message) == ("warning", "no track was reported because the log has no detections")
     assert run(95) == []
     assert run(0) == ["one_camera_tracks"]
     # a camera without frames contradicts nothing
