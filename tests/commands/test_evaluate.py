@@ -557,7 +557,7 @@ def test_a_truth_that_no_track_is_near_is_doubted(tmp_path, caplog):
     for x, doubted in ((0.9, True), (899.0, False)):
         caplog.clear()
         evaluate(tracks, write_truth(tmp_path / f"{x}.parquet", [(t, 3, x) for t in range(3)]), cutoff=10.0)
-        assert ("is the truth in another unit" in caplog.text) == doubted
+        assert ("has the truth another unit" in caplog.text) == doubted
 
 
 def test_units_must_agree(tmp_path):

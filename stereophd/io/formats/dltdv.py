@@ -120,7 +120,7 @@ def _views(tables: _Sources, options: ImportOptions, recording: ForeignRecording
     count = 0 if calibrated is None else len(calibrated)
     pointed = max((camera for path in tables.points for _, camera in _columns(path, count)[0]), default=0)
     if 0 < count < pointed:
-        recording.warnings.append(f"{where}: the points from cam{count + 1} on are left out: it has no calibration")
+        recording.warnings.append(f"{where}: cam{count + 1} and later have no calibration: their points are left out")
     count = count or pointed
     if tables.profile is not None and len(tables.profile) != count:
         raise InputError(f"{where}: expected a camera profile of {count} rows, found {len(tables.profile)}")

@@ -159,8 +159,8 @@ def _scored(
     beside = beside_another(estimates, points, scores.pairs, matchable)
     warn_of_wrong_matches(tracks_path, beside, len(scores.pairs.scan), distance)
     if not len(scores.pairs.scan) and len(estimates.position) and len(points.position):
-        text = "%s: no estimate is within %g of a true object: is the truth in another unit, frame (`align`) or clock?"
-        LOGGER.warning(text, tracks_path, distance)
+        text = "%s: no estimate is near enough to an object to match it: has the truth another unit, frame or clock?"
+        LOGGER.warning(f"{text} (`align`, `align_clock`)", tracks_path)
     ospa2 = track_ospa(estimates, points, scores.near, options.ospa2_window, order, cutoff)
     errors = pair_errors(estimates, points, scores)
     rows, start = rows_of(tracks.events)  # tentative reports count as the first
