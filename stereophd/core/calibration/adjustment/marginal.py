@@ -100,8 +100,8 @@ DECREASE = 1e-4
 LEFT_OUT = 50.0
 # Most times that the weights of detections are taken anew, and their change at which they are the same.
 MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
-# Step of differences of the gradient, in standard deviations.
-DIFFERENCE = 0.1
+# Steps of differences of the gradient, in standard deviations: for its first derivatives, and for second ones.
+DIFFERENCE, BEND_DIFFERENCE = 1e-3, 0.03
 # Directions of the posterior beyond this part of the prior are loose. Draws of several, beside which the bend of the
 # others is looked at.
 LOOSE, BENDS = 0.1, 12
@@ -139,19 +139,21 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1)
     posterior, at = at_answer(problem, adjustment)
     root, size, gradient = posterior.root(at), len(adjustment.values), posterior.gradient(at)
 
+    slopes = posterior.slopes(at)
+    curved = posterior.linearisation.factor_of_knots(slopes.placement.path, slopes.seen, at.equations.bands)
     started = count(1)
 
-    def curvature(step: Array) -> Array:
-        within(f"column {next(started)} of {len(root)}")
-        along, second = _differences(posterior, at, gradient, step)
-        bend = root.T @ second
-        if np.linalg.norm(bend) > 1.0:
-            along, _ = _differences(posterior, at, gradient, step, -root @ bend)
-        return np.asarray(root.T @ along)
+    def difference(step: Array, length: float) -> Array:
+        return np.asarray((posterior.gradient(posterior.beside(at, length * step, curved)) - gradient) / length)
 
-    curvatures: Array = np.column_stack(in_threads(curvature, root.T, threads))
+    def column(step: Array) -> Array:
+        within(f"column {next(started)} of {len(root)}")
+        return np.asarray(root.T @ difference(step, DIFFERENCE))
+
+    columns: Array = np.column_stack(in_threads(column, root.T, threads))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
-    covariance = within_prior(inverse.T @ curvatures @ inverse, posterior.prior_std)
+    precision = inverse.T @ (columns + columns.T) @ inverse / 2.0
+    covariance = within_prior(precision, posterior.prior_std)
     # beside draws of the loose directions the others move by their covariance times what is of second order
     std = posterior.prior_std
     variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
@@ -159,7 +161,7 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1)
     loose, known = directions[:, is_loose], directions[:, ~is_loose]
 
     def bend(draw: Array) -> Array:
-        return np.asarray(-known @ (known.T @ _differences(posterior, at, gradient, draw)[1]))
+        return np.asarray(-known @ (known.T @ (difference(draw, BEND_DIFFERENCE) - precision @ draw))) / BEND_DIFFERENCE
 
     # a bend grows with the square of a draw: all have the length whose fourth power is that in the mean, so that one
     # is exact along one direction
@@ -251,11 +253,24 @@ class MarginalPosterior:
         Raises LinAlgError when the normal equations are not positive definite, or the cost is not finite.
         """
         values, noise = self.parted(unknowns)
-        states, _ = settled_knots(self.linearisation, values, states, noise)
+        return self._point(unknowns, settled_knots(self.linearisation, values, states, noise)[0])
+
+    def _point(self, unknowns: Array, states: Array) -> Point:
         equations = self.equations(unknowns, states)
         factor = factor_knots(equations.bands)
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
         return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume)
+
+    def beside(self, at: Point, step: Array, curved: Array) -> Point:
+        """Return the point after a small step (size,), its knots at their minimum to second order of the step.
+
+        They take a step by their second derivatives at the other point, of the Cholesky factor `curved` (12, 6 k).
+        """
+        unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
+        values, noise = self.parted(unknowns)
+        _, _, vector = self.linearisation.of_knots(values, states, noise)
+        states += cho_solve_banded((curved, True), vector, check_finite=False).reshape(states.shape)
+        return self._point(unknowns, states)
 
     def with_shown_motion(self, values: Array, states: Array, noise: Array) -> Point:
         """Return the point of values (m,), which stay, at the noise of the motion that fits there, from one (6,) on.
@@ -294,6 +309,7 @@ class MarginalPosterior:
         slopes = self.slopes(at)
         path, rates = slopes.placement.path, slopes.placement.rates
         by_states = linearisation.of_states(path, slopes.by_point) + self._first_states(at.states)[1]
+        by_states -= equations.state_vector  # knots beside their minimum: the effect is removed to first order
         curved = linearisation.factor_of_knots(path, slopes.seen, equations.bands)
         across = cho_solve_banded((curved, True), by_states, check_finite=False).reshape(at.states.shape)
         # knots that follow move points and velocities, and with them what the errors pull at the values with
@@ -304,9 +320,6 @@ class MarginalPosterior:
         products = linearisation.motion.pulls(at.states)[0].T @ across.reshape(-1, 3)
         by_products = linearisation.noise_at(values, noise).by_unknowns(products + products.T)
         of_noise = slopes.by_noise.sum(axis=0) - by_products + 6.0 * self.links * OF_ALL
-        # the knots are at the minimum but for a trace, whose effect is removed to first order
-        left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
-        by_knots = equations.coupling.T @ left - equations.value_vector
         coupled = equations.coupling[:, : len(values)].T @ across.ravel()
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
         if self.size > len(values):  # the motion is coupled to the scale by its noise
@@ -314,7 +327,7 @@ class MarginalPosterior:
         direct = linearisation.of_values(by_value) + float(of_noise[0]) * by_scale - coupled
         if problem.held is not None:
             direct[problem.held] = 0.0
-        return np.asarray(np.append(direct, of_noise[: self.size - len(values)]) + by_knots)
+        return np.asarray(np.append(direct, of_noise[: self.size - len(values)]) - equations.value_vector)
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
@@ -362,22 +375,6 @@ def _motion_step(energy: float, determined: float, now: float, std: float) -> fl
     return float(brentq(excess, -LONGEST_MOTION, LONGEST_MOTION)) if excess(-LONGEST_MOTION) > 0.0 else -LONGEST_MOTION
 
 
-def _differences(
-    posterior: MarginalPosterior, at: Point, gradient: Array, step: Array, bend: Array | float = 0.0
-) -> tuple[Array, Array]:
-    """Return the first derivative of the gradient along a step, and half the second one; LinAlgError if there is none.
-
-    The ends of the difference follow a valley that leaves its tangent by `bend` times the square of the step.
-    """
-    ahead, behind = DIFFERENCE * (DIFFERENCE * bend + step), DIFFERENCE * (DIFFERENCE * bend - step)
-    found = next(_tried(posterior, at, ahead, behind), None)
-    if found is None:
-        raise LinAlgError("no normal equations beside the optimum")
-    share, points = DIFFERENCE * found[0], found[1]
-    one, other = (posterior.gradient(point) for point in points)
-    return (one - other) / (2.0 * share), ((one + other) / 2.0 - gradient) / share**2
-
-
 def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple[Point, float]:
     """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
     length, longest, objectives = 0.0, LONGEST_STEP, [at.objective]
@@ -395,7 +392,7 @@ def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple
         step = taken / length * root @ downhill
         slope = float(gradient @ step)
         tried = _tried(posterior, at, step)
-        found = next(((s, p) for s, (p,) in tried if p.objective <= at.objective + DECREASE * s * slope), None)
+        found = next(((s, p) for s, p in tried if p.objective <= at.objective + DECREASE * s * slope), None)
         if found is None:
             break
         share, at = found
@@ -406,15 +403,13 @@ def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple
     return at, length
 
 
-def _tried(posterior: MarginalPosterior, at: Point, *steps: Array) -> Iterator[tuple[float, list[Point]]]:
-    """Points after steps and shorter and shorter shares of them, where there are cameras and regular equations.
+def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tuple[float, Point]]:
+    """Points after a step and shorter and shorter shares of it, where there are cameras and regular equations.
 
     The knots begin where they follow the step to first order, near their minimum.
     """
-    following = [at.eliminated.followed(step).reshape(at.states.shape) for step in steps]
-    share = 1.0
+    following, share = at.eliminated.followed(step).reshape(at.states.shape), 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):
-            moved = zip(steps, following, strict=True)
-            yield share, [posterior.at(at.unknowns + share * u, at.states + share * x) for u, x in moved]
+            yield share, posterior.at(at.unknowns + share * step, at.states + share * following)
         share *= 0.5
