@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -110,14 +111,16 @@ class Linearisation:
             row[: len(index)] = index
         return Linearisation(problem, members, path, rates, MotionPrior.of(problem.knots), columns)
 
-    def at(self, values: Array, states: Array, noise: Array | None = None) -> NormalEquations:
+    def at(
+        self, values: Array, states: Array, noise: Array | None = None, seen: tuple[Interpolation, Seen] | None = None
+    ) -> NormalEquations:
         """Return the normal equations at values (m,), knots (k, 2, 3) and the stated noise of the motion.
 
-        At another noise of the motion (6,) its unknowns follow the values; they have no prior here.
+        At another noise of the motion (6,) its unknowns follow the values; they have no prior here. `seen` is what
+        `residuals` returns there, if that is known.
         """
         problem, parameters = self.problem, self.problem.parameters
-        is_free = problem.held is None or not problem.held.all()
-        sums = self.summed(*self.residuals(values, states, by_values=is_free))
+        sums = self.summed(*(seen or self.residuals(values, states)))
         coupling, matrix, value_vector = sums.coupling, sums.matrix, sums.value_vector
         # motion model, its noise in units of the scene's scale
         motion = self.noise_at(values, STATED if noise is None else noise)
@@ -217,7 +220,8 @@ class Linearisation:
         self, values: Array, states: Array, placement: Placement | None = None, by_values: bool = True
     ) -> tuple[Interpolation, Seen]:
         """Interpolation at the times of the values, and what is seen of its points, without second derivatives."""
-        placement = placement or self.placed(values)
+        placement, held = placement or self.placed(values), self.problem.held
+        by_values = by_values and (held is None or not held.all())
         world = positions(states, *placement.path)
         velocities = positions(states, *placement.rates) if by_values else np.zeros_like(world)
         return placement.path, self.seen(placement, values, world, velocities, by_values)
@@ -282,16 +286,17 @@ class Linearisation:
                 np.add.at(out, 6 * path.knot + 3 * b + axis, path.weights[:, b] * by_point[:, axis])
         return out[:size]
 
-    def time_slopes(self, values: Array) -> Array:
-        """Derivatives (n, q) of the times of the detections by the values of their cameras."""
+    @cached_property
+    def time_slopes(self) -> Array:
+        """Derivatives (n, q) of the times of the detections by the values of their cameras, in which they are linear."""
         parameters, observations = self.problem.parameters, self.problem.observations
         out = np.zeros((len(observations), self.columns.shape[1]))
-        now = true_times(parameters.build(values), observations)
+        now = true_times(parameters.build(parameters.prior_mean), observations)
         for columns, here in zip(self.columns, self.members, strict=True):
             for column, place in enumerate(columns[columns >= 0]):
                 if parameters.parameters[place].quantity.affects != TIMES:
                     continue
-                later = values.copy()
+                later = parameters.prior_mean.copy()
                 later[place] += parameters.prior_std[place]
                 moved = true_times(parameters.build(later), observations)[here] - now[here]
                 out[here, column] = moved / parameters.prior_std[place]

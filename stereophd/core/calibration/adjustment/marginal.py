@@ -64,7 +64,13 @@ from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
 from scipy.optimize import brentq
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, factor_knots
+from stereophd.core.calibration.adjustment.linearisation import (
+    Linearisation,
+    NormalEquations,
+    Placement,
+    Seen,
+    factor_knots,
+)
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
     LEAST_SHARE,
@@ -74,7 +80,7 @@ from stereophd.core.calibration.adjustment.solver import (
     settled_knots,
     within_prior,
 )
-from stereophd.core.calibration.adjustment.trajectories import OF_ALL, STATED, positions
+from stereophd.core.calibration.adjustment.trajectories import OF_ALL, STATED, Interpolation, positions
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes, inverse_in_band
 from stereophd.core.calibration.time_limit import within
 from stereophd.core.calibration.unknowns.scale import log_scale
@@ -185,6 +191,8 @@ class Point:
     equations: NormalEquations
     factor: Array  # Of the matrix of the knots.
     objective: float
+    placement: Placement
+    seen: Seen
 
     @cached_property
     def eliminated(self) -> Eliminated:
@@ -219,10 +227,10 @@ class MarginalPosterior:
         of_noise[3:] *= np.sqrt(2.0)  # for the same prior whatever the axes
         return np.append(std, of_noise)
 
-    def equations(self, unknowns: Array, states: Array) -> NormalEquations:
-        """Normal equations of all unknowns and the knots (k, 2, 3)."""
+    def equations(self, unknowns: Array, states: Array, seen: tuple[Interpolation, Seen]) -> NormalEquations:
+        """Normal equations of all unknowns and the knots (k, 2, 3), from what `Linearisation.residuals` returns."""
         (values, noise), count = self.parted(unknowns), self.linearisation.problem.parameters.size
-        found, std = self.linearisation.at(values, states, noise if self.links else None), self.prior_std[count:]
+        found, std = self.linearisation.at(values, states, noise if self.links else None, seen), self.prior_std[count:]
         if not self.links:
             return found
         found.matrix[count:, count:] += np.diag(std**-2)
@@ -253,13 +261,16 @@ class MarginalPosterior:
         Raises LinAlgError when the normal equations are not positive definite, or the cost is not finite.
         """
         values, noise = self.parted(unknowns)
-        return self._point(unknowns, settled_knots(self.linearisation, values, states, noise)[0])
+        placement = self.linearisation.placed(values)
+        states, _ = settled_knots(self.linearisation, values, states, noise, placement=placement)
+        return self._point(unknowns, states, placement)
 
-    def _point(self, unknowns: Array, states: Array) -> Point:
-        equations = self.equations(unknowns, states)
+    def _point(self, unknowns: Array, states: Array, placement: Placement) -> Point:
+        seen = self.linearisation.residuals(self.parted(unknowns)[0], states, placement)
+        equations = self.equations(unknowns, states, seen)
         factor = factor_knots(equations.bands)
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
-        return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume)
+        return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume, placement, seen[1])
 
     def beside(self, at: Point, step: Array, curved: Array) -> Point:
         """Return the point after a small step (size,), its knots at their minimum to second order of the step.
@@ -268,9 +279,10 @@ class MarginalPosterior:
         """
         unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
         values, noise = self.parted(unknowns)
-        _, _, vector = self.linearisation.of_knots(values, states, noise)
+        placement = self.linearisation.placed(values)
+        _, _, vector = self.linearisation.of_knots(values, states, noise, placement)
         states += cho_solve_banded((curved, True), vector, check_finite=False).reshape(states.shape)
-        return self._point(unknowns, states)
+        return self._point(unknowns, states, placement)
 
     def with_shown_motion(self, values: Array, states: Array, noise: Array) -> Point:
         """Return the point of values (m,), which stay, at the noise of the motion that fits there, from one (6,) on.
@@ -332,7 +344,7 @@ class MarginalPosterior:
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
         values, noise = self.parted(at.unknowns)
-        return VolumeSlopes.of(self.linearisation, values, at.states, noise, at.factor)
+        return VolumeSlopes.of(self.linearisation, values, at.states, noise, at.factor, at.placement, at.seen)
 
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point.

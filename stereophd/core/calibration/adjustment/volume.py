@@ -71,14 +71,19 @@ class VolumeSlopes:
     by_noise: Array  # (l, 6): of each link, by the unknowns of the noise of the motion
 
     @staticmethod
-    def of(linearisation: Linearisation, values: Array, states: Array, noise: Array, factor: Array) -> VolumeSlopes:
-        """Return the derivatives at values (m,) and knots (k, 2, 3); `factor` (12, 6 k) is that of A, lower banded."""
+    def of(
+        linearisation: Linearisation, values: Array, states: Array, noise: Array, factor: Array, placement: Placement,
+        seen: Seen,
+    ) -> VolumeSlopes:  # fmt: skip
+        """Return the derivatives at values (m,) and knots (k, 2, 3); `factor` (12, 6 k) is that of A, lower banded.
+
+        `placement` and `seen` are of these, the second derivatives of the pixels by the points are added to them.
+        """
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
-        placement = linearisation.placed(values)
-        path, rates = placement.path, placement.rates
+        path, rates, sights = placement.path, placement.rates, placement.sights
         world, velocities = positions(states, *path), positions(states, *rates)
-        seen = linearisation.seen(placement, values, world, velocities, with_bends=True)
+        seen = seen._replace(bends=sights.bends(sights.project(world)))
         by_point = np.where(seen.visible[:, None, None], seen.by_point, 0.0)
         spread = np.zeros((2, len(world), 3, 3))
         for of_points, weights in zip(spread, (path.weights, rates.weights), strict=True):
@@ -99,7 +104,7 @@ class VolumeSlopes:
         `more` (n, 2, 3) and `later` (n,) add to those by the derivatives of the pixels and by the times.
         """
         before = self.seen
-        rows, out = self.rows + more, (self.by_time + later)[:, None] * linearisation.time_slopes(self.values)
+        rows, out = self.rows + more, (self.by_time + later)[:, None] * linearisation.time_slopes
         steps = STEP_PX / np.maximum(np.linalg.norm(before.by_point, axis=(1, 2)), LEAST_NORM)
         for r in (0, 1):
             size = np.linalg.norm(rows[:, r], axis=1)
