@@ -48,9 +48,10 @@ the gradient from other bends of the valley, and took four times as many steps.
 **Covariance.** The normal equations lack second derivatives of the residuals, too. Where objects turn within the time
 in which they move by some noises of their detections, other velocities compensate for a later clock: by residuals
 times the change of the knots' weights with time. The normal equations believe the velocities that the noise has bent,
-and state clocks up to four times too sure. `exact_covariance` differentiates the gradient of the objective instead. A
-step along the tangent of a valley leaves it by the square of the step, and the objective rises by the fourth power of
-it: where that matters, the ends of the difference follow the valley.
+and state clocks up to four times too sure. `exact_covariance` differentiates the gradient of the objective instead.
+Beside the optimum the knots take one step by the second derivatives of the cost there, and the gradient removes what is
+left of their pull to first order. It is then wrong by the square of an error of second order, so that steps may be so
+small that a difference to one side does, and no valley is left.
 """
 
 from collections.abc import Iterator
@@ -80,7 +81,7 @@ from stereophd.core.calibration.adjustment.solver import (
     settled_knots,
     within_prior,
 )
-from stereophd.core.calibration.adjustment.trajectories import OF_ALL, STATED, Interpolation, positions
+from stereophd.core.calibration.adjustment.trajectories import OF_ALL, STATED, positions
 from stereophd.core.calibration.adjustment.volume import VolumeSlopes, inverse_in_band
 from stereophd.core.calibration.time_limit import within
 from stereophd.core.calibration.unknowns.scale import log_scale
@@ -145,8 +146,7 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1)
     posterior, at = at_answer(problem, adjustment)
     root, size, gradient = posterior.root(at), len(adjustment.values), posterior.gradient(at)
 
-    slopes = posterior.slopes(at)
-    curved = posterior.linearisation.factor_of_knots(slopes.placement.path, slopes.seen, at.equations.bands)
+    curved = posterior.linearisation.factor_of_knots(posterior.slopes(at).seen, at.equations.bands)
     started = count(1)
 
     def difference(step: Array, length: float) -> Array:
@@ -191,7 +191,6 @@ class Point:
     equations: NormalEquations
     factor: Array  # Of the matrix of the knots.
     objective: float
-    placement: Placement
     seen: Seen
 
     @cached_property
@@ -227,8 +226,8 @@ class MarginalPosterior:
         of_noise[3:] *= np.sqrt(2.0)  # for the same prior whatever the axes
         return np.append(std, of_noise)
 
-    def equations(self, unknowns: Array, states: Array, seen: tuple[Interpolation, Seen]) -> NormalEquations:
-        """Normal equations of all unknowns and the knots (k, 2, 3), from what `Linearisation.residuals` returns."""
+    def equations(self, unknowns: Array, states: Array, seen: Seen) -> NormalEquations:
+        """Normal equations of all unknowns and the knots (k, 2, 3), from what is seen there."""
         (values, noise), count = self.parted(unknowns), self.linearisation.problem.parameters.size
         found, std = self.linearisation.at(values, states, noise if self.links else None, seen), self.prior_std[count:]
         if not self.links:
@@ -270,7 +269,7 @@ class MarginalPosterior:
         equations = self.equations(unknowns, states, seen)
         factor = factor_knots(equations.bands)
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
-        return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume, placement, seen[1])
+        return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume, seen)
 
     def beside(self, at: Point, step: Array, curved: Array) -> Point:
         """Return the point after a small step (size,), its knots at their minimum to second order of the step.
@@ -319,15 +318,15 @@ class MarginalPosterior:
         linearisation, equations = self.linearisation, at.equations
         problem, (values, noise) = linearisation.problem, self.parted(at.unknowns)
         slopes = self.slopes(at)
-        path, rates = slopes.placement.path, slopes.placement.rates
+        path, rates = at.seen.placement.path, at.seen.placement.rates
         by_states = linearisation.of_states(path, slopes.by_point) + self._first_states(at.states)[1]
         by_states -= equations.state_vector  # knots beside their minimum: the effect is removed to first order
-        curved = linearisation.factor_of_knots(path, slopes.seen, equations.bands)
+        curved = linearisation.factor_of_knots(slopes.seen, equations.bands)
         across = cho_solve_banded((curved, True), by_states, check_finite=False).reshape(at.states.shape)
         # knots that follow move points and velocities, and with them what the errors pull at the values with
-        moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(slopes.world)) for i in (path, rates))
-        pulls = linearisation.pulls(slopes.seen)
-        later = (pulls * (slopes.seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
+        moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(at.seen.world)) for i in (path, rates))
+        pulls = linearisation.pulls(at.seen)
+        later = (pulls * (at.seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
         by_value = slopes.by_value(linearisation, pulls[:, :, None] * moved[:, None, :], later)
         products = linearisation.motion.pulls(at.states)[0].T @ across.reshape(-1, 3)
         by_products = linearisation.noise_at(values, noise).by_unknowns(products + products.T)
@@ -344,7 +343,7 @@ class MarginalPosterior:
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
         values, noise = self.parted(at.unknowns)
-        return VolumeSlopes.of(self.linearisation, values, at.states, noise, at.factor, at.placement, at.seen)
+        return VolumeSlopes.of(self.linearisation, values, noise, at.factor, at.seen)
 
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point.

@@ -150,7 +150,7 @@ def settled_knots(
         if promised <= KNOTS_NEAR:
             at = positions(states, *placement.path)
             seen = linearisation.seen(placement, values, at, np.zeros_like(at), by_values=False, with_bends=True)
-            step = cho_solve_banded((linearisation.factor_of_knots(placement.path, seen, bands), True), vector)
+            step = cho_solve_banded((linearisation.factor_of_knots(seen, bands), True), vector)
         share = 1.0
         while share >= LEAST_SHARE:
             moved = states + share * step.reshape(states.shape)
