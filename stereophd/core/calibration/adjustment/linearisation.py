@@ -290,7 +290,7 @@ class Linearisation:
 
     @cached_property
     def time_slopes(self) -> Array:
-        """Derivatives (n, q) of the times of the detections by the values of their cameras: times are linear in these."""
+        """Derivatives (n, q) of the times of the detections by the values of their cameras: these are linear."""
         parameters, observations = self.problem.parameters, self.problem.observations
         out = np.zeros((len(observations), self.columns.shape[1]))
         now = true_times(parameters.build(parameters.prior_mean), observations)
