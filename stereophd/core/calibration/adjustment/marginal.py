@@ -65,13 +65,7 @@ from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
 from scipy.optimize import brentq
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.linearisation import (
-    Linearisation,
-    NormalEquations,
-    Placement,
-    Seen,
-    factor_knots,
-)
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, Seen, factor_knots
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
     LEAST_SHARE,
@@ -145,7 +139,6 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1)
     """
     posterior, at = at_answer(problem, adjustment)
     root, size, gradient = posterior.root(at), len(adjustment.values), posterior.gradient(at)
-
     curved = posterior.linearisation.factor_of_knots(posterior.slopes(at).seen, at.equations.bands)
     started = count(1)
 
@@ -262,10 +255,9 @@ class MarginalPosterior:
         values, noise = self.parted(unknowns)
         placement = self.linearisation.placed(values)
         states, _ = settled_knots(self.linearisation, values, states, noise, placement=placement)
-        return self._point(unknowns, states, placement)
+        return self._point(unknowns, states, self.linearisation.residuals(values, states, placement))
 
-    def _point(self, unknowns: Array, states: Array, placement: Placement) -> Point:
-        seen = self.linearisation.residuals(self.parted(unknowns)[0], states, placement)
+    def _point(self, unknowns: Array, states: Array, seen: Seen) -> Point:
         equations = self.equations(unknowns, states, seen)
         factor = factor_knots(equations.bands)
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
@@ -281,7 +273,7 @@ class MarginalPosterior:
         placement = self.linearisation.placed(values)
         _, _, vector = self.linearisation.of_knots(values, states, noise, placement)
         states += cho_solve_banded((curved, True), vector, check_finite=False).reshape(states.shape)
-        return self._point(unknowns, states, placement)
+        return self._point(unknowns, states, self.linearisation.residuals(values, states, placement))
 
     def with_shown_motion(self, values: Array, states: Array, noise: Array) -> Point:
         """Return the point of values (m,), which stay, at the noise of the motion that fits there, from one (6,) on.
