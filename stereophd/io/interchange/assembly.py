@@ -331,7 +331,7 @@ class _Camera:
             raise InputError(
                 f"{self._where}: expected times that increase with the frame number, found "
                 f"{instant(earliest[bad[0]], 9)} s at frame {frames[bad[0]]:.0f}, not after "
-                f"{instant(before[bad[0]], 9)} s of the frame before: frame numbers must not begin anew"
+                f"{instant(before[bad[0]], 9)} s of the frame before: each needs a number and a time of its own"
             )
         rows[:, TIME] = rows[starts[index], TIME]
         return rows

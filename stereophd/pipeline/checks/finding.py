@@ -9,8 +9,8 @@ Status = Literal["ok", "warning", "not checked"]
 DO_NOT_MEET = "rays_do_not_meet"
 ERRORS_LAST = "errors_last"
 LASTING_REMEDY = "look for what smooths the detections, state more noise (sigma_px), or refine the cameras (calibrate)"
-# Checks before the run, and of the tracks' errors, whose warnings change what tracks show: they look like a knock.
-LIKE_KNOCKS = ("detector.clutter", "detector.sigma", "geometry.cause", "geometry.residuals", "tracking.errors")
+# Checks before the run, and of the tracks' errors, whose warnings change what tracks show.
+MISLEADING = ("detector.clutter", "detector.sigma", "geometry.cause", "geometry.residuals", "tracking.errors")
 CHECK_CAMERAS = "check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses"
 
 
@@ -59,7 +59,7 @@ def is_overstated(found: Finding) -> bool:
 
 def misleads(found: Finding) -> bool:
     """Whether a finding warns of what changes tracks, so that what they show may follow from it."""
-    is_alike = found.name in LIKE_KNOCKS and found.status == "warning" and not is_overstated(found)
+    is_alike = found.name in MISLEADING and found.status == "warning" and not is_overstated(found)
     return is_alike or is_mistake(found)
 
 

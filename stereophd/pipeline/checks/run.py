@@ -96,10 +96,10 @@ def check_log(
 def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) -> tuple[Finding, ...]:
     """Return the findings about a log alone, without those about detectors that are to be estimated.
 
-    The noise of points is no concern of bodies, whose boxes have errors that last.
+    The noise of points is no concern of bodies, whose boxes have errors that last; their known size shows depths.
     """
     unknown_clocks = [name for name, camera in loaded.cameras.items() if camera.clock.unknown]
-    unasked = () if loaded.config.object.shape == "point" else ("detector.sigma",)
+    unasked = () if loaded.config.object.shape == "point" else ("detector.sigma", "log.detections")
     return tuple(
         found
         for found in check_files(samples, whole, unknown_clocks)

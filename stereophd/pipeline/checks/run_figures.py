@@ -17,8 +17,8 @@ LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
 RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
 # Share of the residuals from which it matters that these are left out as outliers.
 MOST_OUTLIERS = 0.1
-# Causes among those that mislead that a knock looks like.
-OF_KNOCKS = ("pose_inaccurate", "detections_shifted", "errors_last")
+# Causes among those that mislead that a knock looks like, and one that looks like no knock: clutter.
+OF_KNOCKS = ("pose_inaccurate", "detections_shifted", "errors_last", "clutter")
 # Share of the rays that met before a knock which must meet again with another clock, to call it a jump of times.
 MET_AGAIN = 0.7
 # Squares of errors of tracks beyond those that they state, over these, and their standard errors, from which tracks are
@@ -69,7 +69,7 @@ def check_tracking(
         yield Finding("tracking.explained", "warning", text, value, expected, None, remedy, "unexplained")
     else:
         yield Finding("tracking.explained", "ok", text, value)
-    if sum(summary["cameras"][camera.name]["frames"] > 0 for camera in cameras) < 2:
+    if sum(summary["cameras"][camera.name]["detections"] > 0 for camera in cameras) < 2:
         return
     largest = own.max(axis=0) / np.maximum(own.sum(axis=0), 1.0)
     estimates = np.array([track["n_estimates"] for track in tracks], dtype=float)

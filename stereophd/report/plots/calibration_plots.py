@@ -41,7 +41,7 @@ MOST_PAIRS = 6
 def write_calibration_plots(outcome: Outcome, length_unit: str, paths: Mapping[str, Path]) -> None:
     """Draw the plots ``history``, ``posterior`` and ``residuals`` that `paths` names (as png or svg)."""
     makers = {"history": _draw_history, "posterior": _draw_posterior, "residuals": _draw_residuals}
-    with mpl.rc_context(STYLE):
+    with mpl.rc_context({**STYLE, "xtick.labelsize": 8.0, "ytick.labelsize": 8.0}):  # they fit the fixed room
         save_figures({plot: makers[plot](outcome, length_unit) for plot in plots_named(paths)}, paths)
 
 
@@ -106,7 +106,7 @@ def _draw_posterior(outcome: Outcome, length_unit: str) -> Figure:
                 y = factor * particles[:, i]
                 panel.scatter(x[rows], y[rows], s=2, color=INK, alpha=0.25, linewidths=0, rasterized=True)
             if i == count - 1:
-                panel.set_xlabel(drawn[j][1], fontsize=7)
+                panel.set_xlabel(drawn[j][1], fontsize=7, labelpad=12)  # below a common exponent
             if j == 0 and i > 0:
                 panel.set_ylabel(label, fontsize=7)
     return figure

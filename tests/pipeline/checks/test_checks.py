@@ -39,7 +39,7 @@ from stereophd.pipeline.checks.geometry.rays import (
 from stereophd.pipeline.checks.log import sample as sampling
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
-from stereophd.pipeline.checks.run import check_log
+from stereophd.pipeline.checks.run import _of_files, check_log
 from stereophd.pipeline.checks.run_figures import (
     check_detections,
     check_estimated_detectors,
@@ -430,6 +430,10 @@ def test_depths_need_detections_of_two_cameras(samples: list[CameraSample], seei
     found = [one for one in check_files(shown) if one.name == "log.detections"]
     assert [one.message.split(" has ")[0] for one in found if is_mistake(one)] == ([] if named is None else [named])
     assert not any(one.name == "log.detections" for one in check_files(shown, whole=False))
+    for config, is_of_points in (("quickstart", True), ("crowd", False)):  # the size of a body shows its depth
+        loaded = load_config(Path(__file__).parents[3] / "configs" / f"{config}.yaml")
+        warned = any(one.name == "log.detections" for one in _of_files(loaded, shown, whole=True))
+        assert warned == (is_of_points and named is not None)
 
 
 def test_rare_false_detections_are_counted_although_most_frames_have_none() -> None:
@@ -478,10 +482,11 @@ def test_an_image_that_false_detections_leave_empty_is_too_large() -> None:
 
 
 def test_tracks_of_one_camera_are_reported() -> None:
-    def run(right: int, frames: int = 100) -> list[str | None]:
+    def run(right: int, detections: int = 100) -> list[str | None]:
         tracks = [{"n_detections": {"left": 100, "right": right}, "n_estimates": 120}]
         counts = {"detections": 400, "frames": 200}
-        seen = {name: {"frames": count, "outside_region": 0} for name, count in (("left", 100), ("right", frames))}
+        counted = (("left", 100), ("right", detections))
+        seen = {name: {"frames": 100, "detections": count, "outside_region": 0} for name, count in counted}
         summary = {"tracks": tracks, "left_out": {"burst_detections": 0}, "cameras": seen}
         return [found.cause for found in check_tracking(summary, counts, CAMERAS) if found.cause]
 
@@ -490,8 +495,8 @@ def test_tracks_of_one_camera_are_reported() -> None:
     assert (none.status, none.message) == ("warning", "no track was reported because the log has no detections")
     assert run(95) == []
     assert run(0) == ["one_camera_tracks"]
-    # a camera without frames contradicts nothing
-    assert run(0, frames=0) == []
+    # a camera without detections contradicts nothing
+    assert run(0, detections=0) == []
 
 
 def test_what_a_run_leaves_out_is_a_warning() -> None:

@@ -101,9 +101,14 @@ def test_a_knocked_camera_is_named(
         clock = Finding("geometry.cause", "warning", "its clock is off", 0.2, met, late, None, "clock_offset")
         (finding,) = check_knocks(figures.report({}, 0, 0), (before,), {knock.time_s: (clock,)}.__getitem__)
         assert finding.cause == cause
-    # a wrong noise or clock looks the same
-    for doubt, status in (("detector.sigma", "not checked"), ("log.pixels", "warning")):
-        (finding,) = check_knocks(figures.report({}, 0, 0), (Finding(doubt, "warning", "it is wrong"),))
+    # a wrong noise or clock looks the same, wrong clutter does not
+    for doubt, status in (
+        ("detector.sigma", "not checked"),
+        ("detector.clutter", "warning"),
+        ("log.pixels", "warning"),
+    ):
+        before = Finding(doubt, "warning", "it is wrong", cause=doubt.removeprefix("detector."))
+        (finding,) = check_knocks(figures.report({}, 0, 0), (before,))
         assert finding.status == status
 
 
