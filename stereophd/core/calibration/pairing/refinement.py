@@ -61,9 +61,8 @@ class Linear:
 
     parameters: ParameterSet
     pairs: TrackPairs
-    values: Array  # (m,): where it was linearised
     columns: Integers  # (c,) of int: the values of cameras that have pairs
-    offsets: Array  # (c,): those of `values`, in prior standard deviations from the prior mean
+    offsets: Array  # (c,): where it was linearised, in prior standard deviations from the prior mean
     rows: Integers  # (r,) of int
     distances: Array  # (r,): zero where missing
     jacobian: Array  # (r, c): zero where missing
@@ -79,12 +78,12 @@ class Linear:
         missing = ~(np.isfinite(distances) & np.isfinite(jacobian).all(axis=1))
         distances, jacobian = np.where(missing, 0.0, distances), np.where(missing[:, None], 0.0, jacobian)
         offsets = ((values - parameters.prior_mean) / parameters.prior_std)[columns]
-        return Linear(parameters, pairs, values, columns, offsets, rows, distances, jacobian, missing)
+        return Linear(parameters, pairs, columns, offsets, rows, distances, jacobian, missing)
 
     def take(self, places: Integers) -> Linear:
         """Return some of the rows."""
         return Linear(
-            self.parameters, self.pairs, self.values, self.columns, self.offsets, self.rows[places],
+            self.parameters, self.pairs, self.columns, self.offsets, self.rows[places],
             self.distances[places], self.jacobian[places], self.missing[places],
         )  # fmt: skip
 
@@ -103,9 +102,9 @@ class Linear:
         return offsets
 
     def values_of(self, offsets: Array) -> Array:
-        """Values (m,) of offsets (c,)."""
-        values = self.values.copy()
+        """Values (m,) of offsets (c,); cameras without pairs are those of the prior mean."""
         parameters, columns = self.parameters, self.columns
+        values = parameters.prior_mean.copy()
         values[columns] = parameters.prior_mean[columns] + offsets * parameters.prior_std[columns]
         return values
 

@@ -106,6 +106,16 @@ def test_lenses_and_focal_lengths_are_fitted_while_tracks_are_paired() -> None:
     assert np.sqrt((((best.values - right) / guess.prior_std) ** 2).mean()) < 0.5
 
 
+def test_cameras_without_pairs_stay_where_the_prior_expects_them() -> None:
+    """Else each draw of theirs would be another pairing, and followed."""
+    true = unknowns(cameras_around(), {"center": 0.07, "rotation": 0.052})
+    pairs = pairs_about(true, true.cameras, 1, swarm)
+    pairs = pairs.take(np.flatnonzero((pairs.cameras == (0, 1)).all(axis=1) & (pairs.tracks % CORNERS < 3).all(axis=1)))
+    assert not crowded(pairs)
+    (best,) = distinct_pairings(true, pairs, true.sample(np.random.default_rng(0), 64))
+    assert not best.values[["cam2" in parameter.cameras for parameter in true.parameters]].any()
+
+
 def test_tracks_with_few_partners_are_not_crowded() -> None:
     true = unknowns(cameras_around())
     pairs = pairs_about(true, true.cameras, 0)
