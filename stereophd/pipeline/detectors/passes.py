@@ -11,10 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.multi.base import DisparityFilter, FilterState
+from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.pipeline.detectors.statistics import (
     DetectorEstimate,
@@ -23,7 +22,6 @@ from stereophd.pipeline.detectors.statistics import (
     Sighting,
     estimate_detector,
     observe,
-    of_labels,
 )
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.knocked import NO_TEST
@@ -80,22 +78,18 @@ class _Watched:
 
     def __init__(self, estimator: Estimator[Any]) -> None:
         self.rig = estimator.rig
+        shares = [1.0] * len(estimator.rig.cameras)  # boxes are not left out by the region
         if isinstance(estimator, DisparityFilter):
-            estimator = replace(estimator, claims=True)
-            shares = estimator.rig.shares_of_view()
-        else:  # boxes are not left out by the region
-            shares = [1.0] * len(estimator.rig.cameras)
+            estimator, shares = replace(estimator, claims=True), estimator.rig.shares_of_view()
         self.sums = [DetectorSums(view=share) for share in shares]
         self.own_noise = False
-        # Label -> camera -> expected number of its detections, and variance, until it is confirmed
-        self.waiting: dict[int, dict[int, Array]] = {}
         self._estimator = estimator
         self._settled = _Settled()
         self._n_events = 0
 
     def init(self) -> Any:
         """Return the state before the first event of a stretch, whose labels begin anew."""
-        self._settled, self.waiting = _Settled(), {}
+        self._settled = _Settled()
         self._forget(set())
         return self._estimator.init()
 
@@ -107,27 +101,17 @@ class _Watched:
         probabilities = zip(sighting.detected.tolist(), sighting.missed.tolist(), strict=True)
         for label, (detected, missed) in zip(sighting.labels.tolist(), probabilities, strict=True):
             settled.count(label, event.camera, detected, missed, sums)
+        # of settled tracks as probably as they made it, where another detection, or none, may have been theirs
+        claimed = np.isin(sighting.labels, info.detected)
+        sums[event.camera].attributed += float((sighting.detected - claimed).sum())
+        sums[event.camera].doubtful += float((sighting.detected * (1.0 - sighting.detected)).sum())
         for label in info.detected.tolist():
             settled.seen_by.setdefault(label, set()).add(event.camera)
         settled.confirmed.update(estimates.labels.tolist())
-        self._attribute(state, event.camera, info)
         if self._n_events % FORGET_EVERY == 0:
             self._forget(set(state.labels.tolist()))
         self._n_events += 1
-        return state, replace(info, claims=None), estimates
-
-    def _attribute(self, state: Any, camera: int, info: Info) -> None:
-        """Count the detections of an event for the tracks, as probably as each made one: if it exists, if it is new."""
-        labels, existence = _existences(state)
-        rows, _, probabilities = of_labels(info.claims, labels)
-        made = np.minimum(np.bincount(rows, probabilities, len(labels)) / np.maximum(existence, 1e-9), 1.0)
-        for row in np.flatnonzero(made > 0.0).tolist():
-            share, waiting = made[row], self.waiting.setdefault(int(labels[row]), {})
-            waiting[camera] = waiting.get(camera, 0.0) + np.array([share, share * (1.0 - share)])
-        for label in self._settled.confirmed & self.waiting.keys():
-            for index, (number, variance) in self.waiting.pop(label).items():
-                self.sums[index].attributed += float(number)
-                self.sums[index].doubtful += float(variance)
+        return state, info, estimates
 
     def _look(self, state: Any, event: Event) -> tuple[Any, Info, Estimates, Sighting]:
         """Return the state after an event, and what the event shows of the settled tracks."""
@@ -139,7 +123,7 @@ class _Watched:
             sighting = observe(
                 sums, prediction, event, info.claims, camera.at(event.time_s), space, settled, not event.own_noise
             )
-            return after, info, estimates, sighting
+            return after, replace(info, claims=None), estimates, sighting
         # imported here: what it needs of SciPy is costly to import
         from stereophd.core.bodies.filter import BodyFilter
         from stereophd.pipeline.detectors.bodies import observe_bodies
@@ -156,20 +140,8 @@ class _Watched:
     def _forget(self, alive: set[int]) -> None:
         """Forget all labels but these."""
         self._settled.keep(alive)
-        self.waiting = {label: counts for label, counts in self.waiting.items() if label in alive}
         for each in self.sums:
             each.previous = {label: residual for label, residual in each.previous.items() if label in alive}
-
-
-def _existences(state: Any) -> tuple[NDArray[np.int64], Array]:
-    """Return the labels (k,) of the tracks of a state, in rising order, and the existence (k,) of each."""
-    if isinstance(state, FilterState):
-        labels, member = np.unique(state.labels, return_inverse=True)
-        existence = np.zeros(len(labels))
-        np.add.at(existence, member, state.mixture.weights)
-        return labels, existence
-    order = np.argsort(state.labels)
-    return state.labels[order], state.hypotheses.existence(len(order))[order]
 
 
 def stretches(stream: EventStream, most_detections: int = MOST_DETECTIONS) -> list[EventStream]:
@@ -212,10 +184,12 @@ def _run(
             sums[record.camera].frames += 1
             sums[record.camera].detections += record.n_detections
             sums[record.camera].outside += record.outside
-        for waiting in watched.waiting.values():
-            if sum(number for number, _ in waiting.values()) > CHANCE_PAIR:
-                for index, (number, _) in waiting.items():
-                    watched.sums[index].undecided += float(number)
+            for counts in record.attributed.values():
+                for name, count in counts.items():
+                    sums[name].attributed += count
+        for counts in run.attribution.pending.values():
+            for name, count in counts.items():
+                sums[name].undecided += count if sum(counts.values()) > CHANCE_PAIR else 0
     estimates = {}
     for camera in cameras:
         if (prior := priors.get(camera.name)) is not None:

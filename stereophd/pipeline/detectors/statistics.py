@@ -93,7 +93,7 @@ class DetectorSums:
     doubtful: float = 0.0  # Variance of that number
     outside: int = 0  # Detections that see nothing of the region
     view: float = 1.0  # Share of the image that sees the region
-    undecided: float = 0.0  # Detections that only objects claim which were still tentative at the end, not alone
+    undecided: int = 0  # Detections that only objects claim which were still tentative at the end, not alone
     # `products`, `norms`: arrays (k,): Sums over successive frames of a track of r r', and of (r^2 + r'^2) / 2, for
     # residuals r = e / sqrt(S).
     products: Array = field(default_factory=lambda: np.zeros(1))
