@@ -18,9 +18,9 @@ displacements say (`stereophd.pipeline.detectors.ray_noise`), of both axes toget
 of both cancel to first order, whatever the part of C is. The standard error is that of the prior and of the information
 of the residuals, 2 sum(w R / S) of log(sigma).
 
-Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of
-the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last
-detection of the track only: what comes after is the object's end, not misses.
+Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of the
+frame, for which it competes with all others, and M that it exists and made none, after a prior of five frames with 0.9.
+Frames count up to the last detection of the track only: what comes after is the object's end, not misses.
 
 Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame. To a
 settled one they belong with the probability D, because what is false and near it is not all its own; the variance of
