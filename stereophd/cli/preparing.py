@@ -109,11 +109,12 @@ def _written(session: Session, report: dict[str, Any], log: Path | None) -> list
         return [*lines, f"Written: {config}; next, once what the warnings name is corrected:", f"  {again(session)}"]
     # beside the configuration and quoted, so that the line can be copied as it is
     command, options, out = "track", ["--smooth", "--associations"], "tracks"
+    then = ":" if report["cameras"] else ", once the cameras are known:"
     if report["must_be_calibrated"]:
         command, options, out = "calibrate", [], "calibrated"
+        then = ", and `init` again with the cameras that it finds:"
     words = ["stereophd", command, str(config), str(log or "LOG"), *options, "--out", str(config.parent / out)]
     following = shlex.join(words)
-    then = ", and `init` again with the cameras that it finds:" if command == "calibrate" else ":"
     return [*lines, f"Written: {config}; next{then}", f"  {following}"]
 
 

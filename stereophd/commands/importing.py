@@ -200,6 +200,8 @@ def _check(
                 f"camera {name}: {counted(summary.repeated_labels, 'detection')} of an object that has another one in "
                 "the same frame: give one file for the frames of a camera (not both filtered and raw predictions)"
             )
+        if summary.duplicate_rows:
+            recording.assumed.append(f"{name}: {counted(summary.duplicate_rows, 'row')} left out, repeated in a frame")
         if summary.pauses:
             recording.assumed.append(
                 f"{name}: {counted(summary.pauses, 'pause')}, {summary.paused_s:.4g} s in all, would have more frames "

@@ -56,9 +56,10 @@ def init(
         begin(STEPS, "the log is checked")
         loaded = loaded_draft(draft, str(target))
         checked = check_log(loaded, log_path, thorough=False, alone=draft.is_unplaced)
-        # a mistake by which the values are chosen is named once, one in the log of all cameras
+        # a mistake by which the values are chosen is named once; another one is the cause of what the estimates show
         named = {found.name for found in draft.findings} & {"geometry.cause", "geometry.boxes"}
-        before = (found for found in draft.findings if found.name in named or not is_mistake(found))
+        is_right = not any(map(is_mistake, checked))
+        before = (found for found in draft.findings if found.name in named or (is_right and not is_mistake(found)))
         draft = replace(draft, findings=(*before, *(one for one in checked if one.name not in named)))
     sources = [Path(path).name for path in (log_path, cameras_file) if path is not None]
     source = f"from {' and '.join(sources)}" if sources else "without a log"

@@ -22,7 +22,7 @@ from stereophd.io.outputs.locks import output_lock
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.options import takes
 from stereophd.pipeline.cameras_covariance import stated_uncertainty
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import Finding, once_mended
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.run_figures import (
     check_detections,
@@ -159,15 +159,16 @@ class _Outputs:
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))
-        findings += tuple(check_detections(summary, tracking.cameras))
+        findings += tuple(once_mended(check_detections(summary, tracking.cameras), findings))
         of_many = tracking.motion.moves and not isinstance(tracking.estimator, SingleTracker)
         if not (tracking.boxes or self.stream.has_noise):  # the residuals of bodies are their own, and so is each noise
-            findings += tuple(check_errors(summary, findings, of_many and self.motion is None))
+            findings += tuple(once_mended(check_errors(summary, of_many and self.motion is None), findings))
         since = functools.partial(check_log, loaded, self.stream.source, False, tracking.cameras)
         findings += tuple(check_knocks(summary, findings, since))
         if not tracking.boxes:
             # the middle of a box is not the image of the middle of a body
-            findings += tuple(check_noise(summary, tracking.cameras, self.stream.has_noise, findings))
+            noise = check_noise(summary, tracking.cameras, self.stream.has_noise, findings)
+            findings += tuple(once_mended(noise, findings, but=("detector.sigma", "tracking.errors")))
         findings += tuple(check_losses(summary, counts))
         findings += tuple(check_estimated_detectors(tracking.detectors))
         report = {

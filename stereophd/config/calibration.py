@@ -163,8 +163,9 @@ class CalibrationConfig(Model):
         "groups of cameras with one lens and one set of intrinsics, such as [[cam0, cam1]]", default_factory=list
     )
     stages: Literal["auto"] | list[Annotated[list[str], Len(1)]] = parameter(
-        "unknowns that are freed stage by stage while tracking, such as [[center, rotation, clock_offset], [focal]], "
-        "the rest last; auto: poses and clocks, focal lengths and k1, the rest",
+        "unknowns that are freed stage by stage while tracking from cameras that pair no tracks, such as "
+        "[[center, rotation, clock_offset], [focal]], the rest last; auto: poses and clocks, focal lengths and k1, the "
+        "rest",
         default="auto",
     )
     model: Literal["as_stated", "lenses", "free"] = parameter(

@@ -74,8 +74,9 @@ def save_figures(figures: Mapping[str, Figure], paths: Mapping[str, Path], **opt
 
 def _lay_out(figure: Figure) -> Bbox:
     """Arrange a figure once, for all its files, each of which would do so again; return its extent, inches."""
-    figure.draw_without_rendering()
-    figure.set_layout_engine(None)
+    if (engine := figure.get_layout_engine()) is not None:
+        engine.execute(figure)
+        figure.set_layout_engine(None)
     return figure.get_tightbbox().padded(MARGIN_IN)
 
 

@@ -551,6 +551,15 @@ def test_options_out_of_range(run, options, message):
         evaluate(tracks, truth, **options)
 
 
+def test_a_truth_that_no_track_is_near_is_doubted(tmp_path, caplog):
+    """A table in metres beside tracks in millimetres passed for objects that were all missed."""
+    tracks = write_tracks(tmp_path / "tracks.parquet", [(float(t), "a", t, 1, 900.0) for t in range(3)])
+    for x, doubted in ((0.9, True), (899.0, False)):
+        caplog.clear()
+        evaluate(tracks, write_truth(tmp_path / f"{x}.parquet", [(t, 3, x) for t in range(3)]), cutoff=10.0)
+        assert ("has the truth another unit" in caplog.text) == doubted
+
+
 def test_units_must_agree(tmp_path):
     rows = [(float(t), "a", t, 1, 0.0) for t in range(3)]
     tracks = write_tracks(tmp_path / "tracks.parquet", rows, metadata={"length_unit": "cm"})

@@ -24,7 +24,9 @@ class AnnealedSettings:
     )
     agreeing_starts: Count = parameter("stop as soon as this many of the starts agree on the best", default=2)
     inflation: Inflation = parameter(
-        "factors on the detector's sigma while tracking, pass by pass", default=(7.0, 5.0, 3.5, 2.0, 1.4, 1.0)
+        "factors on the detector's sigma while tracking, pass by pass; from paired tracks on those that their "
+        "residuals reach",
+        default=(7.0, 5.0, 3.5, 2.0, 1.4, 1.0),
     )
     max_events: Count = parameter(
         "frames that are tracked, about; of a longer log a part: instants that are spread over it, or stretches of it, "

@@ -62,12 +62,13 @@ def _pieces(sources: Sequence[Path], options: ImportOptions, recording: ForeignR
 def _csv(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:
     lines = [line.split(",") for line in first_lines(path, 4)]
     heads = {words[0]: words[1:] for words in lines}
-    if "bodyparts" not in heads or "coords" not in heads:
-        raise InputError(f"{path}: expected the header lines scorer, bodyparts and coords, found {list(heads)}")
     individuals = heads.get("individuals")
+    expected = ["scorer", *([] if individuals is None else ["individuals"]), "bodyparts", "coords"]
+    if list(heads)[: len(expected)] != expected:
+        raise InputError(f"{path}: expected the header lines scorer, bodyparts and coords, found {list(heads)}")
     columns = _named(heads["bodyparts"], heads["coords"], individuals)
     names = ["frame", *(f"c{k}" for k in range(len(columns)))]
-    batches = number_batches(path, ",", names, str(path), names, skip=4 if individuals is not None else 3)
+    batches = number_batches(path, ",", names, str(path), names, skip=len(expected))
     return columns, ((b["frame"], np.stack([b[name] for name in names[1:]], axis=1)) for b in batches)
 
 

@@ -116,12 +116,12 @@ def is_profile(table: Array) -> bool:
 
 def _views(tables: _Sources, options: ImportOptions, recording: ForeignRecording, where: str) -> list[_View]:
     """Return the conventions of each camera; cameras are counted in the coefficients, the profile, or the points."""
-    if tables.coefficients is not None:
-        count = tables.coefficients.shape[1]
-    elif tables.profile is not None:
-        count = len(tables.profile)
-    else:
-        count = max((camera for path in tables.points for _, camera in _columns(path, 0)[0]), default=0)
+    calibrated = tables.profile if tables.coefficients is None else tables.coefficients.T
+    count = 0 if calibrated is None else len(calibrated)
+    pointed = max((camera for path in tables.points for _, camera in _columns(path, count)[0]), default=0)
+    if 0 < count < pointed:
+        recording.warnings.append(f"{where}: cam{count + 1} and later have no calibration: their points are left out")
+    count = count or pointed
     if tables.profile is not None and len(tables.profile) != count:
         raise InputError(f"{where}: expected a camera profile of {count} rows, found {len(tables.profile)}")
     shift = ORIGINS[options.pixel_origin or "one"]

@@ -234,6 +234,7 @@ class _Camera:
                 "there are some, the probability of detection will be estimated too high"
             )
         self._last: Array | None = None
+        self._latest_s = -np.inf  # Of any row of the last frame
 
     def _measure_stride(self) -> int:
         """Return the step of the frame numbers: the greatest that divides all differences; 1 of too few frames."""
@@ -322,16 +323,17 @@ class _Camera:
             raise InputError(
                 f"{self._where}: expected times or `rates` (frames per second), found {found}{self._untimed}"
             )
-        _, starts, index = np.unique(rows[:, FRAME], return_index=True, return_inverse=True)
-        rows[:, TIME] = rows[starts[index], TIME] + self._offset
-        before = -np.inf if self._last is None else self._last[TIME]
-        bad = np.flatnonzero(np.diff(rows[starts, TIME], prepend=before) <= 0)
-        if len(bad):
-            later = rows[starts[bad[0]]]
+        frames, starts, index = np.unique(rows[:, FRAME], return_index=True, return_inverse=True)
+        rows[:, TIME] += self._offset
+        earliest, latest = (reduced.reduceat(rows[:, TIME], starts) for reduced in (np.minimum, np.maximum))
+        before, self._latest_s = np.append(self._latest_s, latest[:-1]), latest[-1]
+        if len(bad := np.flatnonzero(earliest <= before)):
             raise InputError(
                 f"{self._where}: expected times that increase with the frame number, found "
-                f"{instant(later[TIME], 9)} s at frame {later[FRAME]:.0f}, not after the frame before"
+                f"{instant(earliest[bad[0]], 9)} s at frame {frames[bad[0]]:.0f}, not after "
+                f"{instant(before[bad[0]], 9)} s of the frame before: frame numbers must not begin anew"
             )
+        rows[:, TIME] = rows[starts[index], TIME]
         return rows
 
     def _by_rate(self, frames: Array, rate: float) -> Array:

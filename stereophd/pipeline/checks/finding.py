@@ -1,7 +1,7 @@
 """A finding: the outcome of one check, with its evidence, the likely cause and a remedy."""
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 Status = Literal["ok", "warning", "not checked"]
@@ -9,6 +9,8 @@ Status = Literal["ok", "warning", "not checked"]
 DO_NOT_MEET = "rays_do_not_meet"
 ERRORS_LAST = "errors_last"
 LASTING_REMEDY = "look for what smooths the detections, state more noise (sigma_px), or refine the cameras (calibrate)"
+# Checks before the run, and of the tracks' errors, whose warnings change what tracks show: they look like a knock.
+LIKE_KNOCKS = ("detector.clutter", "detector.sigma", "geometry.cause", "geometry.residuals", "tracking.errors")
 CHECK_CAMERAS = "check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses"
 
 
@@ -38,23 +40,36 @@ def warnings_of(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
 
 
 def is_mistake(found: Finding) -> bool:
-    """Whether a finding names a mistake in times, pixels or cameras: until it is corrected, what rays say is untrue.
+    """Whether a finding names a mistake in times, pixels or cameras: until it is corrected, what follows is untrue.
 
     Frames at another rate than the stated one are none: the times can be right.
     """
     if found.name == "log.frame_rate":
         return found.status == "warning" and found.cause != "frame_rate"
-    names_one = found.name in ("geometry.cause", "geometry.boxes", "camera.focal_length")
-    names_one = names_one or found.cause == "pixels_normalised"
+    causes = ("pixels_normalised", "too_few_cameras", "length_unit")
+    names_one = found.name in ("geometry.cause", "geometry.boxes", "camera.focal_length") or found.cause in causes
     return names_one and found.status == "warning" and found.cause != DO_NOT_MEET
 
 
 def is_overstated(found: Finding) -> bool:
     """Whether a finding warns of a noise that is stated larger than it was measured."""
-    stated, measured = found.value, found.expected
-    if (found.name, found.status) != ("detector.sigma", "warning"):
-        return False
-    return isinstance(stated, float) and isinstance(measured, float) and stated > measured
+    stated, measured, warns = found.value, found.expected, (found.name, found.status) == ("detector.sigma", "warning")
+    return warns and isinstance(stated, float) and isinstance(measured, float) and stated > measured
+
+
+def misleads(found: Finding) -> bool:
+    """Whether a finding warns of what changes tracks, so that what they show may follow from it."""
+    is_alike = found.name in LIKE_KNOCKS and found.status == "warning" and not is_overstated(found)
+    return is_alike or is_mistake(found)
+
+
+def once_mended(shown: Iterable[Finding], before: tuple[Finding, ...], but: tuple[str, ...] = ()) -> Iterator[Finding]:
+    """Yield what tracks show, which is no warning where one `before` misleads, other than those of the checks `but`."""
+    first = next((one.name for one in before if misleads(one) and one.name not in but), None)
+    for one in shown:
+        text = f"{one.message}; mend what {first} warns of first"
+        hidden = replace(one, status="not checked", message=text, remedy=None, cause=None, change=None)
+        yield hidden if first is not None and one.status == "warning" else one
 
 
 def count_warnings(report: Mapping[str, Any]) -> int:

@@ -8,7 +8,7 @@ import numpy as np
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.checks import REMEDIES, bad_rows
-from stereophd.pipeline.checks.finding import ERRORS_LAST, LASTING_REMEDY, Finding, is_overstated, warnings_of
+from stereophd.pipeline.checks.finding import ERRORS_LAST, LASTING_REMEDY, Finding, misleads, once_mended, warnings_of
 from stereophd.wording import instant, percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
@@ -17,8 +17,7 @@ LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
 RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
 # Share of the residuals from which it matters that these are left out as outliers.
 MOST_OUTLIERS = 0.1
-# Checks before the run whose warnings look like a knock, and causes among them that a knock looks like.
-LIKE_KNOCKS = ("detector.sigma", "geometry.cause", "geometry.residuals", "tracking.errors")
+# Causes among those that mislead that a knock looks like.
 OF_KNOCKS = ("pose_inaccurate", "detections_shifted", "errors_last")
 # Share of the rays that met before a knock which must meet again with another clock, to call it a jump of times.
 MET_AGAIN = 0.7
@@ -51,12 +50,12 @@ def check_tracking(
     objects = detections - clutter - outside - summary["left_out"]["burst_detections"]
     tracks = summary["tracks"]
     count = len(tracks)
-    if count == 0 and objects >= LEAST_DETECTIONS:
-        yield Finding(
-            "tracking.tracks", "warning", "no track was reported although the log has detections beyond the clutter",
-            0, None, None, "run `check` on the same configuration and log; look at filter.birth and the cameras",
-            "no_tracks",
-        )  # fmt: skip
+    if count == 0 and (objects >= LEAST_DETECTIONS or not detections):
+        why = (
+            "although the log has detections beyond the clutter" if detections else "because the log has no detections"
+        )
+        remedy = "run `check` on the same configuration and log; look at filter.birth and the cameras"
+        yield Finding("tracking.tracks", "warning", f"no track was reported {why}", 0, None, None, remedy, "no_tracks")
         return
     if count == 0 or objects < LEAST_DETECTIONS:
         yield Finding("tracking.tracks", "not checked", "too few detections or tracks to judge the run")
@@ -122,12 +121,12 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
             )  # fmt: skip
 
 
-def check_errors(summary: Mapping[str, Any], before: tuple[Finding, ...], can_estimate: bool) -> Iterator[Finding]:
+def check_errors(summary: Mapping[str, Any], can_estimate: bool) -> Iterator[Finding]:
     """Yield a finding on ``track_errors`` of the figures of a run: do tracks err by more than they state?
 
     Tracks that lag behind their objects leave residuals that agree from frame to frame and between cameras. Where the
-    detections of one camera agree against those of the others, these last, as the checks `before` the run may have
-    found. `can_estimate`: whether `track` can estimate the acceleration, and has not.
+    detections of one camera agree against those of the others, these last. `can_estimate`: whether `track` can estimate
+    the acceleration, and has not.
     """
     sums = [summary["track_errors"][key] for key in ("same_camera", "other_camera")]
     same, other = ((one["excess"] or 0.0, one["standard_errors"] or 0.0) for one in sums)
@@ -140,10 +139,6 @@ def check_errors(summary: Mapping[str, Any], before: tuple[Finding, ...], can_es
         yield Finding("tracking.errors", "ok", text, round(max(same[0], other[0]), 3), 0.0)
         return
     text = f"tracks err by about {np.sqrt(1.0 + max(shown)):.2g} times what they state: "
-    doubts = [one.name for one in warnings_of(before) if one.name in LIKE_KNOCKS and not is_overstated(one)]
-    if doubts:
-        yield Finding("tracking.errors", "not checked", f"{text}mend what {doubts[0]} warns of first")
-        return
     cause, change, remedy = ERRORS_LAST, None, LASTING_REMEDY
     if other[0] < CONTRADICT * same[0]:
         text += "residuals of a camera agree from frame to frame, against those of the others: errors of detections "
@@ -167,22 +162,15 @@ def check_knocks(
     a knock. So do times that jump, as where frames were lost: the same checks, `since` a time, tell a clock of these
     cameras that is off from then on.
     """
-    alike = [
-        one for one in warnings_of(before)
-        if one.name in LIKE_KNOCKS and one.cause not in OF_KNOCKS and not is_overstated(one)
-    ]  # fmt: skip
+    alike = [one for one in before if misleads(one) and one.cause not in OF_KNOCKS]
     rays = [one.value for one in before if one.name == "geometry.rays" and isinstance(one.value, float)]
     met = float(np.mean(rays)) if rays else 0.0
     since = cache(since)
     for knock in summary["knocks"]:
         names, when = (knock["camera"], *knock["others"]), f"from {instant(knock['since_s'])} s on"
-        doubts = [one.name for one in alike if one.camera in (None, *names)]
-        if doubts:
-            why = f"{names[0]} seems to be knocked; what {doubts[0]} warns of looks the same: mend that first"
-            yield Finding("tracking.knocked", "not checked", why)
-            continue
+        doubts = tuple(one for one in alike if one.camera in (None, *names))
         jumped = [
-            one for one in warnings_of(since(knock["time_s"]))
+            one for one in (() if doubts else warnings_of(since(knock["time_s"])))
             if one.cause == "clock_offset" and one.camera in (None, *names) and isinstance(one.expected, float)
             and (one.name == "geometry.residuals" or one.expected >= MET_AGAIN * met)
         ]  # fmt: skip
@@ -198,7 +186,8 @@ def check_knocks(
             text = f"the times of a camera jump {when}, as where frames were lost: after that {jumped[0].message}"
             remedy = "import with the times of the frames, or with frame numbers that count the lost ones too"
         since_s = round(knock["since_s"], 3)
-        yield Finding("tracking.knocked", "warning", text, since_s, None, camera, remedy, cause)
+        found = Finding("tracking.knocked", "warning", text, since_s, None, camera, remedy, cause)
+        yield from once_mended([found], doubts)
 
 
 def check_noise(

@@ -158,6 +158,9 @@ def _scored(
     scores, matchable = match_within(estimates, points, scores, order, cutoff, distance, mahalanobis=mahalanobis)
     beside = beside_another(estimates, points, scores.pairs, matchable)
     warn_of_wrong_matches(tracks_path, beside, len(scores.pairs.scan), distance)
+    if not len(scores.pairs.scan) and len(estimates.position) and len(points.position):
+        text = "%s: no estimate is near enough to an object to match it: has the truth another unit, frame or clock?"
+        LOGGER.warning(f"{text} (`align`, `align_clock`)", tracks_path)
     ospa2 = track_ospa(estimates, points, scores.near, options.ospa2_window, order, cutoff)
     errors = pair_errors(estimates, points, scores)
     rows, start = rows_of(tracks.events)  # tentative reports count as the first
@@ -199,15 +202,11 @@ def _nothing_to_score(tracks: Tracks, truth: Truth, scans: dict[str, int], optio
     def span(time_s: NDArray[Any]) -> str:
         return f"{instant(time_s.min())} to {instant(time_s.max())} s" if len(time_s) else "none"
 
-    why = ", ".join(f"{name} {count}" for name, count in scans.items() if count)
-    limits = "".join(
-        f", {name} {value}"
-        for name, value in (("`from_s`", options.from_s), ("`to_s`", options.to_s))
-        if value is not None
-    )
-    return f"{path}: nothing to score: events {span(tracks.events.time_s)}, truth {span(truth.time_s)}{limits}" + (
-        f", not scored: {why}" if why else ""
-    )
+    parts = [f"events {span(tracks.events.time_s)}", f"truth {span(truth.time_s)} (on one clock?)"]
+    limits = (("`from_s`", options.from_s), ("`to_s`", options.to_s))
+    parts += [f"{name} {value}" for name, value in limits if value is not None]
+    parts += [f"{count} not scored ({name})" for name, count in scans.items() if count]
+    return f"{path}: nothing to score: {', '.join(parts)}"
 
 
 def registration_of(

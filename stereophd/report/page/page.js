@@ -97,7 +97,7 @@
   };
 
   // Whether tracks have labels: as chosen, else where they are few.
-  const labelled = (n) => (state.labels === null ? n <= MANY : state.labels);
+  const labelled = () => by("labels").checked;
   // The middle 98 % of each coordinate of what moves, with a margin, and whether all that is drawn is much larger: cameras
   // far away, a track that goes astray. Null where nothing moves.
   const extent = (r) => {
@@ -144,7 +144,7 @@
       { ...common, name: "truth", mode: "lines", x: truth.x, y: truth.y, z: truth.z, hoverinfo: "skip", line: { width: 3, color: css("--truth") }, opacity: 0.6 },
       { ...common, name: "tracks", mode: "lines", x: all.x, y: all.y, z: all.z, text: all.text, hoverinfo: "text", line: coloured(all.k, 1.5), opacity: 0.55 },
       { ...common, name: "trails", mode: "lines", x: line.x, y: line.y, z: line.z, text: line.text, hoverinfo: "text", line: coloured(line.k, now.x.length > MANY ? 2.5 : 7) },
-      { ...common, name: "now", mode: labelled(now.x.length) ? "markers+text" : "markers", x: now.x, y: now.y, z: now.z, text: now.text, hovertext: now.text.map((t) => `track ${t}`), hoverinfo: "text", textposition: "top center",
+      { ...common, name: "now", mode: labelled() ? "markers+text" : "markers", x: now.x, y: now.y, z: now.z, text: now.text, hovertext: now.text.map((t) => `track ${t}`), hoverinfo: "text", textposition: "top center",
         textfont: { size: 13, color: css("--ink") }, marker: { size: now.x.length > MANY ? 2.5 : 5, color: now.k.map(colour), symbol: now.k.map(symbol), line: { width: 1, color: css("--paper") } } },
       { ...common, name: "cameras", mode: "lines", x: view.x, y: view.y, z: view.z, hoverinfo: "skip", line: { width: 3, color: css("--camera") } },
       { ...common, name: "names", mode: "text", x: view.centers[0], y: view.centers[1], z: view.centers[2], text: view.names, hoverinfo: "text", textposition: "bottom center", textfont: { size: 13, color: css("--camera") } },
@@ -198,7 +198,7 @@
     Plotly.restyle(by(id), {
       x: [line.x, now.x, view.x, view.centers[0]], y: [line.y, now.y, view.y, view.centers[1]], z: [line.z, now.z, view.z, view.centers[2]],
       text: [line.text, now.text, [], view.names], hovertext: [[], now.text.map((t) => `track ${t}`), [], []],
-      mode: ["lines", labelled(now.x.length) ? "markers+text" : "markers", "lines", "text"],
+      mode: ["lines", labelled() ? "markers+text" : "markers", "lines", "text"],
       "line.color": [line.k, undefined, undefined, undefined],
       "marker.color": [undefined, now.k.map(colour), undefined, undefined], "marker.symbol": [undefined, now.k.map(symbol), undefined, undefined],
     }, [TRAIL, NOW, CAMERAS, NAMES]);
@@ -249,7 +249,7 @@
     draw("frame", [
       { type: "scatter", mode: "markers", name: "detections without a track", x: of(u, not), y: of(v, not), hoverinfo: "x+y", marker: { symbol: "x-thin", size: 9, line: { width: 2, color: css("--truth") } } },
       { type: "scatter", mode: "markers", name: "detections of tracks", x: of(u, owned), y: of(v, owned), text: of(owner, owned).map(id), hoverinfo: "text+x+y", marker: { symbol: "cross-thin", size: 11, line: { width: 2, color: of(owner, owned).map(colour) } } },
-      { type: "scatter", mode: labelled(seen.length) ? "markers+text" : "markers", name: "reprojected tracks", x: su, y: sv, text: seen.map((n) => `${r.tracks.ids[n]}`), hovertext: seen.map(id), hoverinfo: "text", textposition: "top right",
+      { type: "scatter", mode: labelled() ? "markers+text" : "markers", name: "reprojected tracks", x: su, y: sv, text: seen.map((n) => `${r.tracks.ids[n]}`), hovertext: seen.map(id), hoverinfo: "text", textposition: "top right",
         textfont: { size: 11 }, marker: { symbol: "circle-open", size: 15, color: seen.map(colour), line: { width: 2 } } },
     ], layout(camera.name, "u [px]", "v [px]", {
       xaxis: axis("u [px]", { range: [-0.03 * camera.width, 1.03 * camera.width], constrain: "domain" }),
@@ -426,8 +426,9 @@
       options(by("parameter"), r.calibration.parameters.map((q, k) => [q.name, k]), by("parameter").value || 0);
       options(by("against"), r.calibration.parameters.map((q, k) => [q.name, k]), by("against").value || Math.min(1, r.calibration.parameters.length - 1));
     }
+    by("grey").hidden = !r.truth;
     sayTime();
-    by("labels").checked = labelled(r.tracks ? r.tracks.ids.length : 0);
+    by("labels").checked = state.labels === null ? !r.tracks || r.tracks.ids.length <= MANY : state.labels;
     by("fit").checked = !!fitted(r);
     setTimeout(() => { if (there.scene) { drawScenes(); keepImage(); } drawFlat(); }, FRAME_MS);  // text and tables are there first
   };

@@ -5,12 +5,12 @@ Needs the extra ``plot``. The same data give the same files.
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
+from matplotlib.gridspec import GridSpec
 
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.pipeline.calibration.problem import Outcome
@@ -32,6 +32,8 @@ from stereophd.wording import shown_unit
 NINETY = 1.645
 # More points than this cannot be distinguished.
 MOST_POINTS = 4000
+# Room to the left of each panel and below it, inches.
+LEFT_IN, BELOW_IN = 0.6, 0.45
 # Parameters of one figure of pairs: more would be too small to read.
 MOST_PAIRS = 6
 
@@ -49,9 +51,13 @@ def _drawn(parameters: ParameterSet, length_unit: str) -> list[tuple[float, str]
     return [(factor, f"{name} [{unit}]") for name, (factor, unit) in zip(parameters.names, shown, strict=True)]
 
 
-def _grid(rows: int, columns: int, width: float, height: float) -> tuple[Figure, NDArray[Any]]:
-    figure = new_figure(width * columns, height * rows)
-    return figure, figure.subplots(rows, columns, squeeze=False)
+def _grid(rows: int, columns: int, width: float, height: float, title: str) -> tuple[Figure, GridSpec]:
+    """Return a figure and its panels, which have fixed room: to find out what labels need takes as long as a file."""
+    figure, inner = new_figure(width * columns, height * rows), (width - LEFT_IN, height - BELOW_IN)
+    figure.set_layout_engine(None)
+    figure.suptitle(title, y=1.0 + BELOW_IN / (height * rows), verticalalignment="bottom")
+    room = {"left": LEFT_IN / (width * columns), "bottom": BELOW_IN / (height * rows), "right": 1.0, "top": 1.0}
+    return figure, figure.add_gridspec(rows, columns, wspace=LEFT_IN / inner[0], hspace=BELOW_IN / inner[1], **room)
 
 
 def _draw_history(outcome: Outcome, length_unit: str) -> Figure:
@@ -60,7 +66,9 @@ def _draw_history(outcome: Outcome, length_unit: str) -> Figure:
     drawn, count = _drawn(parameters, length_unit), parameters.size
     columns = 3 if count > 3 else count
     rows = -(-count // columns)
-    figure, axes = _grid(rows, columns, 4.0, 2.6)
+    title = "Offsets from the prior mean: mean and 90 % band given the log so far (dashed: 90 % of the prior)"
+    figure, places = _grid(rows, columns, 4.0, 2.6, title)
+    axes = places.subplots(sharex=True, squeeze=False)
     for panel in axes.flat[count:]:
         panel.set_visible(False)
     for index, (panel, (factor, label)) in enumerate(zip(axes.flat, drawn, strict=False)):
@@ -72,9 +80,9 @@ def _draw_history(outcome: Outcome, length_unit: str) -> Figure:
         for bound in (-prior, prior):
             panel.axhline(bound, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
         panel.set_title(label, fontsize=9)
-        if index // columns == rows - 1:
+        if index + columns >= count:
+            panel.tick_params(labelbottom=True)
             panel.set_xlabel("time [s]")
-    figure.suptitle("Offsets from the prior mean: mean and 90 % band given the log so far (dashed: 90 % of the prior)")
     return figure
 
 
@@ -82,13 +90,14 @@ def _draw_posterior(outcome: Outcome, length_unit: str) -> Figure:
     """Draw pairs of the first parameters, and the marginals on the diagonal."""
     drawn = _drawn(outcome.parameters, length_unit)[:MOST_PAIRS]
     count, particles = len(drawn), outcome.particles
-    figure = new_figure(1.9 * count, 1.7 * count)
-    places = figure.add_gridspec(count, count)
+    figure, places = _grid(count, count, 1.9, 1.7, "Posterior of the offsets from the prior mean")
     rows = np.unique(np.linspace(0, len(particles) - 1, min(len(particles), MOST_POINTS)).astype(int))
+    panels = dict[tuple[int, int], Axes]()
     for i, (factor, label) in enumerate(drawn):
         for j in range(i + 1):
-            panel = figure.add_subplot(places[i, j])
-            panel.tick_params(labelsize=6)
+            beside = {"sharex": panels.get((j, j)), "sharey": panels.get((i, 0)) if i > j else None}
+            panel = panels[i, j] = figure.add_subplot(places[i, j], **beside)
+            panel.tick_params(labelsize=6, labelbottom=i == count - 1, labelleft=j == 0)
             x = drawn[j][0] * particles[:, j]
             if i == j:
                 panel.hist(x, bins=40, weights=np.exp(outcome.log_weights), color=BLUE, alpha=0.7)
@@ -100,14 +109,13 @@ def _draw_posterior(outcome: Outcome, length_unit: str) -> Figure:
                 panel.set_xlabel(drawn[j][1], fontsize=7)
             if j == 0 and i > 0:
                 panel.set_ylabel(label, fontsize=7)
-    figure.suptitle("Posterior of the offsets from the prior mean")
     return figure
 
 
 def _draw_residuals(outcome: Outcome, length_unit: str) -> Figure:
     """Draw reprojection residuals over time, in sigmas, and their distribution compared with normal noise."""
-    figure, axes = _grid(1, 2, 5.0, 3.0)
-    over_time, distribution = axes[0]
+    figure = new_figure(10.0, 3.0)
+    over_time, distribution = figure.subplots(1, 2)
     assert outcome.fit is not None
     observations, residuals = outcome.fit.observations, np.sqrt(outcome.fit.adjustment.distances)
     for number, camera in enumerate(outcome.parameters.cameras):

@@ -180,6 +180,7 @@ def test_rows_with_one_coordinate_are_bad_rows_of_the_log(tmp_path: Path, import
         (1.0, 2.0), (4.0, None), (None, None), (None, 5.0), (None, 5.0), (1.0, 2.0)
     ]  # fmt: skip
     assert [report["cameras"]["half"][key] for key in ("detections", "empty_frames", "duplicate_rows")] == [2, 1, 1]
+    assert "half: 1 row left out, repeated in a frame" in report["assumed"]
 
 
 @pytest.mark.parametrize(
@@ -193,6 +194,12 @@ def test_rows_with_one_coordinate_are_bad_rows_of_the_log(tmp_path: Path, import
         ("frame,u,v\n1,2,x\n", {"rates": 1.0}, "invalid value 'x'"),
         ("frame,u,v\n0,1,1\n1,1,1\n1000000000000,1,1\n", {"rates": 1.0}, "expected frame numbers that count frames"),
         ("frame,time,u,v\n0,1,1,1\n1,0.5,1,1\n", {}, "expected times that increase with the frame number"),
+        # frame numbers that begin anew put the detections of several times into one frame
+        (
+            "frame,time,u,v\n0,0,1,1\n1,1,1,1\n0,2,1,1\n1,3,1,1\n",
+            {},
+            "1 s at frame 1, not after 2 s of the frame before",
+        ),
         (
             "t,u,v\n0,1,1\n1,2",
             {},

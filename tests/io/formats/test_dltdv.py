@@ -189,6 +189,9 @@ def test_what_is_missing_is_named(tmp_path: Path, imported: Import) -> None:
         imported("dltdv", points, coefficients, rates=100.0)
     with pytest.raises(InputError, match="expected times or `rates`"):
         imported("dltdv", points, coefficients, image_sizes=STATED["image_sizes"])
+    one = write_coefficients(tmp_path / "one.csv", projections[:1])
+    report, _ = imported("dltdv", points, one, rates=100.0, image_sizes=SIZES["left"], length_unit="m")
+    assert report["warnings"] == ["p.csv, one.csv: cam2 and later have no calibration: their points are left out"]
     (tmp_path / "x.csv").write_text("a,b\n1,2\n")
     with pytest.raises(InputError, match="expected points"):
         imported("dltdv", tmp_path / "x.csv", rates=100.0)

@@ -42,6 +42,7 @@ FILES = {
     "translation.json": json.dumps({"K": K, "R": EYE, "T": ["a", 0, 0]}).encode(),
     "lens.json": json.dumps({"K": K, "R": EYE, "T": [0, 0, 0], "dist": "abc"}).encode(),
     "headers.csv": b"scorer,a,a\nbodyparts,x\ncoords,x,y,z\n0,1,2\n",
+    "no_scorer.csv": b"bodyparts,x,x\ncoords,x,y\n0,1,2\n1,1,2\n",
     "words.csv": b"a,b,c\nx,y,z\n",
     "size.toml": f'[cam_0]\nname = "a"\nsize = 5\nmatrix = {K}\ndistortions = [0, 0, 0, 0, 0]\n{CAMERA}'.encode(),
     "cameras.toml": b'cameras = 3\n[cam_0]\nname = 3\nmatrix = "x"\ndistortions = 1\nrotation = {}\n',

@@ -17,7 +17,7 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import LogWriter
-from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake, once_mended
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL, alternatives
 from stereophd.pipeline.checks.geometry.causes import (
     LEAST_CLOCK_FRAMES,
@@ -422,6 +422,47 @@ def test_normalised_pixels_are_named(samples: list[CameraSample]) -> None:
     assert {found.cause for found in check_files(wrong) if found.status == "warning"} == {"pixels_normalised"}
 
 
+@pytest.mark.parametrize(("seeing", "named"), [(0, "no camera"), (1, "only left"), (2, None)])
+def test_depths_need_detections_of_two_cameras(samples: list[CameraSample], seeing: int, named: str | None) -> None:
+    """A log without detections passed all checks, and tracks of one camera had a wrong probability of detection."""
+    none = {"pixels": np.empty((0, 2)), "first": np.zeros(FRAMES + 1, dtype=int)}
+    shown = [one if k < seeing else replace(one, **none) for k, one in enumerate(samples)]
+    found = [one for one in check_files(shown) if one.name == "log.detections"]
+    assert [one.message.split(" has ")[0] for one in found if is_mistake(one)] == ([] if named is None else [named])
+    assert not any(one.name == "log.detections" for one in check_files(shown, whole=False))
+
+
+def test_rare_false_detections_are_counted_although_most_frames_have_none() -> None:
+    """Half a false detection in a frame, stated as none, made fifty tracks, and the remedy was another p_detect."""
+    t, rng = np.arange(400.0)[:, None] / RATE, np.random.default_rng(1)
+    path = 300.0 + np.hstack([250.0 * np.sin(0.3 * t), 200.0 * np.cos(0.2 * t)])
+
+    def asked(clutter: float) -> list[Finding]:
+        frames = [
+            Frame(k / RATE, 0, k, np.vstack([path[k] + rng.normal(0, 1, 2), rng.uniform(0, 590, (count, 2))]))
+            for k, count in enumerate(rng.poisson(clutter, len(path)))
+        ]
+        none = replace(CAMERAS[0], detector=Detector([1.0] * 2, 0.95, 0.0))
+        return [one for one in check_files(sample_log(frames, (none,))) if one.name == "detector.clutter"]
+
+    assert asked(0.0) == []
+    (found,) = asked(0.5)
+    assert found.expected == pytest.approx(0.5, abs=0.1)
+
+
+def test_what_follows_from_a_mistake_is_no_remedy(samples: list[CameraSample]) -> None:
+    """Beside a clock 0.2 s off or poses that are transposed, other probabilities of detection were proposed."""
+    follows = Finding("tracking.detections", "warning", "few", 0.4, 0.95, "left", "set it", "p_detect", "a=0.4")
+    (kept,) = once_mended([follows], (Finding("geometry.residuals", "ok", ""), Finding("geometry.rays", "warning", "")))
+    assert kept == follows
+    for cause in ("geometry.residuals", "geometry.cause", "detector.clutter"):
+        before = (Finding(cause, "warning", "", cause="some"),)
+        (found,) = once_mended([follows], before)
+        assert (found.status, found.remedy, found.change, found.cause) == ("not checked", None, None, None)
+        assert found.message == f"few; mend what {cause} warns of first"
+        assert list(once_mended([follows], before, but=(cause,))) == [follows]
+
+
 def test_an_image_that_false_detections_leave_empty_is_too_large() -> None:
     large = tuple(replace(camera, width=1600, height=1200) for camera in CAMERAS)
     frames = _frames(CAMERAS, count=200)
@@ -444,6 +485,9 @@ def test_tracks_of_one_camera_are_reported() -> None:
         summary = {"tracks": tracks, "left_out": {"burst_detections": 0}, "cameras": seen}
         return [found.cause for found in check_tracking(summary, counts, CAMERAS) if found.cause]
 
+    nothing = {"tracks": [], "left_out": {"burst_detections": 0}, "cameras": {}}
+    (none,) = check_tracking(nothing, {"detections": 0, "frames": 900}, CAMERAS)
+    assert (none.status, none.message) == ("warning", "no track was reported because the log has no detections")
     assert run(95) == []
     assert run(0) == ["one_camera_tracks"]
     # a camera without frames contradicts nothing

@@ -7,7 +7,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.state.estimates import Estimates, Info
-from stereophd.pipeline.checks.finding import Finding
+from stereophd.pipeline.checks.finding import Finding, once_mended
 from stereophd.pipeline.checks.run_figures import check_errors
 from stereophd.pipeline.tracking.associations import Associated
 from stereophd.pipeline.tracking.loop import Record
@@ -68,13 +68,13 @@ def test_tracks_that_are_too_sure_are_named(stated: float, lasts: bool, cause: s
     if stated == ACCELERATION and not lasts:  # the products have the variance that they should
         for sums in (errors.same_camera, errors.other_camera):
             assert sums.squares / sums.variances == pytest.approx(1.0, abs=0.25)
-    (found,) = check_errors(summary, (), True)
+    (found,) = check_errors(summary, True)
     assert (found.status, found.cause) == ("ok" if cause is None else "warning", cause)
     assert found.change == ("motion.acceleration_std=estimate" if cause == "acceleration_std" else None)
     doubt = Finding("geometry.residuals", "warning", "a clock is off")
-    (found,) = check_errors(summary, (doubt,), False)
+    (found,) = once_mended(check_errors(summary, False), (doubt,))
     assert found.status == ("ok" if cause is None else "not checked")
-    (found,) = check_errors(summary, (), False)
+    (found,) = check_errors(summary, False)
     assert found.change is None
 
 
@@ -111,5 +111,5 @@ def test_estimates_that_may_be_behind_the_camera_show_nothing() -> None:
 
 
 def test_nothing_is_checked_without_detections() -> None:
-    (found,) = check_errors({"track_errors": TrackErrors().report({})}, (), True)
+    (found,) = check_errors({"track_errors": TrackErrors().report({})}, True)
     assert found.status == "not checked"

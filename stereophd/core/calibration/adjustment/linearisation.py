@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -63,16 +64,6 @@ class NormalEquations:
     distances: Array
 
 
-class Seen(NamedTuple):
-    """What cameras see of the points of detections."""
-
-    errors: Array  # (n, 2): Residuals
-    visible: Booleans  # (n,)
-    by_point: Array  # (n, 2, 3): Derivatives of the pixels by the points
-    by_value: Array  # (n, 2, q): By the unknown values of the camera; q = 0 where they are not asked for
-    bends: Array  # (n, 2, 3, 3): Second derivatives by the points; (n, 0, 3, 3) where they are not asked for
-
-
 class Placement(NamedTuple):
     """What values determine whatever the knots are: cameras, times, and the interpolation of what is seen at them."""
 
@@ -80,6 +71,19 @@ class Placement(NamedTuple):
     times: Array
     path: Interpolation  # Positions
     rates: Interpolation  # Velocities
+
+
+class Seen(NamedTuple):
+    """What cameras see of the points of detections."""
+
+    placement: Placement
+    world: Array  # (n, 3): The points
+    velocities: Array  # (n, 3): Theirs; zeros where derivatives by values are not asked for
+    errors: Array  # (n, 2): Residuals
+    visible: Booleans  # (n,)
+    by_point: Array  # (n, 2, 3): Derivatives of the pixels by the points
+    by_value: Array  # (n, 2, q): By the unknown values of the camera; q = 0 where they are not asked for
+    bends: Array  # (n, 2, 3, 3): Second derivatives by the points; (n, 0, 3, 3) where they are not asked for
 
 
 @dataclass(frozen=True)
@@ -110,14 +114,14 @@ class Linearisation:
             row[: len(index)] = index
         return Linearisation(problem, members, path, rates, MotionPrior.of(problem.knots), columns)
 
-    def at(self, values: Array, states: Array, noise: Array | None = None) -> NormalEquations:
+    def at(self, values: Array, states: Array, noise: Array | None = None, seen: Seen | None = None) -> NormalEquations:
         """Return the normal equations at values (m,), knots (k, 2, 3) and the stated noise of the motion.
 
-        At another noise of the motion (6,) its unknowns follow the values; they have no prior here.
+        At another noise of the motion (6,) its unknowns follow the values; they have no prior here. `seen` is that of
+        `residuals`, if it is known.
         """
         problem, parameters = self.problem, self.problem.parameters
-        is_free = problem.held is None or not problem.held.all()
-        sums = self.summed(*self.residuals(values, states, by_values=is_free))
+        sums = self.summed(seen or self.residuals(values, states))
         coupling, matrix, value_vector = sums.coupling, sums.matrix, sums.value_vector
         # motion model, its noise in units of the scene's scale
         motion = self.noise_at(values, STATED if noise is None else noise)
@@ -154,12 +158,12 @@ class Linearisation:
             value_vector=np.append(value_vector, noise_vector),
         )  # fmt: skip
 
-    def summed(self, path: Interpolation, seen: Seen, loss: Loss | None = None) -> NormalEquations:
-        """Contributions of all detections, from what `residuals` returns; by default with the loss of the problem.
+    def summed(self, seen: Seen, loss: Loss | None = None) -> NormalEquations:
+        """Contributions of all detections, from what is seen of them; by default with the loss of the problem.
 
         Those by values are zero where the derivatives by values are empty.
         """
-        observations, size = self.problem.observations, self.problem.knots.size
+        observations, size, path = self.problem.observations, self.problem.knots.size, seen.placement.path
         count, loss = self.problem.parameters.size, loss or self.problem.loss
         counted = np.ones(len(observations)) if observations.weights is None else observations.weights
         bands, coupling, matrix = np.zeros((12, size)), np.zeros((size, count)), np.zeros((count, count))
@@ -191,7 +195,7 @@ class Linearisation:
         A placement of the values without velocities (`placed`) saves what several knots at the same values share.
         """
         placement = placement or self.placed(values, by_values=False)
-        sums = self.summed(*self.residuals(values, states, placement, by_values=False))
+        sums = self.summed(self.residuals(values, states, placement, by_values=False))
         energy, _, _ = self._add_motion(sums, states, self.noise_at(values, noise))
         return sums.cost + energy, sums.bands, sums.state_vector
 
@@ -215,12 +219,13 @@ class Linearisation:
 
     def residuals(
         self, values: Array, states: Array, placement: Placement | None = None, by_values: bool = True
-    ) -> tuple[Interpolation, Seen]:
-        """Interpolation at the times of the values, and what is seen of its points, without second derivatives."""
-        placement = placement or self.placed(values)
+    ) -> Seen:
+        """What is seen of the points at the times of the values, without second derivatives."""
+        placement, held = placement or self.placed(values), self.problem.held
+        by_values = by_values and (held is None or not held.all())
         world = positions(states, *placement.path)
         velocities = positions(states, *placement.rates) if by_values else np.zeros_like(world)
-        return placement.path, self.seen(placement, values, world, velocities, by_values)
+        return self.seen(placement, values, world, velocities, by_values)
 
     def seen(
         self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True,
@@ -241,15 +246,16 @@ class Linearisation:
                 by_camera = np.concatenate(parts, axis=2)
                 by_value[here, :, : by_camera.shape[2]] = by_camera
         bends = sights.bends(found) if with_bends else np.empty((count, 0, 3, 3))
-        return Seen(observations.points - found.pixels, found.ahead, found.by_world, by_value, bends)
+        errors = observations.points - found.pixels
+        return Seen(placement, world, velocities, errors, found.ahead, found.by_world, by_value, bends)
 
-    def factor_of_knots(self, path: Interpolation, seen: Seen, bands: Array) -> Array:
+    def factor_of_knots(self, seen: Seen, bands: Array) -> Array:
         """Cholesky factor (12, size) of the second derivatives of the cost by the knots, where there is no loss.
 
         To their matrix in the normal equations, `bands`, those of the pixels are added: what one camera alone sees
         lies in valleys that the normal equations do not tell. Those are taken where the sum is not positive definite.
         """
-        curved = bands.copy()
+        curved, path = bands.copy(), seen.placement.path
         normal_equations.add_points(path.knot, path.weights, -self.pulls(seen), seen.bends, curved)
         with suppress(LinAlgError):
             return factor_knots(curved)
@@ -282,16 +288,17 @@ class Linearisation:
                 np.add.at(out, 6 * path.knot + 3 * b + axis, path.weights[:, b] * by_point[:, axis])
         return out[:size]
 
-    def time_slopes(self, values: Array) -> Array:
-        """Derivatives (n, q) of the times of the detections by the values of their cameras."""
+    @cached_property
+    def time_slopes(self) -> Array:
+        """Derivatives (n, q) of the times of the detections by the values of their cameras: these are linear."""
         parameters, observations = self.problem.parameters, self.problem.observations
         out = np.zeros((len(observations), self.columns.shape[1]))
-        now = true_times(parameters.build(values), observations)
+        now = true_times(parameters.build(parameters.prior_mean), observations)
         for columns, here in zip(self.columns, self.members, strict=True):
             for column, place in enumerate(columns[columns >= 0]):
                 if parameters.parameters[place].quantity.affects != TIMES:
                     continue
-                later = values.copy()
+                later = parameters.prior_mean.copy()
                 later[place] += parameters.prior_std[place]
                 moved = true_times(parameters.build(later), observations)[here] - now[here]
                 out[here, column] = moved / parameters.prior_std[place]

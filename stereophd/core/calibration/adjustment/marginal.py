@@ -48,9 +48,10 @@ the gradient from other bends of the valley, and took four times as many steps.
 **Covariance.** The normal equations lack second derivatives of the residuals, too. Where objects turn within the time
 in which they move by some noises of their detections, other velocities compensate for a later clock: by residuals
 times the change of the knots' weights with time. The normal equations believe the velocities that the noise has bent,
-and state clocks up to four times too sure. `exact_covariance` differentiates the gradient of the objective instead. A
-step along the tangent of a valley leaves it by the square of the step, and the objective rises by the fourth power of
-it: where that matters, the ends of the difference follow the valley.
+and state clocks up to four times too sure. `exact_covariance` differentiates the gradient of the objective instead.
+Beside the optimum the knots take one step by the second derivatives of the cost there, and the gradient removes what is
+left of their pull to first order. It is then wrong by the square of an error of second order, so that steps may be so
+small that a difference to one side does, and no valley is left.
 """
 
 from collections.abc import Iterator
@@ -64,7 +65,7 @@ from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
 from scipy.optimize import brentq
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, factor_knots
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, Seen, factor_knots
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
     LEAST_SHARE,
@@ -100,8 +101,8 @@ DECREASE = 1e-4
 LEFT_OUT = 50.0
 # Most times that the weights of detections are taken anew, and their change at which they are the same.
 MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
-# Step of differences of the gradient, in standard deviations.
-DIFFERENCE = 0.1
+# Steps of differences of the gradient, in standard deviations: for its first derivatives, and for second ones.
+DIFFERENCE, BEND_DIFFERENCE = 1e-3, 0.03
 # Directions of the posterior beyond this part of the prior are loose. Draws of several, beside which the bend of the
 # others is looked at.
 LOOSE, BENDS = 0.1, 12
@@ -138,20 +139,20 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1)
     """
     posterior, at = at_answer(problem, adjustment)
     root, size, gradient = posterior.root(at), len(adjustment.values), posterior.gradient(at)
-
+    curved = posterior.linearisation.factor_of_knots(posterior.slopes(at).seen, at.equations.bands)
     started = count(1)
 
-    def curvature(step: Array) -> Array:
-        within(f"column {next(started)} of {len(root)}")
-        along, second = _differences(posterior, at, gradient, step)
-        bend = root.T @ second
-        if np.linalg.norm(bend) > 1.0:
-            along, _ = _differences(posterior, at, gradient, step, -root @ bend)
-        return np.asarray(root.T @ along)
+    def difference(step: Array, length: float) -> Array:
+        return np.asarray((posterior.gradient(posterior.beside(at, length * step, curved)) - gradient) / length)
 
-    curvatures: Array = np.column_stack(in_threads(curvature, root.T, threads))
+    def column(step: Array) -> Array:
+        within(f"column {next(started)} of {len(root)}")
+        return np.asarray(root.T @ difference(step, DIFFERENCE))
+
+    columns: Array = np.column_stack(in_threads(column, root.T, threads))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
-    covariance = within_prior(inverse.T @ curvatures @ inverse, posterior.prior_std)
+    precision = inverse.T @ (columns + columns.T) @ inverse / 2.0
+    covariance = within_prior(precision, posterior.prior_std)
     # beside draws of the loose directions the others move by their covariance times what is of second order
     std = posterior.prior_std
     variances, vectors = np.linalg.eigh(covariance / np.outer(std, std))
@@ -159,7 +160,7 @@ def exact_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1)
     loose, known = directions[:, is_loose], directions[:, ~is_loose]
 
     def bend(draw: Array) -> Array:
-        return np.asarray(-known @ (known.T @ _differences(posterior, at, gradient, draw)[1]))
+        return np.asarray(-known @ (known.T @ (difference(draw, BEND_DIFFERENCE) - precision @ draw))) / BEND_DIFFERENCE
 
     # a bend grows with the square of a draw: all have the length whose fourth power is that in the mean, so that one
     # is exact along one direction
@@ -183,6 +184,7 @@ class Point:
     equations: NormalEquations
     factor: Array  # Of the matrix of the knots.
     objective: float
+    seen: Seen
 
     @cached_property
     def eliminated(self) -> Eliminated:
@@ -217,10 +219,10 @@ class MarginalPosterior:
         of_noise[3:] *= np.sqrt(2.0)  # for the same prior whatever the axes
         return np.append(std, of_noise)
 
-    def equations(self, unknowns: Array, states: Array) -> NormalEquations:
-        """Normal equations of all unknowns and the knots (k, 2, 3)."""
+    def equations(self, unknowns: Array, states: Array, seen: Seen) -> NormalEquations:
+        """Normal equations of all unknowns and the knots (k, 2, 3), from what is seen there."""
         (values, noise), count = self.parted(unknowns), self.linearisation.problem.parameters.size
-        found, std = self.linearisation.at(values, states, noise if self.links else None), self.prior_std[count:]
+        found, std = self.linearisation.at(values, states, noise if self.links else None, seen), self.prior_std[count:]
         if not self.links:
             return found
         found.matrix[count:, count:] += np.diag(std**-2)
@@ -251,11 +253,27 @@ class MarginalPosterior:
         Raises LinAlgError when the normal equations are not positive definite, or the cost is not finite.
         """
         values, noise = self.parted(unknowns)
-        states, _ = settled_knots(self.linearisation, values, states, noise)
-        equations = self.equations(unknowns, states)
+        placement = self.linearisation.placed(values)
+        states, _ = settled_knots(self.linearisation, values, states, noise, placement=placement)
+        return self._point(unknowns, states, self.linearisation.residuals(values, states, placement))
+
+    def _point(self, unknowns: Array, states: Array, seen: Seen) -> Point:
+        equations = self.equations(unknowns, states, seen)
         factor = factor_knots(equations.bands)
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
-        return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume)
+        return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume, seen)
+
+    def beside(self, at: Point, step: Array, curved: Array) -> Point:
+        """Return the point after a small step (size,), its knots at their minimum to second order of the step.
+
+        They take a step by their second derivatives at the other point, of the Cholesky factor `curved` (12, 6 k).
+        """
+        unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
+        values, noise = self.parted(unknowns)
+        placement = self.linearisation.placed(values)
+        _, _, vector = self.linearisation.of_knots(values, states, noise, placement)
+        states += cho_solve_banded((curved, True), vector, check_finite=False).reshape(states.shape)
+        return self._point(unknowns, states, self.linearisation.residuals(values, states, placement))
 
     def with_shown_motion(self, values: Array, states: Array, noise: Array) -> Point:
         """Return the point of values (m,), which stay, at the noise of the motion that fits there, from one (6,) on.
@@ -292,21 +310,19 @@ class MarginalPosterior:
         linearisation, equations = self.linearisation, at.equations
         problem, (values, noise) = linearisation.problem, self.parted(at.unknowns)
         slopes = self.slopes(at)
-        path, rates = slopes.placement.path, slopes.placement.rates
+        path, rates = at.seen.placement.path, at.seen.placement.rates
         by_states = linearisation.of_states(path, slopes.by_point) + self._first_states(at.states)[1]
-        curved = linearisation.factor_of_knots(path, slopes.seen, equations.bands)
+        by_states -= equations.state_vector  # knots beside their minimum: the effect is removed to first order
+        curved = linearisation.factor_of_knots(slopes.seen, equations.bands)
         across = cho_solve_banded((curved, True), by_states, check_finite=False).reshape(at.states.shape)
         # knots that follow move points and velocities, and with them what the errors pull at the values with
-        moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(slopes.world)) for i in (path, rates))
-        pulls = linearisation.pulls(slopes.seen)
-        later = (pulls * (slopes.seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
+        moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(at.seen.world)) for i in (path, rates))
+        pulls = linearisation.pulls(at.seen)
+        later = (pulls * (at.seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
         by_value = slopes.by_value(linearisation, pulls[:, :, None] * moved[:, None, :], later)
         products = linearisation.motion.pulls(at.states)[0].T @ across.reshape(-1, 3)
         by_products = linearisation.noise_at(values, noise).by_unknowns(products + products.T)
         of_noise = slopes.by_noise.sum(axis=0) - by_products + 6.0 * self.links * OF_ALL
-        # the knots are at the minimum but for a trace, whose effect is removed to first order
-        left = cho_solve_banded((at.factor, True), equations.state_vector, check_finite=False)
-        by_knots = equations.coupling.T @ left - equations.value_vector
         coupled = equations.coupling[:, : len(values)].T @ across.ravel()
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
         if self.size > len(values):  # the motion is coupled to the scale by its noise
@@ -314,12 +330,12 @@ class MarginalPosterior:
         direct = linearisation.of_values(by_value) + float(of_noise[0]) * by_scale - coupled
         if problem.held is not None:
             direct[problem.held] = 0.0
-        return np.asarray(np.append(direct, of_noise[: self.size - len(values)]) + by_knots)
+        return np.asarray(np.append(direct, of_noise[: self.size - len(values)]) - equations.value_vector)
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
         values, noise = self.parted(at.unknowns)
-        return VolumeSlopes.of(self.linearisation, values, at.states, noise, at.factor)
+        return VolumeSlopes.of(self.linearisation, values, noise, at.factor, at.seen)
 
     def covariance(self, at: Point) -> Array:
         """Covariance (size, size) of the unknowns by the normal equations of a point.
@@ -362,22 +378,6 @@ def _motion_step(energy: float, determined: float, now: float, std: float) -> fl
     return float(brentq(excess, -LONGEST_MOTION, LONGEST_MOTION)) if excess(-LONGEST_MOTION) > 0.0 else -LONGEST_MOTION
 
 
-def _differences(
-    posterior: MarginalPosterior, at: Point, gradient: Array, step: Array, bend: Array | float = 0.0
-) -> tuple[Array, Array]:
-    """Return the first derivative of the gradient along a step, and half the second one; LinAlgError if there is none.
-
-    The ends of the difference follow a valley that leaves its tangent by `bend` times the square of the step.
-    """
-    ahead, behind = DIFFERENCE * (DIFFERENCE * bend + step), DIFFERENCE * (DIFFERENCE * bend - step)
-    found = next(_tried(posterior, at, ahead, behind), None)
-    if found is None:
-        raise LinAlgError("no normal equations beside the optimum")
-    share, points = DIFFERENCE * found[0], found[1]
-    one, other = (posterior.gradient(point) for point in points)
-    return (one - other) / (2.0 * share), ((one + other) / 2.0 - gradient) / share**2
-
-
 def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple[Point, float]:
     """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
     length, longest, objectives = 0.0, LONGEST_STEP, [at.objective]
@@ -395,7 +395,7 @@ def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple
         step = taken / length * root @ downhill
         slope = float(gradient @ step)
         tried = _tried(posterior, at, step)
-        found = next(((s, p) for s, (p,) in tried if p.objective <= at.objective + DECREASE * s * slope), None)
+        found = next(((s, p) for s, p in tried if p.objective <= at.objective + DECREASE * s * slope), None)
         if found is None:
             break
         share, at = found
@@ -406,15 +406,13 @@ def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple
     return at, length
 
 
-def _tried(posterior: MarginalPosterior, at: Point, *steps: Array) -> Iterator[tuple[float, list[Point]]]:
-    """Points after steps and shorter and shorter shares of them, where there are cameras and regular equations.
+def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tuple[float, Point]]:
+    """Points after a step and shorter and shorter shares of it, where there are cameras and regular equations.
 
     The knots begin where they follow the step to first order, near their minimum.
     """
-    following = [at.eliminated.followed(step).reshape(at.states.shape) for step in steps]
-    share = 1.0
+    following, share = at.eliminated.followed(step).reshape(at.states.shape), 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):
-            moved = zip(steps, following, strict=True)
-            yield share, [posterior.at(at.unknowns + share * u, at.states + share * x) for u, x in moved]
+            yield share, posterior.at(at.unknowns + share * step, at.states + share * following)
         share *= 0.5

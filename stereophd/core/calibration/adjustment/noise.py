@@ -148,7 +148,7 @@ def estimate_noise(
     linearisation = Linearisation.of(problem.weighted(weights))
     values, states = adjustment.values, adjustment.states
     sigma = 1.0 / np.sqrt(observations.precisions[:, [0, 1], [0, 1]])
-    residuals = linearisation.residuals(values, states)[1].errors / sigma
+    residuals = linearisation.residuals(values, states).errors / sigma
     cells = cells_of(observations, radius)
     own = rng.standard_normal((DRAWS, len(cells), 2))
     of_cells = rng.standard_normal((DRAWS, len(cells), 2))[:, cells]
@@ -194,12 +194,13 @@ def remaining_errors(
     The cameras take the step of a problem in which detections that share errors count less, and the trajectories
     follow all detections.
     """
-    path, seen = linearisation.residuals(values, states)
+    seen = linearisation.residuals(values, states)
+    path = seen.placement.path
     value_steps, steps = np.empty((0, 0)), np.empty((0, 0))
     for problem in (counted,) if counted is linearisation else (counted, linearisation):
         equations = problem.at(values, states)
         eliminated = Eliminated.of(equations, factor_knots(equations.bands, DAMPING))
-        sums = [problem.summed(path, seen._replace(errors=one)) for one in errors]
+        sums = [problem.summed(seen._replace(errors=one)) for one in errors]
         steps = eliminated.of_knots(np.stack([one.state_vector for one in sums], axis=1))
         if problem is counted:
             right = np.stack([one.value_vector for one in sums], axis=1) - equations.coupling.T @ steps

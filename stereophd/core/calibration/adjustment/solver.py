@@ -29,7 +29,7 @@ from scipy.linalg import LinAlgError, cho_factor, cho_solve, cho_solve_banded
 
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.adjustment import normal_equations
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, factor_knots
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, Placement, factor_knots
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.trajectories import STATED, positions
 from stereophd.core.calibration.time_limit import within
@@ -131,13 +131,14 @@ def settled_knots(
     noise: Array = STATED,
     most: int = KNOT_STEPS,
     settled: float = KNOTS_SETTLED,
+    placement: Placement | None = None,
 ) -> tuple[Array, float]:
     """Minimise the cost by the knots (k, 2, 3) alone, until it would fall by no more than `settled`; no loss counts.
 
     Also returns by how much the last step looked at would lower it: `settled` at most where the minimum was found.
     Raises LinAlgError when the matrix of the knots is not positive definite, or the cost is not finite.
     """
-    placement = linearisation.placed(values, by_values=False)
+    placement = placement or linearisation.placed(values, by_values=False)
     cost, bands, vector = linearisation.of_knots(values, states, noise, placement)
     promised = np.inf
     for _ in range(most):
@@ -149,7 +150,7 @@ def settled_knots(
         if promised <= KNOTS_NEAR:
             at = positions(states, *placement.path)
             seen = linearisation.seen(placement, values, at, np.zeros_like(at), by_values=False, with_bends=True)
-            step = cho_solve_banded((linearisation.factor_of_knots(placement.path, seen, bands), True), vector)
+            step = cho_solve_banded((linearisation.factor_of_knots(seen, bands), True), vector)
         share = 1.0
         while share >= LEAST_SHARE:
             moved = states + share * step.reshape(states.shape)

@@ -71,7 +71,7 @@ def _scores(posterior: MarginalPosterior, point: Point) -> Array:
     unknowns, states = len(point.unknowns), point.states
     values, noise = posterior.parted(point.unknowns)
     following = point.eliminated.following().reshape(len(states), 2, 3, unknowns)
-    path, seen, pulls = volume.placement.path, volume.seen, linearisation.pulls(volume.seen)
+    path, seen, pulls = point.seen.placement.path, point.seen, linearisation.pulls(point.seen)
     direct = np.einsum("nrq,nr->nq", seen.by_value, pulls) - volume.by_value(linearisation)
     of_point = np.einsum("nra,nr->na", seen.by_point, pulls) - volume.by_point
     ends = np.quantile(observations.times, np.linspace(0.0, 1.0, STRETCHES + 1))[1:-1]

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.calibration.adjustment.linearisation import Linearisation, Placement, Seen
-from stereophd.core.calibration.adjustment.trajectories import motion_links, positions
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, Seen
+from stereophd.core.calibration.adjustment.trajectories import motion_links
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Step of the differences, in pixels: to one side, so that they are wrong by this part of the focal length.
@@ -61,26 +61,21 @@ class VolumeSlopes:
     """Derivatives of half of log det A at some values, its parts summing up to the whole."""
 
     values: Array
-    placement: Placement
-    world: Array  # (n, 3): the points of the detections
-    velocities: Array  # (n, 3)
-    seen: Seen  # What is seen of them
+    seen: Seen  # What is seen of the detections, with second derivatives
     rows: Array  # (n, 2, 3): by the derivatives of the pixels of each detection by its point
     by_point: Array  # (n, 3): by the point of each detection
     by_time: Array  # (n,): by its time, through the weights of its knots
     by_noise: Array  # (l, 6): of each link, by the unknowns of the noise of the motion
 
     @staticmethod
-    def of(linearisation: Linearisation, values: Array, states: Array, noise: Array, factor: Array) -> VolumeSlopes:
-        """Return the derivatives at values (m,) and knots (k, 2, 3); `factor` (12, 6 k) is that of A, lower banded."""
+    def of(linearisation: Linearisation, values: Array, noise: Array, factor: Array, seen: Seen) -> VolumeSlopes:
+        """Return the derivatives at values (m,); `factor` (12, 6 k) is that of A, lower banded."""
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
-        placement = linearisation.placed(values)
-        path, rates = placement.path, placement.rates
-        world, velocities = positions(states, *path), positions(states, *rates)
-        seen = linearisation.seen(placement, values, world, velocities, with_bends=True)
+        path, rates, sights = seen.placement.path, seen.placement.rates, seen.placement.sights
+        seen = seen._replace(bends=sights.bends(sights.project(seen.world)))
         by_point = np.where(seen.visible[:, None, None], seen.by_point, 0.0)
-        spread = np.zeros((2, len(world), 3, 3))
+        spread = np.zeros((2, len(seen.world), 3, 3))
         for of_points, weights in zip(spread, (path.weights, rates.weights), strict=True):
             summed_covariances(inverse, path.knot, path.weights[:, :, None] * weights[:, None, :], of_points)
         weighted = linearisation.precisions @ by_point
@@ -91,7 +86,7 @@ class VolumeSlopes:
         covariances = np.zeros((len(links.knot), 3, 3))
         summed_covariances(inverse, links.knot, links.precisions, covariances)
         by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
-        return VolumeSlopes(values, placement, world, velocities, seen, rows, of_point, by_time, by_noise)
+        return VolumeSlopes(values, seen, rows, of_point, by_time, by_noise)
 
     def by_value(self, linearisation: Linearisation, more: Array | float = 0.0, later: Array | float = 0.0) -> Array:
         """Return derivatives (n, q) by the values of the camera of each detection.
@@ -99,12 +94,12 @@ class VolumeSlopes:
         `more` (n, 2, 3) and `later` (n,) add to those by the derivatives of the pixels and by the times.
         """
         before = self.seen
-        rows, out = self.rows + more, (self.by_time + later)[:, None] * linearisation.time_slopes(self.values)
+        rows, out = self.rows + more, (self.by_time + later)[:, None] * linearisation.time_slopes
         steps = STEP_PX / np.maximum(np.linalg.norm(before.by_point, axis=(1, 2)), LEAST_NORM)
         for r in (0, 1):
             size = np.linalg.norm(rows[:, r], axis=1)
             moved = rows[:, r] * (steps / np.maximum(size, LEAST_NORM))[:, None]
-            after = linearisation.seen(self.placement, self.values, self.world + moved, self.velocities)
+            after = linearisation.seen(before.placement, self.values, before.world + moved, before.velocities)
             length = np.where(before.visible & after.visible, size / steps, 0.0)
             out += length[:, None] * (after.by_value - before.by_value)[:, r]
         return out

@@ -8,7 +8,7 @@ hold all values, and in the history:
 =====================  =====================================  ==========================  ======  =====================
 fit                    detections of a trajectory             holds                       loss    called by
 =====================  =====================================  ==========================  ======  =====================
-``paired_fit``         paired one-camera tracks               the first stage's unknowns  Cauchy  ``starts.run_start``
+``paired_fit``         paired one-camera tracks               nothing                     Cauchy  ``starts.run_start``
 ``tracked_fit``        tracks of the filter, noise inflated   the unknowns of its pass    Cauchy  ``starts.run_start``
 ``refitted``           chosen anew by the trajectories        nothing, or all values      fixed   ``starts``, ``method``
 ``adjusted_to``        those given                            what the fit given held     fixed   the others below

@@ -73,7 +73,7 @@ def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list
     draws = task.parameters.sample(np.random.default_rng(seed), DRAWS)
     draws[0] = values
     draws[1:] = with_clocks(task, draws[1:])
-    return distinct_pairings(task.parameters, task.pairs, draws, task.stages[0].free)
+    return distinct_pairings(task.parameters, task.pairs, draws)
 
 
 def paired_fit(task: Task, pairing: Pairing) -> Fit:
@@ -91,7 +91,7 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
-    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, task.held(0))
+    problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
     return confirmed_fit(task, problem, pairing.values, states, detections)
 
 

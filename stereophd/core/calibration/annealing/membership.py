@@ -58,7 +58,8 @@ class Predictions:
         """
         knots = self.problem.knots
         linearisation = Linearisation.of(replace(self.problem, observations=seen))
-        path, now = linearisation.residuals(self.adjustment.values, self.adjustment.states)
+        now = linearisation.residuals(self.adjustment.values, self.adjustment.states)
+        path = now.placement.path
         spread = np.zeros((len(seen), 3, 3))
         summed_covariances(self.inverse, path.knot, path.weights[:, :, None] * path.weights[:, None, :], spread)
         noise = linearisation.noise_at(self.adjustment.values).std
@@ -105,7 +106,7 @@ def chosen_detections(
         times = scans.detection_times
         near = np.flatnonzero((owner < 0) & (times >= start - padding) & (times <= end + padding))
         seen = recording.observations(cameras, np.full(len(near), j), scans.source[near])
-        _, now = Linearisation.of(replace(problem, observations=seen)).residuals(
+        now = Linearisation.of(replace(problem, observations=seen)).residuals(
             adjustment.values, adjustment.states, by_values=False
         )
         distance = np.einsum("ni,nij,nj->n", now.errors, seen.precisions, now.errors)

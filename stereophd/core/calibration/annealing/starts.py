@@ -29,8 +29,6 @@ from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.core.calibration.unknowns.scale import collapse, enlarged
 from stereophd.wording import percent
 
-# Where one-camera tracks could be paired the cameras are nearly right: inflation begins here.
-PAIRED_INFLATION = 3.5
 # Pairings of a start that are followed, and share of the best one's gain from which another is followed too.
 MOST_PAIRINGS, AMBIGUOUS = 3, 0.9
 # The detections that a start explains are as near as their noise allows up to this mean square of the residuals, in
@@ -91,12 +89,16 @@ def run_start(task: Task, number: int, values: Array, pairings: list[Pairing]) -
 
 
 def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None) -> Start:
-    """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes."""
+    """Follow a start from a fit of paired tracks, or from its values at the widest noise, through all passes.
+
+    A pairing has fitted all unknowns, so that no pass holds any, and the inflation begins at the residuals of its fit.
+    """
     begun = Start(number, "", np.empty((0, len(start))), None, np.nan, np.nan, 0.0, origin)
-    values, inflations = start, task.settings.inflation
+    values, inflations, is_paired = start, task.settings.inflation, fit is not None
     if fit is not None:
         begun, values = begun.with_pass(fit), fit.adjustment.values
-        inflations = tuple(f for f in inflations if f <= PAIRED_INFLATION) or inflations[-1:]
+        residual = np.sqrt(squared_residuals(fit).mean())
+        inflations = tuple(f for f in inflations if f <= residual) or inflations[-1:]
     for number_of_pass, inflation in enumerate(inflations):
         step = f"pass {number_of_pass + 1} of {len(inflations)}, {inflation:g} times the noise"
         if not task.limit.begin(f"{_name_of(task, begun)}: {step}"):
@@ -104,7 +106,8 @@ def _follow(task: Task, number: int, origin: str, start: Array, fit: Fit | None)
         ratio, noise = 1.0, STATED
         if fit is not None:
             ratio, noise = depth_ratio(task, fit, KEPT_WITHIN), fit.adjustment.motion_noise
-        fit = tracked_fit(task, values, inflation, task.held(number_of_pass), ratio, noise)
+        held = None if is_paired else task.held(number_of_pass)
+        fit = tracked_fit(task, values, inflation, held, ratio, noise)
         if fit is None:
             why = f"no track is shared by two cameras at {inflation:g} times the noise"
             return replace(begun, fit=None, outcome=why)

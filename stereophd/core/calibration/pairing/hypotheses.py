@@ -38,14 +38,11 @@ def crowded(pairs: TrackPairs) -> bool:
     return len(pairs.cameras) * 2.0 / len(np.unique(np.concatenate(sides), axis=0)) >= CROWDED
 
 
-def hypotheses(parameters: ParameterSet, pairs: TrackPairs, values: Array, columns: Integers) -> list[Pairing]:
-    """Find cameras under which the tracks pair, about `values` (m,): the best of them first.
-
-    `columns` are the values that matter for pairing. The list is empty if no two cameras pair.
-    """
+def hypotheses(parameters: ParameterSet, pairs: TrackPairs, values: Array) -> list[Pairing]:
+    """Find cameras under which the tracks pair, about `values` (m,): the best of them first; none if no two pair."""
     of_cameras = {}
     for two in pairs.camera_pairs:
-        pairings = _of_two(parameters, pairs, values, columns, two)
+        pairings = _of_two(parameters, pairs, values, two)
         if pairings:
             of_cameras[two] = pairings
     tree = spanning_tree({two: pairings[0].gain for two, pairings in of_cameras.items()})
@@ -54,20 +51,16 @@ def hypotheses(parameters: ParameterSet, pairs: TrackPairs, values: Array, colum
     ranked = sorted(
         product(*(of_cameras[two][:COMBINED] for two in tree)), key=lambda parts: -sum(part.gain for part in parts)
     )[: 2 * MOST_COMBINATIONS]
-    joint = _ranked(_joined(parameters, pairs, values, columns, parts) for parts in ranked)[:MOST_COMBINATIONS]
-    ends = settled(parameters, pairs, [pairing.values for pairing in joint], columns, NEXT[1:])
+    joint = _ranked(_joined(parameters, pairs, values, parts) for parts in ranked)[:MOST_COMBINATIONS]
+    ends = settled(parameters, pairs, [pairing.values for pairing in joint], NEXT[1:])
     return _ranked(judged(parameters, pairs, end, TOLERANCES[-1]) for end in ends)
 
 
-def _of_two(
-    parameters: ParameterSet, pairs: TrackPairs, values: Array, columns: Integers, cameras: tuple[int, int]
-) -> list[Pairing]:
+def _of_two(parameters: ParameterSet, pairs: TrackPairs, values: Array, cameras: tuple[int, int]) -> list[Pairing]:
     """Distinct hypotheses of two cameras, the best first; their pairs are numbered as in `pairs`."""
     members = np.flatnonzero((pairs.cameras == cameras).all(axis=1))
     part = pairs.take(members)
-    names = {parameters.cameras[number].name for number in cameras}
-    theirs = [k for k in columns.tolist() if names & set(parameters.parameters[k].cameras)]
-    linear = Linear.at(parameters, part, values, np.array(theirs, dtype=np.int64))
+    linear = Linear.at(parameters, part, values)
 
     def chosen_at(offsets: Array) -> tuple[Integers, float]:
         return choose_pairs(part, pair_gains(part, linear.distances_at(offsets), FIRST))
@@ -89,7 +82,7 @@ def _of_two(
         if len(chosen) and (key not in best or best[key][0] < gain):
             best[key] = (gain, offsets)
     first = sorted(best.values(), key=lambda entry: -entry[0])[:REFINED]
-    ends = settled(parameters, part, [linear.values_of(offsets) for _, offsets in first], linear.columns, NEXT)
+    ends = settled(parameters, part, [linear.values_of(offsets) for _, offsets in first], NEXT)
     pairings = _ranked(judged(parameters, part, end, TOLERANCES[-1]) for end in ends)
     return [Pairing(one.values, members[one.chosen], one.gain) for one in pairings]
 
@@ -115,13 +108,11 @@ def spanning_tree(gains: Mapping[tuple[int, int], float]) -> list[tuple[int, int
     return tree
 
 
-def _joined(
-    parameters: ParameterSet, pairs: TrackPairs, values: Array, columns: Integers, parts: Sequence[Pairing]
-) -> Pairing:
+def _joined(parameters: ParameterSet, pairs: TrackPairs, values: Array, parts: Sequence[Pairing]) -> Pairing:
     """Fit all cameras to the pairs of several hypotheses and to those that follow from them, and judge the fit."""
     few = pairs.take(_following(pairs, np.concatenate([part.chosen for part in parts])))
     for tolerance in (*TOLERANCES, TOLERANCES[-1]):
-        linear = Linear.at(parameters, few, values, columns)
+        linear = Linear.at(parameters, few, values)
         values = linear.values_of(linear.fitted(tolerance, linear.offsets))
     return judged(parameters, few, values, FIRST)
 

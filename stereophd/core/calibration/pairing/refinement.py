@@ -1,7 +1,9 @@
 """Cameras moved to where paired tracks meet: pairing and linear fits in turns, with a tolerance that falls.
 
-A fit is a Gauss-Newton step over the values that matter for pairing, with the prior and Cauchy weights, of the epipolar
-distances of the chosen pairs (`stereophd.core.two_views.epipolar`), linearised about the present cameras.
+A fit is a Gauss-Newton step over all unknowns of the paired cameras, with the prior and Cauchy weights, of the epipolar
+distances of the chosen pairs (`stereophd.core.two_views.epipolar`), linearised about the present cameras. No unknown is
+held: what a lens of its prior does to the rays is more than the last tolerance, and poses that take it up agree between
+two cameras, but not between all.
 """
 
 from __future__ import annotations
@@ -55,12 +57,12 @@ def slopes_of(
 
 @dataclass(frozen=True)
 class Linear:
-    """Distances of rows of the pairs, linear in some of the values about the values of a start."""
+    """Distances of rows of the pairs, linear in the values of the paired cameras about the values of a start."""
 
     parameters: ParameterSet
     pairs: TrackPairs
     values: Array  # (m,): where it was linearised
-    columns: Integers  # (c,) of int: the values that matter
+    columns: Integers  # (c,) of int: the values of cameras that have pairs
     offsets: Array  # (c,): those of `values`, in prior standard deviations from the prior mean
     rows: Integers  # (r,) of int
     distances: Array  # (r,): zero where missing
@@ -68,11 +70,11 @@ class Linear:
     missing: Booleans  # (r,)
 
     @staticmethod
-    def at(
-        parameters: ParameterSet, pairs: TrackPairs, values: Array, columns: Integers, rows: Integers | None = None
-    ) -> Linear:
+    def at(parameters: ParameterSet, pairs: TrackPairs, values: Array, rows: Integers | None = None) -> Linear:
         """Linearise the distances of some rows, by default all, about values (m,)."""
         rows = np.arange(len(pairs.pair)) if rows is None else rows
+        names = {parameters.cameras[number].name for number in np.unique(pairs.cameras).tolist()}
+        columns = np.flatnonzero([not names.isdisjoint(parameter.cameras) for parameter in parameters.parameters])
         distances, jacobian = slopes_of(parameters, pairs, values, rows, columns)
         missing = ~(np.isfinite(distances) & np.isfinite(jacobian).all(axis=1))
         distances, jacobian = np.where(missing, 0.0, distances), np.where(missing[:, None], 0.0, jacobian)
@@ -116,7 +118,7 @@ def gains_at(parameters: ParameterSet, pairs: TrackPairs, values: Array, toleran
 
 
 def settled(
-    parameters: ParameterSet, pairs: TrackPairs, starts: Sequence[Array], columns: Integers, tolerances: Sequence[float]
+    parameters: ParameterSet, pairs: TrackPairs, starts: Sequence[Array], tolerances: Sequence[float]
 ) -> list[Array]:
     """Pair and fit in turns from each of several values (m,), with a tolerance that falls.
 
@@ -125,7 +127,7 @@ def settled(
     for tolerance in tolerances:
         passed: list[Array] = []
         for values in starts:
-            fitted = _at_tolerance(parameters, pairs, values, columns, tolerance)
+            fitted = _at_tolerance(parameters, pairs, values, tolerance)
             if fitted is not None and not any(
                 float((np.abs(fitted - other) / parameters.prior_std).max()) < MERGED for other in passed
             ):
@@ -134,15 +136,13 @@ def settled(
     return list(starts)
 
 
-def _at_tolerance(
-    parameters: ParameterSet, pairs: TrackPairs, values: Array, columns: Integers, tolerance: float
-) -> Array | None:
+def _at_tolerance(parameters: ParameterSet, pairs: TrackPairs, values: Array, tolerance: float) -> Array | None:
     """Values after choices of pairs and fits at one tolerance; None where nothing pairs."""
     for _ in range(CHOICES):
         chosen, _ = choose_pairs(pairs, gains_at(parameters, pairs, values, tolerance))
         if not len(chosen):
             return None
-        linear = Linear.at(parameters, pairs, values, columns, pairs.rows_of(chosen))
+        linear = Linear.at(parameters, pairs, values, pairs.rows_of(chosen))
         values = linear.values_of(linear.fitted(tolerance, linear.offsets))
     return values
 

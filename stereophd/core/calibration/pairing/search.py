@@ -10,10 +10,10 @@ are kept. Pairs whose rays meet behind a camera do not count, and neither do cam
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.pairing.choice import Pairing, choose_pairs
 from stereophd.core.calibration.pairing.hypotheses import crowded, hypotheses
-from stereophd.core.calibration.pairing.refinement import TOLERANCES, gains_at, judged, less_prior, settled, slopes_of
+from stereophd.core.calibration.pairing.refinement import TOLERANCES, gains_at, judged, less_prior, settled
 from stereophd.core.calibration.pairing.track_pairs import TrackPairs
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 
@@ -21,46 +21,21 @@ from stereophd.core.calibration.unknowns.parameters import ParameterSet
 DRAWS, REFINED = 256, 8
 # Draws where hypotheses of single pairs of tracks were followed.
 CROWDED_DRAWS = 32
-# What stays at its prior mean while tracks are paired moves the rays by less than this, in units of the noise.
-LATER_TOLERANCE = 8.0
 # Pairings are the same if this share of the rows of the smaller one is common to both, and the cameras differ by at
 # most this many standard deviations of the prior in every value.
 SAME_ROWS, SAME_CAMERAS = 0.8, 0.25
 
 
-def coarse_columns(parameters: ParameterSet, pairs: TrackPairs, early: Booleans | None = None) -> Integers:
-    """Return the values that matter for pairing, by how far one prior standard deviation moves the rays.
-
-    A value that is free from the first stage on (`early`, all by default) matters if it moves them by more than the
-    last tolerance, and any other value if it moves them by more than `LATER_TOLERANCE`. Poses matter always.
-    """
-    every = np.arange(parameters.size)
-    if pairs.is_fixed:
-        return every
-    _, jacobian = slopes_of(parameters, pairs, parameters.prior_mean, np.arange(len(pairs.pair)), every)
-    moved = np.sqrt(np.nanmean(np.concatenate([jacobian, np.zeros((1, parameters.size))]) ** 2, axis=0))
-    return np.flatnonzero(
-        moved > (TOLERANCES[-1] if early is None else np.where(early, TOLERANCES[-1], LATER_TOLERANCE))
-    )
-
-
-def distinct_pairings(
-    parameters: ParameterSet, pairs: TrackPairs, draws: Array, early: Booleans | None = None
-) -> list[Pairing]:
+def distinct_pairings(parameters: ParameterSet, pairs: TrackPairs, draws: Array) -> list[Pairing]:
     """Find cameras that pair the tracks, from draws (k, m) of the prior: distinct pairings, the best first.
 
-    None of them if nothing pairs. The values of `draws` that do not matter for pairing (`coarse_columns`) are set to
-    the prior mean.
+    None of them if nothing pairs.
     """
     if not len(pairs.cameras):
         return []
-    columns = coarse_columns(parameters, pairs, early)
-    fixed = np.setdiff1d(np.arange(parameters.size), columns)
-    draws = draws.copy()
-    draws[1:, fixed] = parameters.prior_mean[fixed]
     ends: list[Array] = []
     if crowded(pairs):
-        ends += [pairing.values for pairing in hypotheses(parameters, pairs, draws[0], columns)]
+        ends += [pairing.values for pairing in hypotheses(parameters, pairs, draws[0])]
     if ends:
         draws = draws[:CROWDED_DRAWS]
     gains = [
@@ -68,7 +43,7 @@ def distinct_pairings(
         for values in draws
     ]
     first = [draws[k] for k in np.argsort(-np.array(gains), kind="stable")[:REFINED]]
-    ends += settled(parameters, pairs, first, columns, TOLERANCES)
+    ends += settled(parameters, pairs, first, TOLERANCES)
     pairings = [
         pairing
         for pairing in (judged(parameters, pairs, values, TOLERANCES[-1]) for values in ends)

@@ -62,6 +62,13 @@ def check_files(
         yield from _pixels(sample)
         yield from _places(sample)
         yield from _detector(sample)
+    seen = [sample.camera.name for sample in samples if len(sample.pixels)]
+    if whole and len(seen) < 2 <= len(samples):
+        yield Finding(
+            "log.detections", "warning",
+            f"{f'only {seen[0]}' if seen else 'no camera'} has detections: depths need two cameras", len(seen), 2, None,
+            "check the names of the cameras in the log, and that it has the detections of all", "too_few_cameras",
+        )  # fmt: skip
     yield from _periods([sample for sample in samples if len(sample.times) > 1 and sample.camera.name not in untimed])
 
 

@@ -107,10 +107,11 @@ def test_the_exact_covariance_is_that_of_the_objective_where_velocities_follow_t
     np.testing.assert_array_equal(in_threads, covariance)
 
 
-def test_the_exact_covariance_follows_a_valley_that_bends(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_exact_covariance_is_that_of_the_floor_of_a_valley_that_bends(monkeypatch: pytest.MonkeyPatch) -> None:
     """A known distance keeps the other camera on a sphere, in a direction that 15 px of noise hardly show.
 
-    Ends of differences that are not on the sphere state the direction too well, by a quarter at a step of 0.3.
+    Ends of differences at a tenth of a standard deviation are far from the sphere: the direction is stated a third as
+    wide as it is, even if they follow the valley to second order.
     """
     cameras = rig()[:2]
     true = unknowns(cameras, ("center", "rotation"))
@@ -121,14 +122,28 @@ def test_the_exact_covariance_follows_a_valley_that_bends(monkeypatch: pytest.Mo
     )
     problem, states = problem_of(true, observations, points)
     distance = float(np.linalg.norm(cameras[1].pose.center - cameras[0].pose.center))
-    problem = replace(problem, scale=ScaleMeasurement("baseline", distance, 3e-4 * distance, (0, 1)))
+    problem = replace(problem, scale=ScaleMeasurement("baseline", distance, 3e-5 * distance, (0, 1)))
     found = marginal_optimum(problem, adjust(problem, np.zeros(true.size), states))
     stds = []
-    for step in (3.0 * marginal.DIFFERENCE, marginal.DIFFERENCE, 0.1 * marginal.DIFFERENCE):
+    for step in (10.0 * marginal.DIFFERENCE, marginal.DIFFERENCE, 0.1 * marginal.DIFFERENCE):
         monkeypatch.setattr(marginal, "DIFFERENCE", step)
         stds.append(np.sqrt(np.diag(exact_covariance(problem, found))))
-    np.testing.assert_allclose(stds[0][1:] / stds[2][1:], 1.0, atol=0.15)
-    np.testing.assert_allclose(stds[1][1:] / stds[2][1:], 1.0, atol=0.02)
+    np.testing.assert_allclose(stds[0][1:] / stds[2][1:], 1.0, atol=0.03)
+    np.testing.assert_allclose(stds[1][1:] / stds[2][1:], 1.0, atol=0.003)
+
+
+def test_the_gradient_knows_how_the_knots_settle(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What it misses is of second order in what they have to go; by the normal equations it was of first order."""
+    problem, states, drawn = some_problem(("center", "rotation", "focal", "clock_offset"))
+    posterior = MarginalPosterior(Linearisation.of(problem))
+    at = posterior.at(np.append(drawn, NOISE), states)
+    settled, root, missed = posterior.gradient(at), posterior.root(at), []
+    away = np.random.default_rng(4).standard_normal(states.shape)
+    monkeypatch.setattr(marginal, "settled_knots", lambda _linearisation, _values, knots, *_args, **_more: (knots, 0.0))
+    for step in (1e-4, 1e-3):
+        beside = posterior.at(at.unknowns, at.states + step * away)
+        missed.append(float(np.linalg.norm(root.T @ (posterior.gradient(beside) - settled))))
+    assert missed[0] < 0.02 * missed[1]
 
 
 def test_the_gradient_minimises_the_knots_where_one_camera_alone_sees_an_object_for_long() -> None:
@@ -157,7 +172,7 @@ def test_held_values_are_coupled_to_no_noise_of_the_motion() -> None:
     problem, states, drawn = some_problem(("center", "rotation"))
     held, count = np.arange(problem.parameters.size) % 2 == 0, problem.parameters.size
     every, others = (
-        MarginalPosterior(Linearisation.of(each)).equations(np.append(drawn, NOISE), states).matrix[count:, :count]
+        MarginalPosterior(Linearisation.of(each)).at(np.append(drawn, NOISE), states).equations.matrix[count:, :count]
         for each in (problem, replace(problem, held=held))
     )
     assert every[:, held].any()
