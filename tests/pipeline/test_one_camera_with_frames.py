@@ -11,7 +11,9 @@ import pytest
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
+from stereophd.core.multi.state.estimates import Info
 from stereophd.pipeline.checks.log.sample import CameraSample
+from stereophd.pipeline.initial import acceleration
 from stereophd.pipeline.initial import draft as drafts
 from stereophd.pipeline.initial.acceleration import AccelerationEstimate
 from stereophd.pipeline.initial.measured import SceneFigures
@@ -92,3 +94,13 @@ def test_cameras_agree_that_do_so_at_the_most_probable_acceleration(monkeypatch:
     _, why = drafts._with_tracks(draft.with_given({"motion.acceleration_std": 8.0}), samples, {}, "log.parquet")
     assert why is not None
     assert asked == [8.0] * 3  # once: there is no other acceleration
+
+
+def test_what_a_filter_forgets_speaks_against_no_settings(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In a crowd, cameras that share objects would be less probable than those that each see their own."""
+    event = SimpleNamespace(within=lambda _: None)
+    info = Info(-3.0, 1.0, 1, forgotten=2.0)
+    made = SimpleNamespace(rig=None, init=lambda: None, step=lambda *_: (None, info, None))
+    monkeypatch.setattr(acceleration, "build_labelled_filter", lambda *_: made)
+    loaded: Any = SimpleNamespace(config=None, path="", build_cameras=tuple)
+    np.testing.assert_allclose(acceleration.log_likelihoods(loaded, [[event, event], [event]]), [-1.0] * 3)

@@ -21,6 +21,7 @@ from stereophd.pipeline.detectors.statistics import (
     DetectorSums,
     NoisePrior,
     Sighting,
+    of_labels,
 )
 
 # Spread of the logarithm of the noise of boxes between detectors, and the clutter of an unknown one.
@@ -61,22 +62,19 @@ def observe_bodies(
     hidden = hidden_shares(projected, means, covariances, existence, camera)
     chosen = np.isin(before.labels, settled) & (hypotheses.weights[first] > DECIDED_SHARE * existence)
     chosen &= (hypotheses.views[first] < 0) & (hidden < LEAST_HIDDEN) & (share_in_image(projected, camera) == 1.0)
-    rows, claims = np.flatnonzero(chosen), info.claims
-    assert claims is not None
+    rows = np.flatnonzero(chosen)
     if not len(rows):
         return Sighting(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
-    order = np.argsort(before.labels)
-    owners = order[np.searchsorted(before.labels, claims.labels, sorter=order).clip(max=len(order) - 1)]
-    known = (before.labels[owners] == claims.labels) & chosen[owners]
-    total = np.bincount(owners[known], claims.probabilities[known], len(before.labels))[rows]
+    owners, columns, shares = of_labels(info.claims, before.labels)
+    total = np.bincount(owners, shares, len(before.labels))[rows]
     boxes = boxes_of(event, camera)
-    known &= (claims.probabilities > LIKELY) & ~boxes.hidden[claims.detections].any(axis=1)
-    owners, columns = owners[known], claims.detections[known]
+    known = chosen[owners] & (shares > LIKELY) & ~boxes.hidden[columns].any(axis=1)
+    owners, columns, shares = owners[known], columns[known], shares[known]
     if len(owners):
         heights = projected[owners, BOTTOM] - projected[owners, TOP]
         noise = box_variances(heights, boxes.scales[columns], np.array(camera.detector.box_noise))
         spread = np.einsum("kij,kjl,kil->ki", slopes[owners], covariances[owners], slopes[owners])
         residuals = boxes.values[columns] - projected[owners]
-        sums.add(residuals, spread + noise, noise, claims.probabilities[known], before.labels[owners])
+        sums.add(residuals, spread + noise, noise, shares, before.labels[owners])
     detected = np.minimum(total, existence[rows]).astype(np.float64)
     return Sighting(before.labels[rows], detected, existence[rows] - detected)

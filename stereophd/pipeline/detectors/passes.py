@@ -78,8 +78,9 @@ class _Watched:
 
     def __init__(self, estimator: Estimator[Any]) -> None:
         self.rig = estimator.rig
-        points = isinstance(estimator, DisparityFilter)  # boxes are not left out by the region
-        shares = estimator.rig.shares_of_view() if points else [1.0] * len(estimator.rig.cameras)
+        shares = [1.0] * len(estimator.rig.cameras)  # boxes are not left out by the region
+        if isinstance(estimator, DisparityFilter):
+            estimator, shares = replace(estimator, claims=True), estimator.rig.shares_of_view()
         self.sums = [DetectorSums(view=share) for share in shares]
         self.own_noise = False
         self._estimator = estimator
@@ -119,8 +120,10 @@ class _Watched:
         if isinstance(self._estimator, DisparityFilter):
             prediction = self._estimator.predict(state, event)
             space = self.rig.space(event.camera, event.time_s)
-            sighting = observe(sums, prediction, event, camera.at(event.time_s), space, settled, not event.own_noise)
-            return after, info, estimates, sighting
+            sighting = observe(
+                sums, prediction, event, info.claims, camera.at(event.time_s), space, settled, not event.own_noise
+            )
+            return after, replace(info, claims=None), estimates, sighting
         # imported here: what it needs of SciPy is costly to import
         from stereophd.core.bodies.filter import BodyFilter
         from stereophd.pipeline.detectors.bodies import observe_bodies

@@ -18,9 +18,9 @@ displacements say (`stereophd.pipeline.detectors.ray_noise`), of both axes toget
 of both cancel to first order, whatever the part of C is. The standard error is that of the prior and of the information
 of the residuals, 2 sum(w R / S) of log(sigma).
 
-Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of
-the frame, and M that it exists and made none, after a prior of five frames with 0.9. Frames count up to the last
-detection of the track only: what comes after is the object's end, not misses.
+Probability of detection. sum(D) / sum(D + M), with D the probability that a track in view made a detection of the
+frame, for which it competes with all others, and M that it exists and made none, after a prior of five frames with 0.9.
+Frames count up to the last detection of the track only: what comes after is the object's end, not misses.
 
 Clutter. Detections of a camera that belong to no confirmed track (before its confirmation included), a frame. To a
 settled one they belong with the probability D, because what is false and near it is not all its own; the variance of
@@ -45,8 +45,7 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
 from stereophd.core.disparity.moved import IN_VIEW
 from stereophd.core.geometry.camera import BOX_NOISE, Camera, Detector
-from stereophd.core.multi.association.exact_association import association_marginals
-from stereophd.core.multi.association.likelihoods import ALL_PAIRS, pair_likelihoods
+from stereophd.core.multi.association.attribution import Claims, join_claims
 from stereophd.core.multi.base import Prediction
 
 # A track whose alternatives are still undecided (the heaviest has less than this share) is not counted yet.
@@ -218,6 +217,7 @@ def observe(
     sums: DetectorSums,
     prediction: Prediction,
     event: Event,
+    claims: Claims | None,
     camera: Camera,
     space: Array,
     settled: Integers,
@@ -225,31 +225,32 @@ def observe(
 ) -> Sighting:
     """Add the residuals of a frame to the sums of its camera, and return which settled tracks it detected.
 
-    The prediction is that before the update, the camera that at the time of the event, with the present detector, and
-    `space` (30,) its packed disparity space. Settled are labels of tracks that are confirmed and were seen by at least
-    two cameras. `with_noise` says whether the noise is the detector's: a log may state that of each detection.
+    The prediction is that before the update, which found the claims, the camera that at the time of the event, with the
+    present detector, and `space` (30,) its packed disparity space. Settled are labels of tracks that are confirmed and
+    were seen by at least two cameras. `with_noise` says whether the noise is the detector's: a log may state that of
+    each detection.
     """
     chosen, existence = _decided(prediction, settled)
     moved = prediction.moved
     means, covariances = moved.means[chosen], moved.covariances[chosen]
-    readings = event.readings(space)
-    owners, targets, densities = pair_likelihoods(
-        means, covariances, np.ones(len(chosen), dtype=np.bool_), event.points, event.covariances, event.areas,
-        readings, ALL_PAIRS,
-    )  # fmt: skip
-    detector = camera.detector
-    expected = detector.p_detect * existence
-    background = (detector.clutter_per_frame + detector.p_detect * prediction.births) / (camera.width * camera.height)
-    missed = np.maximum(1.0 - expected, 1e-9)
-    odds = expected[owners] * densities / (missed[owners] * max(background, 1e-300))
-    share, untouched, _, _ = association_marginals(owners, targets, odds, len(chosen), len(event.points))
-    labels = prediction.mixture.labels[chosen]
+    labels, readings = prediction.mixture.labels[chosen], event.readings(space)
+    owners, targets, share = of_labels(claims, labels)
     if with_noise and len(owners):
         read = readings[targets] if len(readings) else readings
         _add_residuals(
             sums, means[owners], covariances[owners], event.points[targets], read, share, camera, labels[owners]
         )
-    return Sighting(labels, 1.0 - untouched, untouched * existence * (1.0 - detector.p_detect) / missed)
+    detected, p_detect = np.minimum(np.bincount(owners, share, len(chosen)), 1.0), camera.detector.p_detect
+    missed = (1.0 - detected) * existence * (1.0 - p_detect) / np.maximum(1.0 - p_detect * existence, 1e-9)
+    return Sighting(labels, detected, missed)
+
+
+def of_labels(claims: Claims | None, labels: Integers) -> tuple[Integers, Integers, Array]:
+    """Return the claims of some labels (k,): which of them (p,) claims which detection (p,), as probably as (p,)."""
+    assert claims is not None
+    names, detections, probabilities = join_claims(claims, 0.0)
+    order, known = np.argsort(labels), np.isin(names, labels)
+    return order[np.searchsorted(labels, names[known], sorter=order)], detections[known], probabilities[known]
 
 
 def _decided(prediction: Prediction, settled: Integers) -> tuple[Integers, Array]:

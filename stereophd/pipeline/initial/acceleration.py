@@ -109,14 +109,17 @@ def estimate_acceleration(loaded: LoadedConfig, parts: Sequence[Sequence[Event]]
 def log_likelihoods(
     loaded: LoadedConfig, parts: Sequence[Sequence[Event]], cameras: tuple[Camera, ...] | None = None
 ) -> Array:
-    """Return the log-likelihood of every event of stretches of a log, with the cameras of a configuration or these."""
+    """Return the log-likelihood of every event of stretches of a log, with the cameras of a configuration or these.
+
+    What the filter forgets where tracks compete is added: it would outweigh what values and cameras differ by.
+    """
     estimator = build_labelled_filter(loaded.config, cameras or loaded.build_cameras(), loaded.path, 1)
     found = []
     for part in parts:
         state = estimator.init()
         for event in part:
             state, info, _ = estimator.step(state, event.within(estimator.rig))
-            found.append(info.log_likelihood)
+            found.append(info.log_likelihood + info.forgotten)
     return np.array(found)
 
 

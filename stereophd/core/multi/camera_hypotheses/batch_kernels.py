@@ -68,7 +68,7 @@ def update_batch(
             updated, log_likelihoods[h], _, shares = update_intensity(before, seen, event, numbers, intensity)
             after, _ = reduce_intensity(updated, shares, intensity)
         elif tracks is not None:
-            outcomes, log_likelihoods[h] = associate_tracks(before, seen, event, numbers, tracks.prune_weight)
+            outcomes, log_likelihoods[h], _ = associate_tracks(before, seen, event, numbers, tracks.prune_weight)
             choice, known = choose_hypotheses(outcomes, tracks)
             after, _ = reduce_tracks(make_components(before, seen, event, numbers, outcomes, choice), known, tracks)
         counts[h] = len(after.weights)

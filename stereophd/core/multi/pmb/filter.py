@@ -139,7 +139,7 @@ class PmbFilter(DisparityFilter):
         counters: tuple[int, int], undetected: Undetected, burst: int,
     ) -> tuple[FilterState, Info]:  # fmt: skip
         """Return the state after an event of which `_update` returns what it `updated`, and its diagnostics."""
-        log_likelihood, expected, labels, detections, claims, fewer, undecided = updated
+        log_likelihood, forgotten, expected, labels, detections, claims, fewer, undecided = updated
         history, place = None, (event.camera, event.time_s)
         if self._exchanges:
             readings = event.readings(self.rig.space(*place))
@@ -151,7 +151,7 @@ class PmbFilter(DisparityFilter):
             left_out = max(int(np.count_nonzero(tracks != UNLABELLED)) - room, 0)
         return (
             FilterState(mixture, event.time_s, state.n_events + 1, *counters, undetected, history),
-            Info(log_likelihood, expected, mixture.size, labels, claims, left_out, burst, fewer, undecided),
+            Info(log_likelihood, expected, mixture.size, labels, claims, left_out, burst, fewer, undecided, forgotten),
         )
 
 
@@ -166,7 +166,7 @@ def _step(
     search: Bare,
     report: Bare,
     samples: Array,
-) -> tuple[Selection, Integers, Undetected, int, float, float, Integers, Integers, Claims | None, int, float]:
+) -> tuple[Selection, Integers, Undetected, int, float, float, float, Integers, Integers, Claims | None, int, float]:
     """`predict_event`, `_update`, `swap_candidates` and `select_objects`.
 
     Returns objects, pairs to be tested for a swap, what is undetected, the burst of clutter, and what `_update` returns
@@ -175,7 +175,7 @@ def _step(
     weights, moved, homes, births, undetected, burst = predict_event(mixture, given)
     numbers, _, _, _, motion, _, views, _, _, before, _, _ = given
     known, predicted, event = GaussianMixture(*mixture), GaussianMixture(weights, *mixture[1:]), EventNumbers(*numbers)
-    reduced, log_likelihood, expected, found, detections, claims, fewer, undecided = _update(
+    reduced, log_likelihood, forgotten, expected, found, detections, claims, fewer, undecided = _update(
         predicted, moved, Detections(*detected), FirstSight(*prior), event, (births, burst),
         before[2][event.camera], PmbReduction(*reduction), with_claims
     )  # fmt: skip
@@ -189,7 +189,10 @@ def _step(
             number, most
         )  # fmt: skip
     selection = select_objects(reduced, Report(*report), rows, homes, MotionArrays(*motion), samples)
-    return selection, pairs, undetected, burst, log_likelihood, expected, found, detections, claims, fewer, undecided
+    return (
+        selection, pairs, undetected, burst, log_likelihood, forgotten, expected, found, detections, claims, fewer,
+        undecided
+    )  # fmt: skip
 
 
 @compiled
@@ -218,7 +221,7 @@ def _update(
     peak: float,
     stated: PmbReduction,
     with_claims: bool,
-) -> tuple[GaussianMixture, float, float, Integers, Integers, Claims | None, int, float]:
+) -> tuple[GaussianMixture, float, float, float, Integers, Integers, Claims | None, int, float]:
     """`associate_tracks`, which labels were detected and by which detections, and `reduce_tracks`.
 
     The numbers are those without births, and `born` has the births and the burst of clutter; `peak` is that of the
@@ -232,7 +235,7 @@ def _update(
             weight, stated.recycle_below, max(births, peak), bare.p_detect, bare.clutter, mixture.weights
         )  # fmt: skip
     reduction = PmbReduction(weight, *stated[1:])
-    outcomes, log_likelihood = associate_tracks(mixture, moved, event, numbers, reduction.prune_weight)
+    outcomes, log_likelihood, forgotten = associate_tracks(mixture, moved, event, numbers, reduction.prune_weight)
     known, weights, made = outcomes.labels, outcomes.weights, outcomes.made
     labels, detections = detected_labels(known, weights, len(mixture.weights), made)
     claims = claims_of(known, weights, len(mixture.weights), made) if with_claims else None
@@ -240,7 +243,7 @@ def _update(
     reduced, expected = reduce_tracks(
         make_components(mixture, moved, event, numbers, outcomes, choice), tracks, reduction
     )  # fmt: skip
-    return reduced, log_likelihood, expected, labels, detections, claims, choice.left_out, choice.undecided
+    return reduced, log_likelihood, forgotten, expected, labels, detections, claims, choice.left_out, choice.undecided
 
 
 FILTER = PmbFilter

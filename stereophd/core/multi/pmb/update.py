@@ -8,6 +8,11 @@ alternative h, the density c of clutter and the density b_j of first detections 
 
 are the odds of the association problem that `association_marginals` solves: its marginals m_ij share the
 detection out among the alternatives, w_hj = m_ij p_h l_hj / sum_h p_h l_hj.
+
+The tracks after the event are taken for independent. By that the filter knows less than the detections say, and later
+events are less probable than they would be. Their total correlation (M. Watanabe, "Information theoretical analysis of
+multivariate correlation", IBM J. Res. Dev. 4 (1), 1960) is what is forgotten, in nats: the sum of the entropies of what
+each track made, less the entropy of the association, log Z - sum_ij m_ij log psi_ij.
 """
 
 import math
@@ -40,12 +45,13 @@ MOST_PAIRS = 256
 @compiled
 def associate_tracks(
     mixture: GaussianMixture, moved: Moved, event: EventArrays, numbers: EventNumbers, prune_weight: float
-) -> tuple[Outcomes, float]:
+) -> tuple[Outcomes, float, float]:
     """Share the detections of an event out among tracks, the intensity of undetected objects, clutter and new objects.
 
     The mixture is as predicted, each component at home; `moved` has the same components in the event's space. Pairs far
-    below the pruning weight are left out. Returns missed components, detected ones, and one new track a detection; and
-    the log-likelihood of the event's detections, per distorted pixel: the value of the association problem.
+    below the pruning weight are left out. Returns missed components, detected ones, and one new track a detection;
+    the log-likelihood of the event's detections, per distorted pixel: the value of the association problem; and the
+    total correlation of the tracks.
     """
     weights, labels = mixture.weights, mixture.labels
     points, noises, areas, readings, _, _ = event
@@ -105,7 +111,25 @@ def associate_tracks(
             out_weights[k] *= still[member[k]]
     out_weights = np.concatenate((out_weights, picked(taken, kept), existence))
     out_labels = label_outcomes(labels, owned, numbers.next_label, n_detections)
-    return Outcomes(out_labels, out_weights, owned, made, new_means, new_covariances), log_likelihood + log_bethe
+    forgotten = -log_bethe
+    for p in range(len(odds)):
+        if share[p] > 0.0:
+            forgotten += share[p] * math.log(odds[p] / share[p])
+    for g in range(n_groups):
+        if untouched[g] > 0.0:
+            forgotten -= untouched[g] * math.log(untouched[g])
+    for j in range(n_detections):  # of new tracks, which exist if no other made their detection, and it is not clutter
+        forgotten += _entropy(existence[j]) - unclaimed[j] * _entropy(first[j] / background[j])
+    outcomes = Outcomes(out_labels, out_weights, owned, made, new_means, new_covariances)
+    return outcomes, log_likelihood + log_bethe, max(forgotten, 0.0)
+
+
+@compiled
+def _entropy(probability: float) -> float:
+    """Return the entropy of whether something is so, of this probability, nats."""
+    if not 0.0 < probability < 1.0:
+        return 0.0
+    return -probability * math.log(probability) - (1.0 - probability) * math.log(1.0 - probability)
 
 
 class TrackClaims(NamedTuple):

@@ -66,3 +66,5 @@ class Info:
     hypotheses_left_out: int = field(default=0, compare=False)
     # Detections that these would have decided: the sum of their weights, each times its share of its track.
     undecided_detections: float = field(default=0.0, compare=False)
+    # Total correlation of the tracks after the event, which are taken for independent (PMB), nats.
+    forgotten: float = field(default=0.0, compare=False)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -187,6 +188,57 @@ def test_one_track_and_two_detections_by_hand() -> None:
     assert info.cardinality_mean == pytest.approx(new.mixture.weights[[old, newborn]].sum(), rel=1e-12)
     assert info.n_components == new.mixture.size
     assert new.next_label == 102
+
+
+def entropy(probabilities: ArrayLike) -> float:
+    known = np.asarray(probabilities)[np.asarray(probabilities) > 0.0]
+    return float(-(known * np.log(known)).sum())
+
+
+def test_what_independent_tracks_forget_by_enumeration() -> None:
+    """Two tracks near two detections: the entropies of the parts less that of the whole, over all that may be so."""
+    multi_filter, state = by_hand()
+    one = state.mixture
+    mixture = make_mixture(
+        [W, 0.6], one.means[[0, 0]] + [[0.0] * 3, [5.0, 2.0, 1.0]], one.covariances[[0, 0]], [0, 0], [0.0, 0.0],
+        labels=[0, 1], size=3,
+    )  # fmt: skip
+    noise = np.diag(np.square(multi_filter.rig.cameras[0].detector.sigma))
+    seen = one.means[0, :2] + np.array([[1.0, 1.0], [4.0, -2.0]])
+    _, info = update(multi_filter, state_of(mixture), make_event(multi_filter.rig.cameras[0], 0, 1.0, seen))
+
+    born, clutter = PD * B / AREA, LAMBDA / AREA
+    whole: dict[tuple[int, int, bool, bool], float] = {}
+    for made in product((-1, 0, 1), repeat=2):  # -1: none
+        for new in product((False, True), repeat=2):
+            if (made[0] == made[1] >= 0) or any(new[j] and j in made for j in (0, 1)):
+                continue
+            weight = 1.0
+            for track, j in enumerate(made):
+                detected = PD * mixture.weights[track]
+                innovation = mixture.covariances[track, :2, :2] + noise
+                weight *= (
+                    detected * gaussian(seen[j] - mixture.means[track, :2], innovation) if j >= 0 else 1 - detected
+                )
+            for j in (0, 1):
+                weight *= 1.0 if j in made else born if new[j] else clutter
+            whole[*made, *new] = weight
+    total = sum(whole.values())
+    parts = 0.0
+    for part in range(4):
+        values = {key[part] for key in whole}
+        parts += entropy([sum(w for key, w in whole.items() if key[part] == value) / total for value in values])
+    expected = parts - entropy([w / total for w in whole.values()])
+    assert expected > 0.1
+    assert info.forgotten == pytest.approx(expected, rel=1e-9)
+
+
+def test_a_track_alone_forgets_nothing() -> None:
+    multi_filter, state = by_hand()
+    far = np.array([[100.0, 500.0]])
+    for seen in (NO_DETECTIONS, far):
+        _, info = update(multi_filter, state, make_event(multi_filter.rig.cameras[0], 0, 1.0, seen))
+        assert info.forgotten == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_missed_track_by_hand() -> None:
