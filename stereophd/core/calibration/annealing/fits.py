@@ -326,9 +326,9 @@ def confirmed_fit(
     """Adjust to the detections of a pass, where the cameras may be far off.
 
     The joint optimum is found from afar. Where objects move by less than is stated, or manoeuvre, it may lie anywhere:
-    of one object before two cameras for ten minutes focal lengths grew tenfold. It counts if the marginal posterior is
-    greater there than at the values (m,) that it began with, at the noise of the motion (6,) that shows. Else the
-    optimum of that is looked for from these.
+    of one object before two cameras for ten minutes focal lengths grew tenfold. It counts if the prior allows it, and
+    the marginal posterior is greater there than at the values (m,) that it began with, at the noise of the motion (6,)
+    that shows. Else the optimum of that is looked for from these.
     """
     states = _settled(problem, values, states)
     begun = _at(problem, values, states, noise)
@@ -340,7 +340,8 @@ def confirmed_fit(
         first = posterior.with_shown_motion(values, states, noise)
         noise = posterior.parted(first.unknowns)[1]
         last = _shown(posterior, joint, noise)
-        if last is None or last.objective > first.objective:
+        is_ruled_out = task.parameters.prior_disagreement(joint.values) is not None
+        if last is None or is_ruled_out or last.objective > first.objective:
             begun = replace(begun, states=first.states, motion_noise=noise)
             return _searched(task, problem, begun, detections, SETTLED_IN_PASSES)
         noise = posterior.parted(last.unknowns)[1]

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from stereophd.core.arrays import Array
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior
+from stereophd.core.calibration.adjustment.problem import Problem
+from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves
+from stereophd.core.calibration.annealing import fits
 from stereophd.core.calibration.annealing.fits import (
     fit_from,
     fit_until,
@@ -86,6 +93,22 @@ def check_near_truth(made: MadeUp, fit: Fit) -> None:
 def test_a_fit_of_paired_tracks_has_one_object_in_each_trajectory(made: MadeUp, paired: Fit) -> None:
     assert sorted(map(sorted, objects_of(paired))) == [[j] for j in range(OBJECTS)]
     check_near_truth(made, paired)
+
+
+def test_an_optimum_that_the_prior_rules_out_does_not_count(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
+    pairing, adjusted = pairings_of(task, task.parameters.prior_mean, np.random.SeedSequence(1))[0], fits.adjust
+
+    def run_away(problem: Problem, *rest: Any, **options: Any) -> Adjustment:
+        joint = adjusted(problem, *rest, **options)
+        return replace(joint, values=joint.values + 20.0 * problem.parameters.prior_std)
+
+    def best_of_all(posterior: MarginalPosterior, joint: Adjustment, noise: Array) -> Any:
+        return SimpleNamespace(objective=-np.inf, unknowns=np.append(joint.values, noise))
+
+    monkeypatch.setattr(fits, "adjust", run_away)
+    monkeypatch.setattr(fits, "_shown", best_of_all)
+    found = paired_fit(task, pairing).adjustment
+    assert task.parameters.prior_disagreement(found.values) is None
 
 
 def test_a_fit_of_tracks_moves_only_what_is_free(task: Task, paired: Fit) -> None:
