@@ -4,7 +4,8 @@ The tables of `calibration_unknowns.py` draw scenes of one set-up. Here every ru
 cameras in a row or around the scene, their images, lenses, frame rates and noise, one to twenty objects, their speed
 and manoeuvres, clutter and missed detections, and which of lenses and clocks are unknown, with what priors. The guess
 of the cameras is a draw from those priors, so a posterior that is right covers the truth as often as it says. A run
-is a silent error where the status is `determined`, and the truth is far outside what is stated.
+is a silent error where the status is `determined`, and the truth is far outside what is stated. The bound counts
+what was freed as unknown.
 
     python benchmarks/random_setups.py --runs 50             one line of JSON a run, then a summary
     python benchmarks/random_setups.py --seed 7 --runs 1 --keep DIR     keep configuration, log and results of run 7
@@ -31,14 +32,15 @@ from stereophd.commands.calibrate import calibrate
 from stereophd.commands.evaluate_cameras import evaluate_calibration
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
+from stereophd.core.calibration.unknowns.held import FOCAL_STD, K1_STD, RATE_STD
 
 # Standard deviations beyond which an error of a parameter is wrong: one in 90,000 sets of 20 right ones.
 WRONG_Z = 5.0
-# Priors of the bound for what `calibrate` frees because the data contradict it: wide, as there.
+# Wide priors of the bound for what `calibrate` frees because the data contradict it.
 FREED = {
-    "k1": "distortion_std={k1: 0.3}", "clock_offset": "clock_offset_std_s=1", "clock_rate": "clock_rate_std=1e-3",
-    "focal": "focal_std=0.03", "principal_point_u": "principal_point_std_px=20",
-    "principal_point_v": "principal_point_std_px=20", "readout": "readout_std_s=0.03",
+    "k1": f"distortion_std={{k1: {K1_STD}}}", "focal": f"focal_std={FOCAL_STD}", "readout": "readout_std_s=0.03",
+    "principal_point_u": "principal_point_std_px=20", "principal_point_v": "principal_point_std_px=20",
+    "clock_offset": "clock_offset_std_s=1", "clock_rate": f"clock_rate_std={RATE_STD}",
 }  # fmt: skip
 # Standard deviation of a distance that is stated as known, in parts of it.
 KNOWN_DISTANCE = 0.003

@@ -67,9 +67,10 @@ def once_mended(shown: Iterable[Finding], before: tuple[Finding, ...], but: tupl
     """Yield what tracks show, which is no warning where one `before` misleads, other than those of the checks `but`."""
     first = next((one.name for one in before if misleads(one) and one.name not in but), None)
     for one in shown:
-        text = f"{one.message}; mend what {first} warns of first"
-        hidden = replace(one, status="not checked", message=text, remedy=None, cause=None, change=None)
-        yield hidden if first is not None and one.status == "warning" else one
+        if first is not None and one.status == "warning":
+            text = f"{one.message}; mend what {first} warns of first"
+            one = replace(one, status="not checked", message=text, remedy=None, cause=None, change=None)
+        yield one
 
 
 def count_warnings(report: Mapping[str, Any]) -> int:

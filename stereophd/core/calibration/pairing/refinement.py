@@ -104,9 +104,8 @@ class Linear:
 
     def values_of(self, offsets: Array) -> Array:
         """Values (m,) of offsets (c,); cameras without pairs are those of the prior mean."""
-        parameters, columns = self.parameters, self.columns
-        values = parameters.prior_mean.copy()
-        values[columns] = parameters.prior_mean[columns] + offsets * parameters.prior_std[columns]
+        values = self.parameters.prior_mean.copy()
+        values[self.columns] += offsets * self.parameters.prior_std[self.columns]
         return values
 
 
