@@ -32,7 +32,7 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.log.findings import check_files
 from stereophd.pipeline.checks.log.sample import sample_log
-from stereophd.pipeline.checks.run import QUICK_FRAMES, report_findings
+from stereophd.pipeline.checks.run import report_findings
 from stereophd.pipeline.checks.run_figures import check_rows
 from stereophd.pipeline.inspection.cameras import summarise_cameras
 from stereophd.wording import LOGGER, counted, instant
@@ -225,7 +225,7 @@ def _check_files(
     built = tuple(camera.build(name) for name, camera in cameras.items() if name in summaries)
     if not built:
         return []
-    samples = sample_log(LogReader(log, built, "drop", float("inf")), built, QUICK_FRAMES)
+    samples = sample_log(LogReader(log, built, "drop", float("inf")), built)
     estimated = [name for name, camera in cameras.items() if camera.detector.estimate]
     outside = sum(int((~one.camera.contains(one.pixels, IMAGE_MARGIN_PX)).sum()) for one in samples)
     rows = check_rows({"rows": sum(len(one.pixels) for one in samples), "outside_image": outside})

@@ -11,7 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array, Booleans, Integers
+from stereophd.core.numerics.compilation.compiled import compiled
 
 # An alternative is ambiguous within this many times the distance of the nearest, and this many times the noise.
 RATIO, NOISE = 2.0, 4.0
@@ -89,3 +90,27 @@ def _continued(tracks: list[_Track], time_s: float, points: Array, noise: Array,
         else:
             out.append(AMBIGUOUS)
     return out
+
+
+@compiled
+def nearest_of_frame(first: Integers, points: Array, step: int, asked: Booleans, there: Booleans) -> Integers:
+    """Return the place of the nearest point of frame k + step for each of the points (n, 2) of frame k; -1 of none.
+
+    Frame k has the points first[k] to first[k + 1] - 1, which increase along the first axis. Points that are not
+    `asked` (n,) have none, and only those that are `there` (n,) are found.
+    """
+    nearest, frames = np.full(len(points), -1), len(first) - 1
+    for k in range(max(0, -step), min(frames, frames - step)):
+        low, high = first[k + step], first[k + step + 1]
+        right = low
+        for i in range(first[k], first[k + 1]):
+            while right < high and points[right, 0] < points[i, 0]:
+                right += 1
+            least = np.inf
+            for j, direction in ((right, 1), (right - 1, -1)):
+                while asked[i] and low <= j < high and (points[j, 0] - points[i, 0]) ** 2 < least:
+                    squared = (points[j, 0] - points[i, 0]) ** 2 + (points[j, 1] - points[i, 1]) ** 2
+                    if there[j] and squared < least:
+                        least, nearest[i] = squared, j
+                    j += direction
+    return nearest

@@ -33,7 +33,6 @@ from stereophd.errors import InputError, unknown_camera
 from stereophd.pipeline.build import build_filter, with_filter
 from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
-from stereophd.pipeline.checks.run import QUICK_FRAMES
 from stereophd.pipeline.control import read_control
 from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import Size
@@ -149,7 +148,7 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str, is_placed: bool = T
     frames = list(covered(parameters.cameras, stream.frames, stream.source))
     cameras, remarks = parameters.cameras, tuple[Remark, ...]()
     if not stream.has_noise:
-        cameras, remarks = _with_shown_noise(sample_log(frames, cameras, QUICK_FRAMES))
+        cameras, remarks = _with_shown_noise(sample_log(frames, cameras))
     parameters = replace(parameters, cameras=cameras)
     recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
     if is_placed:

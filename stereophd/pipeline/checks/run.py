@@ -13,15 +13,12 @@ from stereophd.pipeline.checks.finding import DO_NOT_MEET, ERRORS_LAST, Finding,
 from stereophd.pipeline.checks.geometry.findings import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
 from stereophd.pipeline.checks.log.findings import check_files
-from stereophd.pipeline.checks.log.sample import MOST_FRAMES, CameraSample, sample_log
+from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.residuals import check_residuals
 from stereophd.pipeline.checks.run_figures import check_rows
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
 from stereophd.pipeline.stream import covered
 from stereophd.wording import LOGGER
-
-# Frames of each camera that a check inside another command looks at.
-QUICK_FRAMES = 400
 
 
 # Numbers near the largest may overflow: no finding follows from what is not finite.
@@ -32,8 +29,8 @@ def check_log(
 ) -> tuple[Finding, ...]:  # fmt: skip
     """Check whether a log fits the cameras and the settings of a configuration.
 
-    Other cameras, such as calibrated ones, can take the place of those of the configuration. If `thorough`, more of the
-    log is read, and clock offsets are tried even where nothing is suspicious. Nothing before the time `from_s` is read.
+    Other cameras, such as calibrated ones, can take the place of those of the configuration. If `thorough`, clock
+    offsets are tried even where nothing is suspicious. Nothing before the time `from_s` is read.
     Returns findings about the log alone (with `alone` only these: poses may be unknown), about the geometry and about
     the settings, in this order. Raises InputError if the configuration has no cameras, the log is not usable, or the
     known trajectory of a camera does not cover it.
@@ -43,10 +40,9 @@ def check_log(
         own = loaded.cameras.items()
         cameras = tuple(one.build(name) for name, one in own) if alone else loaded.build_cameras()
     reader = LogReader(log_path, cameras, "drop", float("inf"), from_s, config.input.leave_out)
-    most = MOST_FRAMES if thorough else QUICK_FRAMES
     frames = (frame for frame in covered(cameras, reader, str(log_path)) if frame.time_s >= from_s)
-    samples = sample_log(frames, cameras, most)
-    whole = sum(len(sample.times) for sample in samples) < most * len(cameras)
+    samples = sample_log(frames, cameras)
+    whole = next(frames, None) is None
     if config.object.shape != "point":
         samples = [one.with_noise_of_middles for one in samples]
     # read all the same, so that it shows why they lie there

@@ -14,10 +14,11 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
+from stereophd.core.two_views.linking import nearest_of_frame
 from stereophd.io.logs.reading import Frame
 
-# Frames of each camera that are kept.
-MOST_FRAMES = 3000
+# Frames of each camera that are kept; of those beyond the first of these, no more than have so many detections.
+LEAST_FRAMES, MOST_FRAMES, MOST_DETECTIONS = 400, 3000, 60_000
 # A frame with more than this many times the median number of detections, and more than as many as this, is a burst of
 # clutter and not used to check the cameras.
 BURST_SHARE, BURST_LEAST = 20, 1000
@@ -25,8 +26,6 @@ BURST_SHARE, BURST_LEAST = 20, 1000
 GATES_PX = (2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0)
 # Standard deviations above chance from which steps beyond the gate are those of objects.
 LEAST_SURE = 4.0
-# Most pairs of pixels of which all distances are computed; beyond it a tree finds the nearest.
-ALL_DISTANCES = 20_000
 # Frames and detections in chains from which it is judged how often a chain goes on.
 LEAST_CONTINUED_FRAMES, LEAST_CONTINUED = 8, 20
 # Places in an image are distinguished to this many pixels; one lasts if it detects in so many frames and in this share
@@ -161,7 +160,7 @@ class CameraSample:
             by_interval(self.frame_of[later] - 1, self.pixels[later], intervals),
         )
 
-    @property
+    @cached_property
     def isolated_per_frame(self) -> float:
         """Detections of a frame in no chain, the median over twenty parts of the mean: it leaves out fast movements.
 
@@ -262,16 +261,19 @@ def by_interval(intervals: Integers, pixels: Array, count: int) -> Array:
     return table
 
 
-def sample_log(frames: Iterable[Frame], cameras: tuple[Camera, ...], most: int = MOST_FRAMES) -> list[CameraSample]:
-    """Return the first frames of a log, at most `most` a camera on average.
+def sample_log(frames: Iterable[Frame], cameras: tuple[Camera, ...]) -> list[CameraSample]:
+    """Return the first frames of a log, fewer of a crowd.
 
     The frames are in the order of true time. There is one sample per camera, in order; empty for one without frames.
     """
     kept: list[list[Frame]] = [[] for _ in cameras]
+    detections = 0
     for count, frame in enumerate(frames):
-        if count >= most * len(cameras):
+        is_crowded = detections >= MOST_DETECTIONS * len(cameras) and count >= LEAST_FRAMES * len(cameras)
+        if is_crowded or count >= MOST_FRAMES * len(cameras):
             break
         kept[frame.camera].append(frame)
+        detections += len(frame.pixels)
     return [_of_camera(camera, own) for camera, own in zip(cameras, kept, strict=True)]
 
 
@@ -297,40 +299,14 @@ def _nearest(
 
     Among all detections, or among those (n,) of frame k that are `going` and those of frame k + step that are `coming`.
     """
-    first, second, distances = [], [], []
-    for k in range(len(sample.times) - step):
-        here = np.arange(sample.first[k], sample.first[k + 1])
-        there = np.arange(sample.first[k + step], sample.first[k + step + 1])
-        here = here if going is None else here[going[here]]
-        there = there if coming is None else there[coming[there]]
-        if not (len(here) and len(there)):
-            continue
-        distance, index, returned = _neighbours(sample.pixels[here], sample.pixels[there])
-        found = index < len(there)
-        mutual = np.flatnonzero(found & (returned[np.where(found, index, 0)] == np.arange(len(here))))
-        first.append(here[mutual])
-        second.append(there[index[mutual]])
-        distances.append(distance[mutual])
-    if not first:
-        return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0)
-    return np.concatenate(first), np.concatenate(second), np.concatenate(distances)
-
-
-def _neighbours(here: Array, there: Array) -> tuple[Array, Integers, Integers]:
-    """Return the distance to the nearest pixel of another frame and its index, and the nearest index the other way.
-
-    A pixel so far away that its distances overflow has no neighbour: its index is the number of pixels there.
-    """
-    if len(here) * len(there) > ALL_DISTANCES:
-        from scipy.spatial import cKDTree  # costly to import, and few recordings need it
-
-        distance, index = cKDTree(there).query(here)
-        return distance, index, cKDTree(here).query(there)[1]
-    with np.errstate(over="ignore"):
-        squared = ((here[:, None] - there) ** 2).sum(axis=2)
-    index = squared.argmin(axis=1)
-    nearest = np.sqrt(squared[np.arange(len(here)), index])
-    return nearest, np.where(np.isfinite(nearest), index, len(there)), squared.argmin(axis=0)
+    order = np.lexsort((sample.pixels[:, 0], sample.frame_of))
+    pixels = np.ascontiguousarray(sample.pixels[order])
+    going, coming = (np.ones(len(order), np.bool_) if one is None else one[order] for one in (going, coming))
+    following = nearest_of_frame(sample.first, pixels, step, going, coming)
+    returned = nearest_of_frame(sample.first, pixels, -step, coming, going)
+    first = np.flatnonzero((following >= 0) & (returned[following] == np.arange(len(order))))
+    second = following[first]
+    return order[first], order[second], np.hypot(*(pixels[second] - pixels[first]).T)
 
 
 def _gated(
