@@ -118,7 +118,7 @@ def test_detections_outside_the_image_are_counted_among_those_looked_at(
     call: Callable[..., Outcome], config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rows are read in groups, beyond the frames that are looked at."""
-    monkeypatch.setattr("stereophd.pipeline.checks.run.MOST_FRAMES", 10)
+    monkeypatch.setattr("stereophd.pipeline.checks.log.sample.MOST_FRAMES", 10)
     log = tmp_path / "log.parquet"
     with LogWriter(log) as writer:
         for frame in range(40):

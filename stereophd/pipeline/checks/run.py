@@ -63,7 +63,7 @@ def check_log(
     if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
         why = f"geometry and settings are checked only for cameras that stand still; moving: {', '.join(moving)}"
         return (*findings, Finding("geometry.rays", "not checked", why))
-    geometry = measure(samples, expected_depths(config, samples), thorough)
+    geometry = measure(samples, expected_depths(config, samples))
     rays = [*check_geometry(geometry, thorough)]
     named = {found.cause for found in rays if found.name == "geometry.cause"}
     if named <= {DO_NOT_MEET} and config.object.shape == "point":

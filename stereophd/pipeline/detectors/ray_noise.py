@@ -48,8 +48,6 @@ USUAL_NOISE_PX, NOISE_SPREAD = 1.7, 1.5
 # Share of the detections that are false, and their number in a frame at least, to begin with: where noise or motion
 # outrun one-camera tracks nothing shows it, and with too many no track is found that would show there are fewer.
 USUAL_FALSE, LEAST_CLUTTER = 0.1, 0.02
-# Frames of each camera that are looked at.
-SAMPLE_FRAMES = 1500
 # Detections of a pair that are examined at most, and distances of them all, those of chance included, of one pair and
 # of all pairs; times that measure chance, by the detections of a frame; and detections of a frame that others are
 # compared with.

@@ -27,7 +27,7 @@ from stereophd.pipeline.checks.run_figures import check_estimated_detectors
 from stereophd.pipeline.checks.settings import expected_depths, measure_scene
 from stereophd.pipeline.detectors.displacements import usual_turn
 from stereophd.pipeline.detectors.passes import MOST_BOXES, estimate_detectors, stretches
-from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, are_compared, starting_detectors
+from stereophd.pipeline.detectors.ray_noise import are_compared, starting_detectors
 from stereophd.pipeline.detectors.statistics import NoisePrior
 from stereophd.pipeline.initial.acceleration import LEAST_GAIN, estimate_acceleration, log_likelihoods
 from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter, shared_depths
@@ -66,7 +66,7 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     bare = loaded_draft(draft, str(log_path))
     cameras = tuple(camera.build(name) for name, camera in draft.cameras.items())
     reader = open_log(bare.config.input, cameras, log_path)
-    samples = sample_log(reader, cameras, SAMPLE_FRAMES)
+    samples = sample_log(reader, cameras)
     draft, unknown = _with_known_detectors(draft, samples)
     only_boxes, is_placed = all(sample.box_height_px is not None for sample in samples), not draft.is_unplaced
     bodies = _with_bodies(draft, samples, unknown, log_path) if only_boxes and is_placed else None
@@ -148,7 +148,7 @@ def _mistake(samples: list[CameraSample]) -> Finding | None:
         return mistake
     if any(sample.box_height_px is not None or not sample.camera.pose.is_static for sample in samples):
         return None
-    geometry = measure(samples, expected_depths(None, samples), thorough=False)
+    geometry = measure(samples, expected_depths(None, samples))
     findings = check_geometry(geometry, thorough=False)
     return next((found for found in findings if found.name == "geometry.cause"), None)
 

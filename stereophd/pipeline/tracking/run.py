@@ -32,7 +32,7 @@ from stereophd.io.tables.writing import Piece, TableWriter
 from stereophd.pipeline.build import build_bodies, build_filter, build_labelled_filter, build_motion, report_times
 from stereophd.pipeline.checks.log.sample import sample_log
 from stereophd.pipeline.detectors.passes import estimate_detectors, stretches
-from stereophd.pipeline.detectors.ray_noise import SAMPLE_FRAMES, starting_detectors
+from stereophd.pipeline.detectors.ray_noise import starting_detectors
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import Estimator, Record, RunState, run_estimator
 from stereophd.pipeline.tracking.run_figures import LastingTracks, RunFigures
@@ -84,7 +84,7 @@ class TrackingRun:
 
             started, priors = starting_box_detectors(self.cameras, estimated)
         else:
-            samples = sample_log(stream.frames, self.cameras, SAMPLE_FRAMES)
+            samples = sample_log(stream.frames, self.cameras)
             started, priors = starting_detectors(self.cameras, estimated, samples)
         cameras, detectors = estimate_detectors(
             started, priors, lambda used: build_labelled_filter(config, used, path, self.threads), stretches(stream)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from stereophd.core.two_views.linking import linked
+from stereophd.core.two_views.linking import linked, nearest_of_frame
 
 
 def frames_of(paths, times, seen=None):
@@ -59,3 +59,24 @@ def test_a_track_goes_on_over_two_missed_frames(gap, tracks):
 
 def test_no_detections():
     assert linked(np.arange(3.0), np.zeros(4, dtype=np.int64), np.empty((0, 2)), np.empty(0), 50.0) == []
+
+
+@pytest.mark.parametrize("step", [1, 3, -2])
+@pytest.mark.parametrize("size", [9.0, 1e3, 1e200])
+def test_the_nearest_of_another_frame_is_that_of_all_distances(step, size):
+    """Whole pixels lie at equal distances; a distance that overflows is none."""
+    rng = np.random.default_rng(4)
+    counts = rng.integers(0, 30, 12)
+    frame, first = np.repeat(np.arange(12), counts), np.concatenate([[0], np.cumsum(counts)])
+    points = rng.integers(0, 9, (len(frame), 2)) * (size / 9.0)
+    points = points[np.lexsort((points[:, 0], frame))]
+    asked, there = rng.random((2, len(frame))) < 0.8
+    found = nearest_of_frame(first, points, step, asked, there)
+    with np.errstate(over="ignore"):
+        squares = ((points[:, None] - points) ** 2).sum(axis=2)
+    squares[~(asked[:, None] & there & (frame[:, None] + step == frame))] = np.inf
+    least = squares.min(axis=1)
+    np.testing.assert_array_equal(found >= 0, np.isfinite(least))
+    seen = np.flatnonzero(found >= 0)
+    assert len(seen) > 20
+    np.testing.assert_allclose(squares[seen, found[seen]], least[seen])

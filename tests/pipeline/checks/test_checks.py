@@ -279,9 +279,9 @@ def test_any_rate_is_found_and_two_cameras_do_not_show_whose_it_is(pace: float) 
 
 def test_a_change_is_asked_of_the_detections_that_were_asked_before_it() -> None:
     """A change of times shares a frame less with the other camera: that alone explains nothing."""
-    frames = _frames(CAMERAS, count=120)
+    frames = _frames(CAMERAS, count=300)
     samples, shorter = sample_log(frames, CAMERAS), sample_log(frames[:-1], CAMERAS)
-    geometry = measure(samples, DEPTHS, thorough=False)
+    geometry = measure(samples, DEPTHS)
     change = Trial((1,), "frame_rate", "", "", geometry.views, shorter).explain(geometry, SHARP)
     assert change is not None
     assert len(samples[0].pixels) > 2 * len(geometry.pairs[0].detections)
@@ -558,15 +558,13 @@ def test_a_frame_of_very_many_detections_is_left_out_of_the_sample() -> None:
     assert max(np.diff(sample.first)) < 20
 
 
-def test_all_distances_and_trees_link_the_same_detections(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few detections are compared one by one, many in trees; a pixel whose distances overflow has no neighbour."""
-    frames = _frames(CAMERAS)
-    frames[0] = replace(frames[0], pixels=np.concatenate([frames[0].pixels, [[1e200, 0.0]]]))
-    one_by_one = [one.links for one in sample_log(frames, CAMERAS)]
-    monkeypatch.setattr(sampling, "ALL_DISTANCES", 0)
-    for mine, trees in zip(one_by_one, sample_log(frames, CAMERAS), strict=True):
-        assert np.count_nonzero(trees.reached | (trees.links >= 0)) > FRAMES
-        np.testing.assert_array_equal(mine, trees.links)
+def test_a_sample_has_fewer_frames_of_a_crowd_but_never_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    frames, count = _frames(CAMERAS, count=40), len(CAMERAS)
+    for name, value in (("LEAST_FRAMES", 20), ("MOST_FRAMES", 30), ("MOST_DETECTIONS", 10)):
+        monkeypatch.setattr(sampling, name, value)
+    assert sum(len(one.times) for one in sample_log(frames, CAMERAS)) == 20 * count
+    monkeypatch.setattr(sampling, "MOST_DETECTIONS", 10_000)
+    assert sum(len(one.times) for one in sample_log(frames, CAMERAS)) == 30 * count
 
 
 @pytest.mark.parametrize("count", [2, 3, 25, 26, 100, 1000])
@@ -782,6 +780,18 @@ def test_the_least_noise_bounds_what_tracks_show() -> None:
     sample = sample_log(exact, CAMERAS[:1])[0]
     least = pytest.approx([sampling.LEAST_MEASURED_PX] * 2)
     assert all(sample.with_measured_noise(less).camera.detector.sigma == least for less in (True, False))
+
+
+def test_every_command_compares_the_same_rays(tmp_path: Path) -> None:
+    """Where tracks are few, those of a longer part of the log decide whether a lens is missing."""
+    loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml")
+    with LogWriter(tmp_path / "log.parquet") as table:
+        for frame in _frames(CAMERAS, count=600):
+            table.write(frame.time_s, CAMERAS[frame.camera].name, frame.frame, frame.pixels)
+    found = [check_log(loaded, tmp_path / "log.parquet", thorough, CAMERAS) for thorough in (False, True)]
+    quick, thorough = ([one for one in of if one.name.startswith("geometry.")] for of in found)
+    assert {one.name for one in quick} == {"geometry.rays", "geometry.residuals"}
+    assert quick == thorough
 
 
 def test_a_stated_frame_rate_that_is_off_does_not_keep_rays_from_being_compared(tmp_path: Path) -> None:

@@ -312,12 +312,9 @@ def pairs_of(count: int) -> list[tuple[int, int]]:
     return sorted({(min(a, b), max(a, b)) for step in steps for a in range(count) for b in [(a + step) % count]})
 
 
-def measure(samples: list[CameraSample], depths: tuple[float, float], thorough: bool = True) -> Geometry:
-    """Measure how often rays of every pair of cameras meet, with more detections if `thorough`.
-
-    Objects are expected between the two depths, length.
-    """
-    most = (400 if len(samples) < 4 else 200) if thorough else 120
+def measure(samples: list[CameraSample], depths: tuple[float, float]) -> Geometry:
+    """Measure how often rays of every pair of cameras meet; objects are expected between the two depths, length."""
+    most = MOST_DETECTIONS if len(samples) < 4 else MOST_DETECTIONS // 2
     found = (candidates(samples, a, b, most) for a, b in pairs_of(len(samples)))
     pairs = tuple(pair for pair in found if pair is not None)
     expected = tuple(expected_excess(pair, samples, depths) for pair in pairs)
