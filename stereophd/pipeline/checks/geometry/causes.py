@@ -45,6 +45,8 @@ LARGEST_SHIFT_S, SHIFT_STEPS = 6.0, 160
 # longer each other one is.
 RATES, FIRST_FRAMES, LONGER = (0.2, 5.0), 30, 4
 SHIFT_DETECTIONS = 120
+# Rates that are tried besides, as of a frame rate that is stated as half: where objects are slow, offsets show none.
+USUAL_RATES = (0.5, 2.0, 1.0 / 3.0, 3.0, 0.25, 4.0)
 # Offsets that are computed together: more would take much memory where frames have many detections.
 SHIFTS_AT_ONCE = 40
 # By how much finer the steps become about the best offset.
@@ -94,11 +96,12 @@ def best_explanation(
         finalists = sorted((one.trial for one in best_first), key=trials.index)
         scope = best_first[0].trial.scope[:FINALISTS] if best_first else _least_met(stated)[: not clocks_only]
         finalists += [trial for camera in scope if (trial := of_pose(camera)) is not None]
-        tried = sum(1 if trial.samples is None else steps for trial in trials)
+        tried = sum(trial.tried for trial in trials)
         # a rate is found from two offsets
         least, of_rate = (NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried * n, 1)) for n in (1, steps))
         explained = [one for trial in finalists if (one := trial.explain(geometry, tolerances)) is not None]
-        certain = [one for one in explained if one.is_decisive(of_rate if one.trial.cause == "frame_rate" else least)]
+        is_rate = [one.trial.cause == "frame_rate" and one.trial.tried > 1 for one in explained]
+        certain = [one for one, of in zip(explained, is_rate, strict=True) if one.is_decisive(of_rate if of else least)]
         is_wrong = any(one.trial.cause != DO_NOT_MEET for one in certain)
         # where a usual mistake is certain, something is wrong: a pose that explains more, certain or not, competes
         compete = [one for one in explained if one in certain or (is_wrong and one.trial.cause == DO_NOT_MEET)]
@@ -127,6 +130,7 @@ class Trial:
     views: list[Reading]
     samples: list[CameraSample] | None = None  # With other times; None: as they are
     change: str | None = None  # As that of a `Finding`
+    tried: int = 1  # Number of trials that it was chosen from
 
     def partners(self, geometry: Geometry) -> list[tuple[int, Booleans, Array]]:
         """Return the pairs concerned by their numbers, which detections remain, and how far the nearest ray is then."""
@@ -319,11 +323,12 @@ def _clock_trials(geometry: Geometry, steps: int, camera: int) -> list[Trial]:
     if shift is not None:
         found.append(Trial(
             (camera,), "clock_offset", f"its clock seems to be off by {-shift:+.3g} s", shift_remedy(shift),
-            geometry.views, _with_times(geometry, camera, sample.times + shift), clock_change(sample, shift),
+            geometry.views, _with_times(geometry, camera, sample.times + shift), clock_change(sample, shift), steps,
         ))  # fmt: skip
-    if (rate := _clock(geometry, concerned, camera, steps)) is not None:
-        found.append(_of_rate(geometry, camera, *rate))
-    return found
+    if (clock := _clock(geometry, concerned, camera, steps)) is not None:
+        found.append(replace(_of_rate(geometry, camera, *clock), tried=steps))
+    start = float(sample.times[0])
+    return [*found, *(_of_rate(geometry, camera, rate, (1.0 - rate) * start) for rate in USUAL_RATES)]
 
 
 def _clock(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> tuple[float, float] | None:
