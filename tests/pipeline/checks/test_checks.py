@@ -782,6 +782,21 @@ def test_the_least_noise_bounds_what_tracks_show() -> None:
     assert all(sample.with_measured_noise(less).camera.detector.sigma == least for less in (True, False))
 
 
+@pytest.mark.parametrize(("pace", "count"), [(0.05, 300), (0.1, 100)])
+@pytest.mark.parametrize("factor", [2.0, 0.5])
+def test_half_the_frame_rate_of_slow_objects_is_named(factor: float, pace: float, count: int, tmp_path: Path) -> None:
+    """Their rays still meet at a wide tolerance, and offsets of short stretches do not show the rate."""
+    loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml")
+    cameras = tuple(replace(one, frame_rate_hz=None) for one in (*CAMERAS, _camera("middle", 0.0, 0.0)))
+    frames = _frames(cameras, count=count, pace=pace)
+    frames = [replace(one, time_s=factor * one.time_s) if one.camera == 1 else one for one in frames]
+    with LogWriter(tmp_path / "log.parquet") as table:
+        for frame in sorted(frames, key=lambda one: one.time_s):
+            table.write(frame.time_s, cameras[frame.camera].name, frame.frame, frame.pixels)
+    found = check_log(loaded, tmp_path / "log.parquet", thorough=False, cameras=cameras)
+    assert [(one.cause, one.camera) for one in found if one.status == "warning"] == [("frame_rate", "right")]
+
+
 def test_every_command_compares_the_same_rays(tmp_path: Path) -> None:
     """Where tracks are few, those of a longer part of the log decide whether a lens is missing."""
     loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml")

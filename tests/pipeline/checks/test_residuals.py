@@ -121,6 +121,17 @@ def test_a_clock_of_another_rate_is_not_called_late(rate: float) -> None:
     assert float(change[1]) + float(change[2]) * rate * 4.0 == pytest.approx(4.0, abs=0.01)
 
 
+@pytest.mark.parametrize(("seed", "frames", "rate", "cause"), [
+    (6, 80, 1.02, "clock_rate"), (8, 40, 1.02, "clock_rate"), (6, 80, 1.0, "clock_offset"),
+])  # fmt: skip
+def test_what_a_rate_explains_beside_an_offset_decides_between_them(
+    seed: int, frames: int, rate: float, cause: str
+) -> None:
+    """Both explain most of what they explain: in few seconds the offset was the simpler cause."""
+    (found,) = _findings(seed=seed, frames=frames, rate=rate, late_s=0.06)
+    assert (found.cause, found.camera) == (cause, "right")
+
+
 @pytest.mark.parametrize(("rate", "fast"), [(1.02, "right"), (0.98, "left")])
 def test_of_two_cameras_it_is_told_which_runs_faster_than_the_other(rate: float, fast: str) -> None:
     (found,) = _findings(CAMERAS[:2], rate=rate)
