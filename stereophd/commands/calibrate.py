@@ -176,10 +176,12 @@ def _outcome(run: CalibrationRun) -> Outcome:
 
 def _accepted(report: dict[str, Any], require: str | None, log_path: Path | str) -> dict[str, Any]:
     """Return a report that satisfies `require`; raise `GateError` otherwise."""
+    # the report, which is printed beside this, has the reason
+    text = f"{log_path}: the cameras are {report['status']}; report.json says why"
     if report["status"] not in ACCEPTED[require]:
-        raise GateError(f"{log_path}: the cameras are {report['status']}: {report['reason']}", report)
+        raise GateError(text, report)
     if report["status"] != DETERMINED:
-        LOGGER.warning("%s: %s: %s", log_path, report["status"], report["reason"])
+        LOGGER.warning(text)
     return report
 
 

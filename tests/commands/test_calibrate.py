@@ -326,7 +326,7 @@ def test_cameras_that_share_no_time(scene: Path, tmp_path: Path) -> None:
         calibrate(loaded(scene), log, tmp_path / "out")
 
 
-def test_clutter_alone_says_nothing(scene: Path, tmp_path: Path) -> None:
+def test_clutter_alone_says_nothing(scene: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     log = cut(scene, tmp_path / "log.parquet", lambda c: c["object_id"] < 0)
     with pytest.raises(InputError, match="`require`: expected determined or partly, found all"):
         calibrate(loaded(scene), log, tmp_path / "out", plots=False, require="all")  # type: ignore[arg-type]
@@ -341,6 +341,8 @@ def test_clutter_alone_says_nothing(scene: Path, tmp_path: Path) -> None:
         "camera",
         "calibration",
     }
+    # the report, which is printed, has the reason: the error does not say it once more
+    assert report["reason"] not in caplog.text + str(failure.value)
     assert "none of 2 starts" in report["reason"]
     assert "a pose that is far off needs wider priors, or `pose: unknown`" in report["reason"]
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"report.json"}

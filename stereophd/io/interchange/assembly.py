@@ -136,6 +136,8 @@ LEAST_FRAMES_OF_A_STEP = 10
 # Times without frame numbers are even if this share of their steps are multiples of the interval, to within this part
 # of it. The step at this quantile is about one interval, even where most frames have no detection.
 EVEN_SHARE, EVEN_PART, SHORT_STEP = 0.95, 0.2, 0.1
+# Frames by which the times of the rows of one frame may scatter, as by the clocks of a camera: beyond it numbers repeat.
+MOST_SCATTERED = 10.0
 # Most frames that a recording may be said to have: a day at 10 kHz.
 MOST_FRAMES = 1_000_000_000
 
@@ -312,8 +314,15 @@ class _Camera:
                 self._summary.paused_s += float(steps[pauses].sum())
             rows[:, FRAME] = number + np.cumsum(count)[index]
             return rows
+        frames, starts, index = np.unique(rows[:, FRAME], return_index=True, return_inverse=True)
+        earliest, latest = (reduced.reduceat(rows[:, TIME], starts) for reduced in (np.minimum, np.maximum))
         has_times = np.isfinite(rows[:, TIME]).all()
         if self._rate is not None and (self._is_rate_stated or not has_times):
+            if len(bad := np.flatnonzero((latest - earliest) * self._rate > MOST_SCATTERED)):
+                raise InputError(
+                    f"{self._where}: expected frame numbers that do not begin anew, found frame {frames[bad[0]]:.0f} "
+                    f"from {instant(earliest[bad[0]], 9)} to {instant(latest[bad[0]], 9)} s"
+                )
             self._is_timed_by_rate = True
             rows[:, TIME] = self._by_rate(rows[:, FRAME], self._rate)
             return rows
@@ -323,17 +332,15 @@ class _Camera:
             raise InputError(
                 f"{self._where}: expected times or `rates` (frames per second), found {found}{self._untimed}"
             )
-        frames, starts, index = np.unique(rows[:, FRAME], return_index=True, return_inverse=True)
-        rows[:, TIME] += self._offset
-        earliest, latest = (reduced.reduceat(rows[:, TIME], starts) for reduced in (np.minimum, np.maximum))
         before, self._latest_s = np.append(self._latest_s, latest[:-1]), latest[-1]
         if len(bad := np.flatnonzero(earliest <= before)):
             raise InputError(
                 f"{self._where}: expected times that increase with the frame number, found "
                 f"{instant(earliest[bad[0]], 9)} s at frame {frames[bad[0]]:.0f}, not after "
-                f"{instant(before[bad[0]], 9)} s of the frame before: each needs a number and a time of its own"
+                f"{instant(before[bad[0]], 9)} s of the frame before: give each frame a number and a time of its own, "
+                "or state `rates` where numbers count frames and times scatter"
             )
-        rows[:, TIME] = rows[starts[index], TIME]
+        rows[:, TIME] = rows[starts[index], TIME] + self._offset
         return rows
 
     def _by_rate(self, frames: Array, rate: float) -> Array:

@@ -228,6 +228,22 @@ def test_a_rate_that_takes_the_place_of_times_is_noted(tmp_path: Path, imported:
     assert noted not in imported("csv", source)[0]["assumed"]
 
 
+def test_times_that_scatter_by_more_than_a_frame_are_taken_from_frame_numbers(tmp_path: Path, imported: Import) -> None:
+    """A frame has one time: where stamps overlap nobody knows it, but for the rate. Numbers that repeat have none."""
+    rows = [(frame, 0.1 * frame + 0.13 * (row - 1), row) for frame in range(20) for row in range(3)]
+    text = "frame,time,u,v\n" + "".join(f"{frame},{time:.3f},{row},1\n" for frame, time, row in rows)
+    source = write(tmp_path / "c.csv", text)
+    with pytest.raises(InputError, match=r"of the frame before: .* or state `rates` where numbers count frames"):
+        imported("csv", source)
+    report, _ = imported("csv", source, rates=10.0)
+    assert (report["cameras"]["c"]["frames"], report["cameras"]["c"]["last_s"]) == (20, 1.9)
+    twice = write(
+        tmp_path / "d.csv", text + "".join(f"{frame},{time + 2.0:.3f},{row},1\n" for frame, time, row in rows)
+    )
+    with pytest.raises(InputError, match=r"numbers that do not begin anew, found frame 0 from -0\.13 to 2\.13 s"):
+        imported("csv", twice, rates=10.0)
+
+
 def test_warnings_name_pixels_and_times_that_cannot_be(tmp_path: Path, imported: Import) -> None:
     """Without cameras too, where no check looks at the log."""
     sources = [

@@ -129,7 +129,7 @@ def discover(
         last = _link(results, others, number, names)
         if last is not None:
             doubts += last[0]
-            if place.distance(last[2])[0] > OTHER_ANGLE:
+            if not last[0] and place.distance(last[2])[0] > OTHER_ANGLE:
                 doubts.append((f"the cameras do not agree where {names[number]} is", MORE_OBJECTS))
     said = sentences(doubts)
     rig = _rig(views, placed, links, said)

@@ -64,17 +64,15 @@ def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[Doubt]:
     if fit.pieces < LEAST_PIECES:
         few = f"the tracks that {two} share are too few or too straight ({fit.pieces:.1f} pieces of a curve)"
         doubts.append((few, f"{LEAST_PIECES:g} pieces are needed, record objects that turn, or more of them"))
+    if not doubts and fit.front < LEAST_FRONT:
+        few = f"the tracks of {two} agree by chance ({100.0 * fit.front:.0f} % of the points lie in front of both)"
+        remedy = "record the same moving objects with both, at one time"
+        doubts.append((few, remedy + ("" if lens_is_stated else ", and state the lenses")))
     if doubts:
         return doubts  # what follows from them says no more
-    if fit.front < LEAST_FRONT:
-        few = f"only {100.0 * fit.front:.0f} % of the points lie in front of {two}"
-        remedy = "record the same moving objects with both, at one time"
-        remedy += "" if lens_is_stated else ", and state the lenses"
-        doubts.append((few, f"their tracks agree by chance; {remedy}"))
     if fit.residual > MOST_RESIDUAL:
         stated = " or ".join(["a focal length", *["a lens"] * lens_is_stated, *["a clock"] * clock_is_stated])
-        remedy = f"{stated} is unlike what is stated, the noise is larger, or tracks of different objects were paired: "
-        remedy += "state rough poses, or record more objects"
+        remedy = f"{stated} may be wrong; state rough poses, or record more objects"
         doubts.append((f"rays of {two} miss each other by {fit.residual:.1f} times the noise", remedy))
     if pair.gap < LEAST_GAP:
         doubts.append(_second_optimum(pair, two, clock_is_stated))

@@ -55,6 +55,14 @@ def test_a_remedy_is_said_once_of_all_cameras() -> None:
     assert [said.count(f"cam0 and {name} share") for name in ("cam1", "cam2")] == [1, 1]
 
 
+def test_what_follows_from_tracks_that_agree_by_chance_is_not_said() -> None:
+    """Residuals, another optimum and other pairs followed in nine clauses."""
+    by_chance = replace(optimum(0.8, 20.0), front=0.6, residual=4.0)
+    ((what, remedy),) = doubts_of_pair(Link((0, 1), by_chance, 1.2, (1.0, 0.5), 1, 2), NAMES)
+    assert what == "the tracks of cam0 and cam1 agree by chance (60 % of the points lie in front of both)"
+    assert remedy.startswith("record the same moving objects with both")
+
+
 @pytest.mark.parametrize("is_stated", [True, False])
 def test_a_remedy_names_a_clock_or_a_lens_only_where_it_is_stated(is_stated: bool) -> None:
     """Cameras whose clocks are known were to "state the clock"."""
