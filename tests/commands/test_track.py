@@ -290,6 +290,17 @@ def test_nobody_there(config_path: Path, tmp_path: Path) -> None:
     assert max(scans["cardinality_mean"]) < 0.5
 
 
+@pytest.mark.usefixtures("without_checks")
+@pytest.mark.parametrize("kind", ["phd", "pmb"])
+def test_a_false_detection_is_no_object_where_none_is_stated(config_path: Path, tmp_path: Path, kind: str) -> None:
+    """With none at all, each was one for certain: a false detection in ten frames made most of the tracks."""
+    _, folder = made(config_path, *NOBODY, "cameras.right.detector.clutter_per_frame=0.0")
+    loaded = load_config(config_path, (*SPARSE, f"filter.kind={kind}", "filter.birth.per_s=0.001"))
+    report = track(loaded, folder / "detections.parquet", tmp_path / "out")
+    assert report["input"]["detections"] >= 3
+    assert report["tracks"] == []
+
+
 def test_no_filter_is_an_input_error(config_path: Path, tmp_path: Path) -> None:
     loaded, folder = made(config_path, "filter=null")
     with pytest.raises(InputError, match="filter"):

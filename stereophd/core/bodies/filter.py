@@ -175,13 +175,13 @@ class BodyFilter:
         known = float((weights * detection).sum())
         numbers = EventNumbers(
             event.camera, event.time_s, elapsed, state.next_label, len(event.points), detector.p_detect, 0.0,
-            float(camera.width * camera.height), 1.0, self.settings.out_of_view_s, detector.clutter_per_frame, 0.0,
+            float(camera.width * camera.height), 1.0, self.settings.out_of_view_s, detector.expected_clutter, 0.0,
         )  # fmt: skip
         before = state.undetected or all_undetected(len(self.rig.cameras))
         births, undetected, burst = expected_births(
             before, birth_rates(birth), self._left[event.camera], numbers, known
         )
-        clutter = max(detector.clutter_per_frame, float(burst), 1e-12)
+        clutter = max(detector.expected_clutter, float(burst))
         pairs = self._pairs(hypotheses, projected, slopes, hidden, boxes, camera)
         with np.errstate(over="ignore"):
             masses = weights[pairs.rows] * detection[pairs.rows] * np.exp(np.minimum(pairs.log_odds, 500.0)) / clutter

@@ -20,6 +20,10 @@ Time = TypeVar("Time", float, Array)
 # Noise of the boxes of detectors of people: see `Detector.box_noise`.
 BOX_NOISE = (0.06, 0.045, 0.05, 0.09)
 
+# Where no false detections are stated, estimators expect one in a hundred frames: with none at all every detection that
+# no track explains would be an object for certain.
+LEAST_CLUTTER = 0.01
+
 
 @dataclass(frozen=True, init=False, eq=False)
 class Detector(EqualByValue):
@@ -50,6 +54,11 @@ class Detector(EqualByValue):
             raise ValueError(f"detector: expected clutter_per_frame >= 0, found {clutter_per_frame}")
         self.__dict__.update(sigma=values, p_detect=float(p_detect), clutter_per_frame=float(clutter_per_frame))
         self.__dict__.update(box_noise=tuple(box_noise))
+
+    @property
+    def expected_clutter(self) -> float:
+        """Mean number of false detections per frame that estimators expect, at least `LEAST_CLUTTER`."""
+        return max(self.clutter_per_frame, LEAST_CLUTTER)
 
 
 @dataclass(frozen=True)

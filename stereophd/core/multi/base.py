@@ -260,6 +260,6 @@ class DisparityFilter(ABC):
     def _detectors(self) -> list[tuple[float, float, float]]:
         """Probability of detection, clutter a frame and area of the image of each camera."""
         return [
-            (float(one.detector.p_detect), float(one.detector.clutter_per_frame), float(one.width * one.height))
+            (float(one.detector.p_detect), one.detector.expected_clutter, float(one.width * one.height))
             for one in self.rig.cameras
         ]

@@ -26,7 +26,7 @@ from stereophd.core.trajectories.smoothing import Trajectory
 LEAST_GAIN = 1.0
 # Squared Mahalanobis distance (99.9 % of a chi-square with 2 degrees of freedom) up to which a detection may be taken.
 GATE = 13.8
-# Smallest rate of clutter a frame, and probability of a miss: 0 would make every detection certain.
+# Smallest probability of a detection, and of a miss: 0 would make every one certain.
 LEAST_RATE = 1e-6
 # Standard deviations of the prior: of the position in distances from the camera, of the velocity in the track's speeds.
 # From a wider one rounding leaves well known tracks no covariance.
@@ -76,7 +76,7 @@ class WholeRun:
         """Of each camera: log(p_D / ((1 - p_D) c)) with the density c of clutter, px^-2, and log(1 - p_D)."""
         p_detect = np.array([camera.detector.p_detect for camera in self.cameras])
         missed = np.log(np.maximum(1.0 - p_detect, LEAST_RATE))
-        clutter = [max(c.detector.clutter_per_frame, LEAST_RATE) / (c.width * c.height) for c in self.cameras]
+        clutter = [c.detector.expected_clutter / (c.width * c.height) for c in self.cameras]
         return np.log(np.maximum(p_detect, LEAST_RATE)) - missed - np.log(clutter), missed
 
     def look(self, events: Integers, states: Array, detections: Integers) -> tuple[Array, Array]:

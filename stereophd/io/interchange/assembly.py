@@ -136,7 +136,7 @@ LEAST_FRAMES_OF_A_STEP = 10
 # Times without frame numbers are even if this share of their steps are multiples of the interval, to within this part
 # of it. The step at this quantile is about one interval, even where most frames have no detection.
 EVEN_SHARE, EVEN_PART, SHORT_STEP = 0.95, 0.2, 0.1
-# Frames by which the times of the rows of one frame may scatter, as by the clocks of a camera: beyond it numbers repeat.
+# Frames by which times of the rows of one frame may scatter, as by the clocks of a camera; beyond it numbers repeat.
 MOST_SCATTERED = 10.0
 # Most frames that a recording may be said to have: a day at 10 kHz.
 MOST_FRAMES = 1_000_000_000

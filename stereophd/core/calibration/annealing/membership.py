@@ -98,7 +98,7 @@ def chosen_detections(
     """
     recording, cameras = scans.recording, problem.parameters.build(adjustment.values)
     predictions, known = Predictions.of(problem, adjustment), problem.observations.trajectories
-    clutter = np.array([c.detector.clutter_per_frame / (c.width * c.height * c.detector.p_detect) for c in cameras])
+    clutter = np.array([c.detector.expected_clutter / (c.width * c.height * c.detector.p_detect) for c in cameras])
     weights = problem.weights(adjustment.distances)
     owner = np.full(len(scans.points), -1)
     for j in np.argsort(-np.bincount(known, minlength=problem.knots.count), kind="stable"):

@@ -32,9 +32,6 @@ from stereophd.core.multi.filter_settings.common import FilterSettings
 from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.numerics.threads import in_threads
 
-# False detections per frame below which a lens that cannot be inverted would make the recording impossible.
-LEAST_CLUTTER = 1e-6
-
 
 @dataclass(frozen=True)
 class RecordingEvidence:
@@ -117,5 +114,5 @@ def _log_density_of_lost(event: Event, camera: Camera) -> float:
     """Log-density over the image of the detections that were left out of an event: clutter."""
     if event.not_invertible == 0:
         return 0.0
-    clutter = max(camera.detector.clutter_per_frame, LEAST_CLUTTER) / (camera.width * camera.height)
+    clutter = camera.detector.expected_clutter / (camera.width * camera.height)
     return event.not_invertible * math.log(clutter)
