@@ -22,14 +22,16 @@ from stereophd.wording import number
 # Share of the depths that the region must cover, and the births, be it those of this first share of the time alone:
 # objects move away from where they appear.
 LEAST_COVERED, LEAST_BORN, BEGINNING = 0.6, 0.25, 0.25
-# Factors between stated and measured spread of the speed that are reported; and the most that the acceleration may
-# change speeds by in a second, over their spread. That is of whole tracks: of what sways, a hundredth of the
-# acceleration. Too small a one shows in the tracks, and one that is a little too large does no harm.
-SLOWER, FASTER, TOO_MUCH = 6.0, 30.0, 200.0
+# Factors between stated and measured spread of the speed that are reported, and between stated and measured
+# acceleration. Too small a one shows in the tracks, and one that is a little too large does little harm.
+SLOWER, FASTER, TOO_MUCH = 6.0, 30.0, 30.0
+# Successive frames of a track in which its velocity is measured: the noise of most detectors is less than what 30 times
+# the acceleration of the objects changes from one of these windows to the next.
+WINDOW = 8
 # Share of the detections that one-camera tracks must hold before settings are called too large.
 LEAST_HELD = 0.6
-# Tracks that a speed is estimated from, at least.
-LEAST_TRACKS = 4
+# Tracks that a speed is estimated from, and changes of velocity that an acceleration is, at least.
+LEAST_TRACKS, LEAST_WINDOWS = 4, 10
 # Speed of sound, m/s: what cameras follow is slower, but for bullets and meteors, and thousands of it are a wrong unit.
 FASTEST = 340.0
 
@@ -44,16 +46,18 @@ class MeasuredScene:
     # (2,) or None: Root mean square of one component, and 95 % quantile of the speed across the line of sight,
     # length/s.
     speed: Array | None
+    acceleration: float  # Root mean square of one component, with what noise adds, length/s^1.5; NaN without windows
 
 
 def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> MeasuredScene:
     """Estimate depths and speeds of the objects, from pairs of cameras with at least this score."""
     samples, first = _depth_samples(geometry, least_score)
     if not len(samples):
-        return MeasuredScene(None, samples, samples, None)
+        return MeasuredScene(None, samples, samples, None, np.nan)
     depths = np.quantile(samples, [0.05, 0.5, 0.95])
     chains = [sample for sample in geometry.samples if sample.linking[1] <= MOST_BY_CHANCE]
-    return MeasuredScene(depths, samples, first, _speed(chains, float(depths[1])))
+    speed, acceleration = _speed(chains, float(depths[1])), _acceleration(chains, float(depths[1]))
+    return MeasuredScene(depths, samples, first, speed, acceleration)
 
 
 def _speed(samples: list[CameraSample], depth: float) -> Array | None:
@@ -73,6 +77,22 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
     if len(squares) < LEAST_TRACKS or np.mean(squares) <= 2.0 * np.std(squares) / np.sqrt(len(squares)):
         return None
     return np.array([np.sqrt(np.mean(squares) / 2.0), np.quantile(least, 0.95)])
+
+
+def _acceleration(samples: list[CameraSample], depth: float) -> float:
+    """Return `acceleration` of a `MeasuredScene` at a depth: by how much velocities differ between two windows."""
+    squares = []
+    for sample in samples:
+        for track in sample.tracks:
+            windows = track[: len(track) // WINDOW * WINDOW].reshape(-1, WINDOW)
+            times = sample.times[sample.frame_of[windows]]
+            since = times - times.mean(axis=1, keepdims=True)
+            spread = (since**2).sum(axis=1)[:, None]
+            velocity = np.einsum("nk,nka->na", since, sample.pixels[windows]) / np.where(spread > 0.0, spread, np.inf)
+            change = np.diff(velocity, axis=0) * (depth / sample.camera.fx)
+            squares.append(change**2 / np.maximum(np.diff(times.mean(axis=1)), 1e-9)[:, None])
+    found = np.concatenate(squares) if squares else np.empty((0, 2))
+    return float(np.sqrt(found.mean())) if len(found) >= LEAST_WINDOWS else float("nan")
 
 
 def _depth_samples(geometry: Geometry, least_score: float) -> tuple[Array, Array]:
@@ -229,11 +249,11 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
         )  # fmt: skip
     acceleration = getattr(motion, "acceleration_std", None)
     most = 0.0 if acceleration in (None, ESTIMATE) else float(np.max(acceleration))
-    if complete and most > TOO_MUCH * spread:
+    if complete and most > TOO_MUCH * scene.acceleration:
         yield Finding(
             "settings.acceleration_std", "warning",
-            f"the objects move at about {number(spread)} {unit}/s per axis, but motion.acceleration_std is {most:g}: "
-            "it seems to be in another unit",
-            most, round(spread, 6), None, "let track estimate it (motion.acceleration_std: estimate)",
+            f"the velocity of the objects changes by about {number(scene.acceleration)} {unit}/s per axis in a second, "
+            f"but motion.acceleration_std is {most:g}: it seems to be in another unit",
+            most, round(scene.acceleration, 6), None, "let track estimate it (motion.acceleration_std: estimate)",
             "acceleration_std", "motion.acceleration_std=estimate",
         )  # fmt: skip

@@ -344,6 +344,17 @@ def test_settings_are_not_adapted_to_a_wrong_unit(samples: list[CameraSample], s
     assert any(one.change for one in found) == adapted
 
 
+@pytest.mark.parametrize(("acceleration", "warned"), [(0.5, False), (5.0, False), (100.0, True)])
+def test_an_acceleration_in_another_unit_is_named(
+    samples: list[CameraSample], acceleration: float, warned: bool
+) -> None:
+    """Objects that turn at 1 m/s change it by less than that in a second; tracks with 100 m/s follow any detection."""
+    config = make_config({"filter": {"kind": "pmb", "birth": {"depth_range": DEPTHS, "velocity_std": 1.0,
+                          "per_s": 1.0}}, "motion": {"acceleration_std": acceleration}}).config  # fmt: skip
+    found = check_settings(config, measure_scene(measure(samples, DEPTHS)), samples, True)
+    assert [one.cause for one in found if one.status == "warning"] == ["acceleration_std"] * warned
+
+
 def test_births_are_asked_where_objects_begin(samples: list[CameraSample]) -> None:
     """Objects that fly away leave the depths of the births (set-up 3083 of the benchmark was warned of)."""
     config = make_config({"filter": {"kind": "pmb", "birth": {"depth_range": [1.0, 3.0], "velocity_std": 1.0,
