@@ -43,26 +43,24 @@ class MeasuredScene:
     depths: Array | None  # (3,) or None: Quantiles of 5, 50 and 95 % of the depth before the cameras, length
     depth_samples: Array  # (n,): Depths that represent the distribution, length
     first_depths: Array  # (n,): The same of the beginning of the log
-    # (2,) or None: Root mean square of one component, and 95 % quantile of the speed across the line of sight,
-    # length/s.
+    # (3,) or None: Root mean square of one component, and 95 % quantile of the speed across the line of sight,
+    # length/s; and by how much a component changes in a second, with what noise adds, NaN of short tracks.
     speed: Array | None
-    acceleration: float  # Root mean square of one component, with what noise adds, length/s^1.5; NaN without windows
 
 
 def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> MeasuredScene:
     """Estimate depths and speeds of the objects, from pairs of cameras with at least this score."""
     samples, first = _depth_samples(geometry, least_score)
     if not len(samples):
-        return MeasuredScene(None, samples, samples, None, np.nan)
+        return MeasuredScene(None, samples, samples, None)
     depths = np.quantile(samples, [0.05, 0.5, 0.95])
     chains = [sample for sample in geometry.samples if sample.linking[1] <= MOST_BY_CHANCE]
-    speed, acceleration = _speed(chains, float(depths[1])), _acceleration(chains, float(depths[1]))
-    return MeasuredScene(depths, samples, first, speed, acceleration)
+    return MeasuredScene(depths, samples, first, _speed(chains, float(depths[1])))
 
 
 def _speed(samples: list[CameraSample], depth: float) -> Array | None:
     """Return `speed` of a `MeasuredScene` at a depth; None where noise hides it."""
-    squares, least = [], []
+    squares, least, changes = [], [], [np.empty((0, 2))]
     for sample in samples:
         scale, noise = depth / sample.camera.fx, float(sample.camera.detector.sigma.mean())
         for track in sample.tracks:
@@ -74,25 +72,16 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
             speed = float(np.hypot(*(centred @ (pixels - pixels.mean(axis=0)))) / spread)  # by least squares
             squares.append(scale**2 * (speed**2 - 2.0 * noise**2 / spread))
             least.append(scale * max(speed - 3.0 * noise / np.sqrt(spread), 0.0))
+            windows = track[: len(track) // WINDOW * WINDOW].reshape(-1, WINDOW)
+            since = sample.times[sample.frame_of[windows]]
+            middle = since.mean(axis=1, keepdims=True)
+            since = since - middle
+            velocity = np.einsum("nk,nka->na", since, sample.pixels[windows]) / (since**2).sum(axis=1, keepdims=True)
+            changes.append(scale * np.diff(velocity, axis=0) / np.sqrt(np.diff(middle, axis=0)))
     if len(squares) < LEAST_TRACKS or np.mean(squares) <= 2.0 * np.std(squares) / np.sqrt(len(squares)):
         return None
-    return np.array([np.sqrt(np.mean(squares) / 2.0), np.quantile(least, 0.95)])
-
-
-def _acceleration(samples: list[CameraSample], depth: float) -> float:
-    """Return `acceleration` of a `MeasuredScene` at a depth: by how much velocities differ between two windows."""
-    squares = []
-    for sample in samples:
-        for track in sample.tracks:
-            windows = track[: len(track) // WINDOW * WINDOW].reshape(-1, WINDOW)
-            times = sample.times[sample.frame_of[windows]]
-            since = times - times.mean(axis=1, keepdims=True)
-            spread = (since**2).sum(axis=1)[:, None]
-            velocity = np.einsum("nk,nka->na", since, sample.pixels[windows]) / np.where(spread > 0.0, spread, np.inf)
-            change = np.diff(velocity, axis=0) * (depth / sample.camera.fx)
-            squares.append(change**2 / np.maximum(np.diff(times.mean(axis=1)), 1e-9)[:, None])
-    found = np.concatenate(squares) if squares else np.empty((0, 2))
-    return float(np.sqrt(found.mean())) if len(found) >= LEAST_WINDOWS else float("nan")
+    change = np.concatenate(changes).std() if sum(map(len, changes)) >= LEAST_WINDOWS else np.nan
+    return np.array([np.sqrt(np.mean(squares) / 2.0), np.quantile(least, 0.95), change])
 
 
 def _depth_samples(geometry: Geometry, least_score: float) -> tuple[Array, Array]:
@@ -219,7 +208,7 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
     assert not isinstance(settings, SingleSettings)
     if scene.speed is None:
         return
-    spread, fastest = float(scene.speed[0]), float(scene.speed[1])
+    spread, fastest, change = scene.speed.tolist()
     stated = float(np.max(settings.birth.velocity_std))
     if spread > SLOWER * stated or (complete and spread < stated / FASTER):
         yield Finding(
@@ -249,11 +238,11 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
         )  # fmt: skip
     acceleration = getattr(motion, "acceleration_std", None)
     most = 0.0 if acceleration in (None, ESTIMATE) else float(np.max(acceleration))
-    if complete and most > TOO_MUCH * scene.acceleration:
+    if complete and most > TOO_MUCH * change:
         yield Finding(
             "settings.acceleration_std", "warning",
-            f"the velocity of the objects changes by about {number(scene.acceleration)} {unit}/s per axis in a second, "
+            f"the velocity of the objects changes by about {number(change)} {unit}/s per axis in a second, "
             f"but motion.acceleration_std is {most:g}: it seems to be in another unit",
-            most, round(scene.acceleration, 6), None, "let track estimate it (motion.acceleration_std: estimate)",
+            most, round(change, 6), None, "let track estimate it (motion.acceleration_std: estimate)",
             "acceleration_std", "motion.acceleration_std=estimate",
         )  # fmt: skip

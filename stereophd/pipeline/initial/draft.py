@@ -307,7 +307,7 @@ def _rough(draft: Draft, samples: list[CameraSample], priors: Mapping[str, Noise
     spread = middle * usual_turn(samples, priors)
     fastest, tracks = SPREADS * spread, "from displacements between frames at these depths"
     if scene is not None and scene.speed is not None:
-        (spread, fastest), tracks = scene.speed.tolist(), "from one-camera tracks at these depths"
+        (spread, fastest), tracks = scene.speed[:2].tolist(), "from one-camera tracks at these depths"
     choices["filter.birth.velocity_std"] = Choice(rounded(max(2.0 * spread, 1e-3 * middle)), tracks)
     choices["motion.max_speed"] = Choice(rounded(max(5.0 * fastest, 0.02 * middle)), tracks)
     choices["motion.acceleration_std"] = Choice(rounded(max(0.5 * spread, 1e-4 * middle)), tracks)

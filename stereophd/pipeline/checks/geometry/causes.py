@@ -40,7 +40,7 @@ BLOCKS = 8
 # Share of the logs of right set-ups in which chance may let any of the alternatives pass.
 FALSE_ALARMS = 0.005
 # Clock offsets that are tried: up to this many seconds, in this many steps.
-LARGEST_SHIFT_S, SHIFT_STEPS = 6.0, 160
+LARGEST_SHIFT_S, SHIFT_STEPS = 6.0, 40
 # Rates of clocks, frames of the first stretch that shows one, in which they drift little, and how many times
 # longer each other one is.
 RATES, FIRST_FRAMES, LONGER = (0.2, 5.0), 30, 4
@@ -56,9 +56,7 @@ MOST_CLOCKS, MOST_CLOCK_PAIRS = 12, 6
 # Frames with detections below which no clock offset or rate can be told.
 LEAST_CLOCK_FRAMES = 8
 # Detections and shifted times of the first trial of an alternative, and alternatives that get a second one.
-FEW_DETECTIONS, FEW_SHIFTS, FINALISTS = 100, 3, 6
-# The same where the check is part of another command and must be quick: fewer detections, coarser clock steps.
-QUICK_DETECTIONS, QUICK_SHIFTS, QUICK_STEPS = 50, 2, 40
+FEW_DETECTIONS, FEW_SHIFTS, FINALISTS = 50, 2, 6
 # A pose is looked for from turns of these sizes about the axes, with these scales of the loss, one after the other,
 # standard deviations, and so many steps; the standard deviation of its turn, rad, and of its move over the distance of
 # the farthest camera; a miss without rays.
@@ -73,15 +71,14 @@ def best_explanation(
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
     Every alternative (unless rays are suspicious only clocks, and a pose where one of them is promising) is tried on a
-    few detections, and the best of them on all. If `thorough`, clock offsets are always tried, in finer steps, and the
-    first look takes more detections. What is far off makes rays meet at a wide tolerance, which the remedy must not be
-    compared with: where they are suspicious or blurred, one standard deviation follows.
+    few detections, and the best of them on all. If `thorough`, clock offsets are always tried. What is far off makes
+    rays meet at a wide tolerance, which the remedy must not be compared with: where they are suspicious or blurred, one
+    standard deviation follows.
     """
-    size = (FEW_DETECTIONS, FEW_SHIFTS) if thorough else (QUICK_DETECTIONS, QUICK_SHIFTS)
-    few = tuple(pair.thinned(_affordable(pair, size[0], 1 + size[1]), size[1]) for pair in geometry.pairs)
-    quick, steps = replace(geometry, pairs=few, given=()), SHIFT_STEPS if thorough else QUICK_STEPS
+    few = (pair.thinned(_affordable(pair, FEW_DETECTIONS, 1 + FEW_SHIFTS), FEW_SHIFTS) for pair in geometry.pairs)
+    quick = replace(geometry, pairs=tuple(few), given=())
     # what holds at all tolerances is computed once
-    of_clock, of_pose = cache(partial(_clock_trials, geometry, steps)), cache(partial(_pose_trial, geometry))
+    of_clock, of_pose = cache(partial(_clock_trials, geometry)), cache(partial(_pose_trial, geometry))
     of_cameras, first_look = cache(lambda: [*_camera_trials(geometry)]), cache(lambda trial: trial.partners(quick))
 
     def best_at(tolerances: tuple[float, ...], clocks_only: bool = False) -> Explanation | None:
@@ -98,7 +95,7 @@ def best_explanation(
         finalists += [trial for camera in scope if (trial := of_pose(camera)) is not None]
         tried = sum(trial.tried for trial in trials)
         # a rate is found from two offsets
-        least, of_rate = (NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried * n, 1)) for n in (1, steps))
+        least, of_rate = (NormalDist().inv_cdf(1.0 - FALSE_ALARMS / max(tried * n, 1)) for n in (1, SHIFT_STEPS))
         explained = [one for trial in finalists if (one := trial.explain(geometry, tolerances)) is not None]
         is_rate = [one.trial.cause == "frame_rate" and one.trial.tried > 1 for one in explained]
         certain = [one for one, of in zip(explained, is_rate, strict=True) if one.is_decisive(of_rate if of else least)]
@@ -316,22 +313,23 @@ def _pairs_with(geometry: Geometry, camera: int) -> list[int]:
     return [k for k, pair in enumerate(geometry.pairs) if camera in (pair.a, pair.b)]
 
 
-def _clock_trials(geometry: Geometry, steps: int, camera: int) -> list[Trial]:
+def _clock_trials(geometry: Geometry, camera: int) -> list[Trial]:
     """Return the trials of a clock offset and of a rate of one camera."""
     sample, concerned, found = geometry.samples[camera], _pairs_with(geometry, camera)[:MOST_CLOCK_PAIRS], []
-    shift = _best_shift(geometry, concerned, camera, steps)
+    shift = _best_shift(geometry, concerned, camera)
     if shift is not None:
         found.append(Trial(
             (camera,), "clock_offset", f"its clock seems to be off by {-shift:+.3g} s", shift_remedy(shift),
-            geometry.views, _with_times(geometry, camera, sample.times + shift), clock_change(sample, shift), steps,
+            geometry.views, _with_times(geometry, camera, sample.times + shift), clock_change(sample, shift),
+            SHIFT_STEPS,
         ))  # fmt: skip
-    if (clock := _clock(geometry, concerned, camera, steps)) is not None:
-        found.append(replace(_of_rate(geometry, camera, *clock), tried=steps))
+    if (clock := _clock(geometry, concerned, camera)) is not None:
+        found.append(replace(_of_rate(geometry, camera, *clock), tried=SHIFT_STEPS))
     start = float(sample.times[0])
     return [*found, *(_of_rate(geometry, camera, rate, (1.0 - rate) * start) for rate in USUAL_RATES)]
 
 
-def _clock(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> tuple[float, float] | None:
+def _clock(geometry: Geometry, concerned: list[int], camera: int) -> tuple[float, float] | None:
     """Return the rate and the offset, s, that the times of a camera lack; None if their rate is right.
 
     They are those by which offsets of the two halves of a stretch differ: of a short one at first, in which times of
@@ -347,7 +345,7 @@ def _clock(geometry: Geometry, concerned: list[int], camera: int, steps: int) ->
             pairs = (_within(samples, geometry.pairs[k], start, end) for k in concerned)
             if used := tuple(pair for pair in pairs if pair is not None):
                 moved = replace(geometry, samples=samples, pairs=used, given=())
-                shift = _best_shift(moved, list(range(len(used))), camera, steps) or 0.0
+                shift = _best_shift(moved, list(range(len(used))), camera) or 0.0
                 found.append((float(np.mean([pair.times.mean() for pair in used])), shift))
         if len(found) == 2 and found[1][0] > found[0][0]:
             (early, before), (late, after) = found
@@ -402,14 +400,14 @@ def _with_times(geometry: Geometry, camera: int, times: Array) -> list[CameraSam
     return [moved if k == camera else one for k, one in enumerate(geometry.samples)]
 
 
-def _best_shift(geometry: Geometry, concerned: list[int], camera: int, steps: int) -> float | None:
+def _best_shift(geometry: Geometry, concerned: list[int], camera: int) -> float | None:
     """Return the clock offset, s, of a camera at which most rays meet; None if it is next to none.
 
     The steps become finer about the best offset: at a wide tolerance rays meet between the steps of a coarse grid.
     """
     interval = geometry.samples[camera].interval_s
     span = min(LARGEST_SHIFT_S, 0.25 * float(np.ptp(geometry.samples[camera].times)))
-    best, step, finest = 0.0, max(interval / 4.0, 2.0 * span / steps), interval / 4.0
+    best, step, finest = 0.0, max(interval / 4.0, 2.0 * span / SHIFT_STEPS), interval / 4.0
     while True:
         shifts = best + np.arange(-span, span + 0.5 * step, step)
         best = float(shifts[int(np.argmax(sum(_met_at(geometry, k, camera, shifts) for k in concerned)))])

@@ -67,10 +67,8 @@ class Candidates:
     def thinned(self, count: int, shifts: int = SHIFTS) -> Candidates:
         """Return fewer of the detections, and fewer shifted times."""
         kept = np.unique(np.linspace(0, len(self.detections) - 1, min(count, len(self.detections))).astype(int))
-        return Candidates(
-            self.a, self.b, self.detections[kept], self.times[kept], self.pixels_a[kept],
-            np.ascontiguousarray(self.pixels_b[: 1 + shifts, kept]),
-        )  # fmt: skip
+        there = np.ascontiguousarray(self.pixels_b[: 1 + shifts, kept])
+        return Candidates(self.a, self.b, self.detections[kept], self.times[kept], self.pixels_a[kept], there)
 
     def elsewhere(self, camera: Camera) -> Candidates:
         """Return the detections of A, the given camera, at other places of the image, each in its own direction."""
