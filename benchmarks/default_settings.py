@@ -191,7 +191,7 @@ def _stop(*_: object) -> None:
 def checked(number: int, folder: Path, most: int) -> dict[str, Any]:
     """Warnings of the checks on a right set-up."""
     row = simulated(number, folder, most)[1]
-    findings = check_log(load_config(folder / "true.yaml"), folder / "scene" / "detections.parquet", thorough=False)
+    findings = check_log(load_config(folder / "true.yaml"), folder / "scene" / "detections.parquet", of_rows=False)
     return {**row, "warned": sorted(str(found.cause) for found in findings if found.status == "warning")}
 
 

@@ -262,7 +262,7 @@ def run(setup: Setup, truth: Path, folder: Path, tracked: bool = True) -> tuple[
             checks = track(loaded, folder / "log.parquet", folder / "out")["checks"]
         else:
             build_tracking(loaded)
-            checks = [one.as_dict() for one in check_log(loaded, folder / "log.parquet", thorough=False)]
+            checks = [one.as_dict() for one in check_log(loaded, folder / "log.parquet", of_rows=False)]
     except InputError:
         return "error", ["error"], float("nan")
     causes = [found["cause"] for found in checks if found["status"] == "warning"]
@@ -334,7 +334,7 @@ def _false_warnings(k: int, folder: Path, tracked: bool) -> int:
     if tracked:
         checks = track(loaded, log, folder / "out")["checks"]
     else:
-        checks = [one.as_dict() for one in check_log(loaded, log, thorough=False)]
+        checks = [one.as_dict() for one in check_log(loaded, log, of_rows=False)]
     found = [one for one in checks if one["status"] == "warning"]
     for one in found:
         print(f"false: {config.name} seed {1000 + k}: {one['name']}: {one['message']}", flush=True)

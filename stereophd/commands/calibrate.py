@@ -107,7 +107,7 @@ def calibrate(
     )
     drawn = whether_to_draw(options.plots)
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
-    findings = report_findings(check_log(stated, log_path, thorough=False, alone=True))
+    findings = report_findings(check_log(stated, log_path, of_rows=False, alone=True))
     with contextlib.ExitStack() as held:
         held.enter_context(output_lock(out_dir))
         held.enter_context(unfinished.held(options.resume, options.force))
@@ -217,7 +217,7 @@ def _track(
     stream = open_stream(loaded.config, cameras, log_path, progress)
     run = TrackingRun(loaded, 1, multi_filter, multi_filter.motion, cameras, report)
     summary = run.write(run.records(stream), out, metadata, uncertainty=uncertainty)
-    checked = check_log(loaded, log_path, thorough=False, cameras=cameras)
+    checked = check_log(loaded, log_path, of_rows=False, cameras=cameras)
     findings = [found for found in checked if found.name.startswith(WITH_CAMERAS)]
     noise = check_noise(summary, cameras, stream.has_noise, checked)
     losses = check_losses(summary, stream.counts)

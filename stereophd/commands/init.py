@@ -55,7 +55,7 @@ def init(
     if log_path is not None and draft.cameras:
         begin(STEPS, "the log is checked")
         loaded = loaded_draft(draft, str(target))
-        checked = check_log(loaded, log_path, thorough=False, alone=draft.is_unplaced)
+        checked = check_log(loaded, log_path, of_rows=False, alone=draft.is_unplaced)
         # a mistake by which the values are chosen is named once; another one is the cause of what the estimates show
         named = {found.name for found in draft.findings} & {"geometry.cause", "geometry.boxes"}
         is_right = not any(map(is_mistake, checked))

@@ -99,7 +99,7 @@ def track(
     LOGGER.info("configuration %s, sha256 %s, seed %d", loaded.path, loaded.sha256, loaded.config.seed)
     kind = loaded.config.filter.kind if loaded.config.filter is not None else ""
     with compiling_ahead(kind), output_lock(out_dir):
-        findings = check_log(loaded, log_path, thorough=False)
+        findings = check_log(loaded, log_path, of_rows=False)
         with (
             unfinished.held(options.resume, options.force),
             OutputFolder(out_dir, (*FILES, *UNFINISHED_FILES), options.force or unfinished.exists) as out,

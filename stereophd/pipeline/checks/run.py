@@ -24,16 +24,16 @@ from stereophd.wording import LOGGER
 # Numbers near the largest may overflow: no finding follows from what is not finite.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def check_log(
-    loaded: LoadedConfig, log_path: Path | str, thorough: bool = True, cameras: tuple[Camera, ...] | None = None,
+    loaded: LoadedConfig, log_path: Path | str, of_rows: bool = True, cameras: tuple[Camera, ...] | None = None,
     from_s: float = -math.inf, alone: bool = False,
 ) -> tuple[Finding, ...]:  # fmt: skip
     """Check whether a log fits the cameras and the settings of a configuration.
 
-    Other cameras, such as calibrated ones, can take the place of those of the configuration. If `thorough`, clock
-    offsets are tried even where nothing is suspicious. Nothing before the time `from_s` is read.
-    Returns findings about the log alone (with `alone` only these: poses may be unknown), about the geometry and about
-    the settings, in this order. Raises InputError if the configuration has no cameras, the log is not usable, or the
-    known trajectory of a camera does not cover it.
+    Other cameras, such as calibrated ones, can take the place of those of the configuration. Bad rows are findings if
+    `of_rows`: a run refuses or counts them itself. Nothing before the time `from_s` is read. Returns findings about the
+    log alone (with `alone` only these: poses may be unknown), about the geometry and about the settings, in this order.
+    Raises InputError if the configuration has no cameras, the log is not usable, or the known trajectory of a camera
+    does not cover it.
     """
     config = loaded.config
     if cameras is None:
@@ -48,8 +48,7 @@ def check_log(
     # read all the same, so that it shows why they lie there
     outside = sum(int((~one.camera.contains(one.pixels, config.input.image_margin_px)).sum()) for one in samples)
     looked_at = {"rows": sum(len(one.pixels) for one in samples), "outside_image": outside}
-    # a quick check precedes a run, which states what it drops
-    rows = (*check_rows(reader.counts), *check_rows(looked_at)) if thorough else ()
+    rows = (*check_rows(reader.counts), *check_rows(looked_at)) if of_rows else ()
     findings = [*rows, *_of_files(loaded, samples, whole)]
     if alone:
         return tuple(findings)
@@ -64,7 +63,7 @@ def check_log(
         why = f"geometry and settings are checked only for cameras that stand still; moving: {', '.join(moving)}"
         return (*findings, Finding("geometry.rays", "not checked", why))
     geometry = measure(samples, expected_depths(config, samples))
-    rays = [*check_geometry(geometry, thorough)]
+    rays = [*check_geometry(geometry)]
     named = {found.cause for found in rays if found.name == "geometry.cause"}
     if named <= {DO_NOT_MEET} and config.object.shape == "point":
         # the middle of a box is not the image of the middle of a body
@@ -75,7 +74,7 @@ def check_log(
         rays += residuals
     unnamed = {found.cause for found in warnings_of(tuple(rays))}
     if unnamed <= {DO_NOT_MEET, ERRORS_LAST} and (DO_NOT_MEET in unnamed or geometry.is_blurred()):
-        sharp = [*check_geometry(geometry, thorough, is_blurred=True)]
+        sharp = [*check_geometry(geometry, is_blurred=True)]
         # errors that last blur rays as a mistake of the list does, which explains more; that some turn explains it
         # tells no more than that rays miss each other for long
         if not unnamed or {found.cause for found in sharp if found.name == "geometry.cause"} - {DO_NOT_MEET}:

@@ -149,8 +149,7 @@ def _mistake(samples: list[CameraSample]) -> Finding | None:
     if any(sample.box_height_px is not None or not sample.camera.pose.is_static for sample in samples):
         return None
     geometry = measure(samples, expected_depths(None, samples))
-    findings = check_geometry(geometry, thorough=False)
-    return next((found for found in findings if found.name == "geometry.cause"), None)
+    return next((found for found in check_geometry(geometry) if found.name == "geometry.cause"), None)
 
 
 def _with_bodies(

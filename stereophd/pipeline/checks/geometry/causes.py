@@ -65,15 +65,11 @@ POSE_TURNS_DEG, POSE_SCALES, POSE_STEPS, POSE_STD, FARTHEST = (2.0, 4.0), (30.0,
 QUICK_DISTANCES, LEAST_DETECTIONS = 8000, 8
 
 
-def best_explanation(
-    geometry: Geometry, is_suspicious: bool = True, thorough: bool = True, is_blurred: bool = False
-) -> Explanation | None:
+def best_explanation(geometry: Geometry, is_suspicious: bool) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
-    Every alternative (unless rays are suspicious only clocks, and a pose where one of them is promising) is tried on a
-    few detections, and the best of them on all. If `thorough`, clock offsets are always tried. What is far off makes
-    rays meet at a wide tolerance, which the remedy must not be compared with: where they are suspicious or blurred, one
-    standard deviation follows.
+    Every alternative is tried on a few detections, and the best of them on all. What is far off makes rays meet at a
+    wide tolerance, where rays are suspicious; at one standard deviation the remedy must not be compared with that.
     """
     few = (pair.thinned(_affordable(pair, FEW_DETECTIONS, 1 + FEW_SHIFTS), FEW_SHIFTS) for pair in geometry.pairs)
     quick = replace(geometry, pairs=tuple(few), given=())
@@ -81,17 +77,17 @@ def best_explanation(
     of_clock, of_pose = cache(partial(_clock_trials, geometry)), cache(partial(_pose_trial, geometry))
     of_cameras, first_look = cache(lambda: [*_camera_trials(geometry)]), cache(lambda trial: trial.partners(quick))
 
-    def best_at(tolerances: tuple[float, ...], clocks_only: bool = False) -> Explanation | None:
+    def best_at(tolerances: tuple[float, ...]) -> Explanation | None:
         stated = geometry
         if tolerances == SHARP:
             stated = replace(geometry, given=tuple(geometry.given_at(k, *SHARP) for k in range(len(geometry.pairs))))
         clocks = sorted(usable_clocks(stated)[:MOST_CLOCKS])  # of many, those whose rays meet least
-        trials = [*([] if clocks_only else of_cameras()), *(one for camera in clocks for one in of_clock(camera))]
+        trials = [*of_cameras(), *(one for camera in clocks for one in of_clock(camera))]
         looks = [one for t in trials if (one := t.explain(quick, tolerances, first_look(t))) is not None]
         promising = [one for one in looks if one.met.excess >= one.given.excess + 0.5 * LEAST_GAIN]
         best_first = sorted(promising, key=lambda one: -one.met.sharpness)[:FINALISTS]
         finalists = sorted((one.trial for one in best_first), key=trials.index)
-        scope = best_first[0].trial.scope[:FINALISTS] if best_first else _least_met(stated)[: not clocks_only]
+        scope = best_first[0].trial.scope[:FINALISTS] if best_first else _least_met(stated)[:1]
         finalists += [trial for camera in scope if (trial := of_pose(camera)) is not None]
         tried = sum(trial.tried for trial in trials)
         # a rate is found from two offsets
@@ -107,8 +103,8 @@ def best_explanation(
         alike = [one for one in compete if one.met.sharpness >= best - 0.03]
         return next((one for one in alike[:1] if is_wrong or _is_confirmed(one, geometry, tolerances, least)), None)
 
-    found = best_at(TOLERANCES, clocks_only=not is_suspicious) if is_suspicious or thorough else None
-    return best_at(SHARP) if found is None and (is_suspicious or is_blurred) else found
+    found = best_at(TOLERANCES) if is_suspicious else None
+    return best_at(SHARP) if found is None else found
 
 
 def _affordable(pair: Candidates, count: int, tables: int) -> int:

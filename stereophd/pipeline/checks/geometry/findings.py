@@ -14,16 +14,16 @@ CHANCE_SCORE, LEAST_SHARE = 2.5, 0.4
 POWER, LARGEST_DEFICIT = 6.0, 3.5
 
 
-def check_geometry(geometry: Geometry, thorough: bool, is_blurred: bool = False) -> Iterator[Finding]:
-    """Yield a finding for every pair of cameras, and what explains failures; `thorough` always tries clock offsets.
+def check_geometry(geometry: Geometry, is_blurred: bool = False) -> Iterator[Finding]:
+    """Yield a finding for every pair of cameras, and what explains failures.
 
     Where rays meet and are blurred, what makes them meet better at one standard deviation is looked for.
     """
     yield from left_out(geometry)
     suspicious = [k for k in range(len(geometry.pairs)) if geometry.is_suspicious(k)]
     explanation = None
-    if geometry.pairs and (suspicious or thorough or is_blurred):
-        explanation = best_explanation(geometry, bool(suspicious), thorough, is_blurred)
+    if geometry.pairs and (suspicious or is_blurred):
+        explanation = best_explanation(geometry, bool(suspicious))
     if explanation is not None:
         yield _named(geometry, explanation)
     alone = set() if explanation is not None else _alone(geometry)

@@ -238,7 +238,7 @@ def expected_excess(found: Candidates, samples: list[CameraSample], depths: tupl
 
 
 # A pair below this share of what the configuration promises, or below this score, is suspicious.
-SUSPICIOUS_SHARE, SUSPICIOUS_SCORE = 0.6, 4.0
+SUSPICIOUS_SHARE, SUSPICIOUS_SCORE = 0.7, 4.0
 # From this score on rays meet beyond doubt.
 LEAST_SCORE = 6.0
 # Above this share of partners by chance, shifted times show nothing.
