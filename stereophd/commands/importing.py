@@ -229,12 +229,7 @@ def _check_files(
     estimated = [name for name, camera in cameras.items() if camera.detector.estimate]
     outside = sum(int((~one.camera.contains(one.pixels, IMAGE_MARGIN_PX)).sum()) for one in samples)
     rows = check_rows({"rows": sum(len(one.pixels) for one in samples), "outside_image": outside})
-    about_files = (
-        found
-        for found in check_files(samples, whole=False)
-        if not (found.name.startswith("detector.") and found.camera in estimated)
-    )
-    return [*rows, *about_files]
+    return [*rows, *check_files(samples, whole=False, estimated=estimated)]
 
 
 def _camera_rows(

@@ -95,12 +95,8 @@ def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) ->
     """
     unknown_clocks = [name for name, camera in loaded.cameras.items() if camera.clock.unknown]
     unasked = () if loaded.config.object.shape == "point" else ("detector.sigma", "log.detections")
-    return tuple(
-        found
-        for found in check_files(samples, whole, unknown_clocks)
-        if not (found.name.startswith("detector.") and found.camera in loaded.estimated_cameras)
-        and found.name not in unasked
-    )
+    findings = check_files(samples, whole, unknown_clocks, loaded.estimated_cameras)
+    return tuple(found for found in findings if found.name not in unasked)
 
 
 def report_findings(findings: tuple[Finding, ...]) -> list[dict[str, Any]]:

@@ -40,11 +40,12 @@ SHORTEST_FOCAL = 0.2
 
 
 def check_files(
-    samples: list[CameraSample], whole: bool = True, unknown_clocks: Collection[str] = ()
-) -> Iterator[Finding]:
+    samples: list[CameraSample], whole: bool = True, unknown_clocks: Collection[str] = (),
+    estimated: Collection[str] = (),
+) -> Iterator[Finding]:  # fmt: skip
     """Yield findings on frames, pixels and detectors of every camera; having no frames is one only in a `whole` log.
 
-    Of cameras of `unknown_clocks` nobody knows when they recorded.
+    Of cameras of `unknown_clocks` nobody knows when they recorded, and those `estimated` state no detector.
     """
     untimed = set(unknown_clocks)
     for sample in samples:
@@ -61,7 +62,8 @@ def check_files(
         yield from frames
         yield from _pixels(sample)
         yield from _places(sample)
-        yield from _detector(sample)
+        is_stated = sample.camera.name not in estimated
+        yield from (one for one in _detector(sample) if is_stated or not one.name.startswith("detector."))
     seen = [sample.camera.name for sample in samples if len(sample.pixels)]
     if whole and len(seen) < 2 <= len(samples):
         yield Finding(

@@ -125,8 +125,8 @@ class CameraSample:
     @cached_property
     def linking(self) -> tuple[Integers, float]:
         """The `links`, and the share of them that frames which lie far apart have too."""
-        first, second, near, _, by_chance = _gated(self, None, None)
         following = np.full(len(self.pixels), -1, dtype=np.int64)
+        first, second, near, _, by_chance = _gated(self, following < 0, following < 0)
         following[first[near]] = second[near]
         return following, by_chance
 
@@ -292,25 +292,22 @@ def _of_camera(camera: Camera, frames: list[Frame]) -> CameraSample:
     )
 
 
-def _nearest(
-    sample: CameraSample, step: int, going: Booleans | None = None, coming: Booleans | None = None
-) -> tuple[Integers, Integers, Array]:
+def _nearest(sample: CameraSample, step: int, going: Booleans, coming: Booleans) -> tuple[Integers, Integers, Array]:
     """Return mutually nearest detections of frames k and k + step: first, second, distance in px.
 
-    Among all detections, or among those (n,) of frame k that are `going` and those of frame k + step that are `coming`.
+    Among those (n,) of frame k that are `going` and those of frame k + step that are `coming`.
     """
     order = np.lexsort((sample.pixels[:, 0], sample.frame_of))
     pixels = np.ascontiguousarray(sample.pixels[order])
-    going, coming = (np.ones(len(order), np.bool_) if one is None else one[order] for one in (going, coming))
-    following = nearest_of_frame(sample.first, pixels, step, going, coming)
-    returned = nearest_of_frame(sample.first, pixels, -step, coming, going)
+    following = nearest_of_frame(sample.first, pixels, step, going[order], coming[order])
+    returned = nearest_of_frame(sample.first, pixels, -step, coming[order], going[order])
     first = np.flatnonzero((following >= 0) & (returned[following] == np.arange(len(order))))
     second = following[first]
     return order[first], order[second], np.hypot(*(pixels[second] - pixels[first]).T)
 
 
 def _gated(
-    sample: CameraSample, going: Booleans | None, coming: Booleans | None
+    sample: CameraSample, going: Booleans, coming: Booleans
 ) -> tuple[Integers, Integers, Booleans, float, float]:
     """Mutually nearest detections of successive frames, whether they lie within the best gate, and how sure that is.
 
