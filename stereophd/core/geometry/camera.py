@@ -20,8 +20,7 @@ Time = TypeVar("Time", float, Array)
 # Noise of the boxes of detectors of people: see `Detector.box_noise`.
 BOX_NOISE = (0.06, 0.045, 0.05, 0.09)
 
-# Where no false detections are stated, estimators expect one in a hundred frames: with none at all every detection that
-# no track explains would be an object for certain.
+# Where none is stated, a false detection in a hundred frames is expected: else any one would be an object for certain.
 LEAST_CLUTTER = 0.01
 
 

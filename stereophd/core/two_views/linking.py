@@ -102,11 +102,8 @@ def nearest_of_frame(first: Integers, points: Array, step: int, asked: Booleans,
     nearest, frames = np.full(len(points), -1), len(first) - 1
     for k in range(max(0, -step), min(frames, frames - step)):
         low, high = first[k + step], first[k + step + 1]
-        right = low
         for i in range(first[k], first[k + 1]):
-            while right < high and points[right, 0] < points[i, 0]:
-                right += 1
-            least = np.inf
+            least, right = np.inf, low + np.searchsorted(points[low:high, 0], points[i, 0])
             for j, direction in ((right, 1), (right - 1, -1)):
                 while asked[i] and low <= j < high and (points[j, 0] - points[i, 0]) ** 2 < least:
                     squared = (points[j, 0] - points[i, 0]) ** 2 + (points[j, 1] - points[i, 1]) ** 2

@@ -186,7 +186,11 @@ def _certain(
     if not any(fit.is_certain(FALSE_ALARMS / len(fits)) for fit in fits):
         return None
     most = max(fits, key=lambda fit: fit.explained)
-    alike = [fit for fit in fits if fit.explained >= most.explained - most.chance_over(fit)]
+    chance, all_numbers = ALIKE * (most.explained * most.left) ** 0.5, set(most.cause.numbers)
+    # a cause that has all numbers of another explains the same with these: only the difference is by chance
+    parts = [fit.camera == most.camera and set(fit.cause.numbers) < all_numbers for fit in fits]
+    least = [most.explained - (0.5 if is_part else 1.0) * chance for is_part in parts]
+    alike = [fit for fit, explained in zip(fits, least, strict=True) if fit.explained >= explained]
     return min(alike, key=lambda fit: (len(fit.cause.numbers), -fit.explained)), alike, fits
 
 
@@ -270,14 +274,6 @@ class CauseFit:
     def leaves_what_lasts(self) -> bool:
         """Whether distances last without it too: errors of single objects look like a cause, and are none."""
         return self.lasting[0] > MOST_LEFT and self.lasting[1] > LASTING_ERRORS
-
-    def chance_over(self, other: CauseFit) -> float:
-        """How much more of the squared distances than another cause this one may explain by chance.
-
-        Half as much where it has all numbers of the other: what both explain is then the same.
-        """
-        has_all = self.camera == other.camera and set(other.cause.numbers) < set(self.cause.numbers)
-        return (0.5 if has_all else 1.0) * ALIKE * float((self.explained * self.left) ** 0.5)
 
     def is_certain(self, probability: float) -> bool:
         """Whether a part is further from 0 than chance and what is tolerated bring any with this probability.

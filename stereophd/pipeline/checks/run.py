@@ -56,11 +56,11 @@ def check_log(
     doubted = any(found.name == "detector.sigma" for found in warnings_of(tuple(findings)))
     unstated = [one.camera.name for one in samples] if doubted else loaded.estimated_cameras
     samples = [one.with_measured_noise(only_less=one.camera.name not in unstated) for one in samples]
+    moving = [sample.camera.name for sample in samples if not sample.camera.pose.is_static]
+    why = f"geometry and settings are checked only for cameras that stand still; moving: {', '.join(moving)}"
     if mistakes := [found.name for found in findings if is_mistake(found)]:
         why = f"rays are compared once what {mistakes[0]} warns of is corrected"
-        return (*findings, Finding("geometry.rays", "not checked", why))
-    if moving := [sample.camera.name for sample in samples if not sample.camera.pose.is_static]:
-        why = f"geometry and settings are checked only for cameras that stand still; moving: {', '.join(moving)}"
+    if mistakes or moving:
         return (*findings, Finding("geometry.rays", "not checked", why))
     geometry = measure(samples, expected_depths(config, samples))
     rays = [*check_geometry(geometry)]

@@ -25,8 +25,7 @@ LEAST_COVERED, LEAST_BORN, BEGINNING = 0.6, 0.25, 0.25
 # Factors between stated and measured spread of the speed that are reported, and between stated and measured
 # acceleration. Too small a one shows in the tracks, and one that is a little too large does little harm.
 SLOWER, FASTER, TOO_MUCH = 6.0, 30.0, 30.0
-# Successive frames of a track in which its velocity is measured: the noise of most detectors is less than what 30 times
-# the acceleration of the objects changes from one of these windows to the next.
+# Successive frames of a track whose velocity is compared with that of the next ones: noise hides little in so many.
 WINDOW = 8
 # Share of the detections that one-camera tracks must hold before settings are called too large.
 LEAST_HELD = 0.6
