@@ -188,15 +188,15 @@ def test_checks_take_rows_for_rows_and_not_for_wrong_clocks(tmp_path: Path) -> N
     config = tmp_path / "scene.yaml"
     config.write_text(SCENE)
     named = 0
-    for seed in (1, 3, 4):
+    for seed in (1, 3, 4, 5, 6, 7):
         simulate(load_config(config, seed=seed), tmp_path / f"log{seed}")
         report = check(load_config(config, seed=seed), tmp_path / f"log{seed}" / "detections.parquet")
         rays = [one for one in report["checks"] if one["name"].startswith("geometry")]
-        assert [one["status"] for one in rays] == ["ok"] * 3
+        assert "warning" not in {one["status"] for one in rays}
         wrong = [f"cameras.{name}.readout_s=0.0" for name in NAMES]
         report = check(load_config(config, wrong, seed), tmp_path / f"log{seed}" / "detections.parquet")
         named += "geometry.cause" in [one["name"] for one in report["checks"]]
-    assert named >= 2
+    assert named >= 3
 
 
 def test_readout_in_files(tmp_path: Path) -> None:
