@@ -10,7 +10,13 @@ from scipy.linalg import LinAlgError
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import SETTLED, MarginalPosterior, Point, at_answer, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import (
+    SETTLED,
+    MarginalPosterior,
+    Point,
+    at_answer,
+    marginal_optimum,
+)
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import KNOTS_NEAR, Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -76,23 +82,21 @@ def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list
 
 
 def paired_fit(task: Task, pairing: Pairing) -> Fit:
-    """Adjust cameras and trajectories to paired one-camera tracks. See `calibration.pairing`."""
-    objects = paired_objects(task.pairs, pairing, len(task.tracks))
-    cameras, (rows, times, points) = task.parameters.build(pairing.values), meeting_points(task.parameters, task.pairs, pairing)
-    of_row = task.pairs.pair[rows]
-    detections = np.concatenate([rows for _, rows in task.tracks])
-    of_track = np.repeat(np.arange(len(task.tracks)), [len(rows) for _, rows in task.tracks])
+    """Adjust cameras and trajectories to paired one-camera tracks, while both last. See `calibration.pairing`."""
+    objects, cameras = paired_objects(task.pairs, pairing, len(task.tracks)), task.parameters.build(pairing.values)
+    rows, times, points = meeting_points(task.parameters, task.pairs, pairing)
+    of_row, detections = task.pairs.pair[rows], np.concatenate([detections for _, detections in task.tracks])
+    of_track = np.repeat(np.arange(len(task.tracks)), [len(detections) for _, detections in task.tracks])
     seen = task.observations(cameras, of_track, detections).times
-    # tracks of one camera mix objects that pass one another: what is common to two is of one object
+    # a track of one camera goes over to another object where two pass: beyond its partner nobody sees it
     is_common = np.zeros(len(detections), dtype=np.bool_)
     for pair in np.unique(of_row):
         at = times[of_row == pair]
         is_common |= np.isin(of_track, task.pairs.tracks[pair]) & (seen >= at.min()) & (seen <= at.max())
-    detections, of_object = detections[is_common], objects[of_track[is_common]]
-    order = np.lexsort((detections, of_object))
-    detections = detections[order]
-    _, trajectories = np.unique(of_object[order], return_inverse=True)
-    met = objects[task.pairs.tracks[of_row, 0]]
+    order = np.lexsort((detections[is_common], objects[of_track[is_common]]))
+    detections, of_track = detections[is_common][order], of_track[is_common][order]
+    numbers, trajectories = np.unique(objects[of_track], return_inverse=True)
+    met = np.searchsorted(numbers, objects[task.pairs.tracks[of_row, 0]])
     observations = task.observations(cameras, trajectories, detections)
     nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
@@ -197,7 +201,7 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
 
 def stated_until(task: Task, answer: Fit, time_s: float) -> HistoryRow | None:
     """Return the posterior given the detections until a time, by one step from a marginal optimum; None without any."""
-    part = _taken(task, answer, np.flatnonzero(answer.observations.times <= time_s))
+    part = part_of(task, answer, np.flatnonzero(answer.observations.times <= time_s))
     if part is None:
         return None
     size = task.parameters.size
@@ -210,7 +214,7 @@ def stated_until(task: Task, answer: Fit, time_s: float) -> HistoryRow | None:
     return None
 
 
-def _taken(task: Task, fit: Fit, rows: NDArray[np.intp]) -> Fit | None:
+def part_of(task: Task, fit: Fit, rows: NDArray[np.intp]) -> Fit | None:
     """Return a fit with some of its detections, of objects that two cameras see; None if there is none.
 
     Trajectories of which one camera alone is left hold no information about the cameras, and collapse into it. The
@@ -270,7 +274,7 @@ def _begun(task: Task, fit: Fit, observations: Observations, of_fit: Integers) -
 def _standing(task: Task, fit: Fit) -> Fit | None:
     """Adjust to what has not collapsed into its camera; None if nothing has, or no object of two cameras is left."""
     collapsed_rows = _collapsed(task, fit)
-    part = _taken(task, fit, np.flatnonzero(~collapsed_rows)) if collapsed_rows.any() else None
+    part = part_of(task, fit, np.flatnonzero(~collapsed_rows)) if collapsed_rows.any() else None
     return part and adjusted_to(task, part, part.observations, part.observations.trajectories, part.detections)
 
 
@@ -414,8 +418,7 @@ def _knots(task: Task, observations: Observations, points: Array, values: Array,
     seen = observations.trajectories
     detected = [observations.times[seen == j] for j in range(int(seen.max()) + 1)]
     length = _length_of_noise(task, observations, points, values)
-    import os
-    factor = float(MotionNoise.of(noise, np.ones(3)).std.max())**float(os.environ.get("KP","0.5"))
+    factor = float(MotionNoise.of(noise, np.ones(3)).std.max())
     return place_knots(detected, knot_spacing(task.filter.motion, length / factor), task.filter.motion)
 
 
