@@ -53,20 +53,21 @@ LAPLACE_DRAWS = 1000
 def annealed_outcome(run: CalibrationRun) -> Outcome:
     """Method annealed, with the posterior that the section names.
 
-    Where no start agrees with the data, what nobody may have measured is unknown from the beginning.
+    Where no start agrees with the data, or the first that explain them end at cameras that are ruled out, what nobody
+    may have measured is unknown from the beginning.
     """
     problem, section, stated = run.problem, run.section, run.problem.parameters.size
     run.limit.begin("one-camera tracks are made")
     is_timed = not (offset_places(problem.parameters) >= 0).any()
-    task = _task(run)
-    starts, failed = _all_starts(run, task), list[dict[str, Any]]()
-    if best_of(starts) is None and (unmeasured := _unmeasured(run)).size > stated and not run.limit.is_over:
+    task, unmeasured = _task(run), _unmeasured(run)
+    starts, failed = _all_starts(run, task, unmeasured.size > stated), list[dict[str, Any]]()
+    if best_of(starts) is None and unmeasured.size > stated and not run.limit.is_over:
         run.limit.begin("no start agrees: starts begin anew with what nobody may have measured unknown")
         failed = [_start_report(task, start, None) for start in starts]
         problem = replace(problem, parameters=unmeasured)
         run = replace(run, problem=problem)
         task = _task(run)
-        starts = _all_starts(run, task, "starts_unmeasured")
+        starts = _all_starts(run, task, kept="starts_unmeasured")
     best = best_of(starts)
     details: dict[str, Any] = {
         "starts": [*failed, *(_start_report(task, start, best) for start in starts)],
@@ -125,15 +126,21 @@ def choices_of(section: CalibrationConfig) -> Choices:
     return Choices(section.model, known, section.posterior == "smc")
 
 
-def _all_starts(run: CalibrationRun, task: Task, kept: str = "starts") -> list[Start]:
-    """Run starts until enough agree; they are kept under a name while the run is unfinished."""
+def _all_starts(run: CalibrationRun, task: Task, may_refuse: bool = False, kept: str = "starts") -> list[Start]:
+    """Run starts until enough agree, or, if they may, as many explain the log and are ruled out.
+
+    They are kept under a name while the run is unfinished.
+    """
     count, agreeing = task.most_starts, task.settings.agreeing_starts
     values = start_values(task.parameters, CALIBRATION_STARTS.seed(run.loaded.config.seed), count)
     seeds = CALIBRATION_PAIRING.seed(run.loaded.config.seed).spawn(count)
     starts: list[Start] = run.unfinished.read(kept, list[Start], {Motion: task.filter.motion}) or []
 
     def is_done() -> bool:
-        return len(starts) == count or agreeing_with_best(starts) >= agreeing or (bool(starts) and run.limit.is_over)
+        explaining = sum(start.explained >= task.settings.min_tracked for start in starts)
+        is_refused = may_refuse and best_of(starts) is None and explaining >= agreeing
+        enough = agreeing_with_best(starts) >= agreeing or is_refused
+        return len(starts) == count or enough or (bool(starts) and run.limit.is_over)
 
     if not is_done():
         run.limit.begin(f"up to {count} starts begin")

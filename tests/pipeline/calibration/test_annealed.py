@@ -23,13 +23,13 @@ from tests.scenes import build_camera
 COUNT, AGREEING = 8, 2
 
 
-def start(number: int, place: float | None) -> Start:
-    """A start that ended at a place, or failed."""
+def start(number: int, place: float | None, explained: float = 0.1) -> Start:
+    """A start that ended at a place, or failed, having explained a part of the log."""
     values = np.full(3, place or 0.0)
     adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(3), 0.0, np.full(4, 2.0), True)
     fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
     outcome = "it failed" if place is None else SUCCEEDED
-    return Start(number, outcome, np.empty((0, 3)), fit, -100.0, 0.0, 1.0, "pairing 0")
+    return Start(number, outcome, np.empty((0, 3)), fit, -100.0, 0.0, 1.0 if place else explained, "pairing 0")
 
 
 @dataclass
@@ -59,18 +59,20 @@ def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Start]]:
         pairings: list[Pairing] | None = None,
         jobs: int = 1,
         taken: int = 0,
+        explained: float = 0.1,
+        may_refuse: bool = False,
     ) -> Any:
         begun = list[int]()
 
         def begin(task: Task, number: int, *_: Any) -> Start:
             begun.append(number)
-            return replace(start(number, places[number]), pairing=pairings[taken] if pairings else None)
+            return replace(start(number, places[number], explained), pairing=pairings[taken] if pairings else None)
 
         monkeypatch.setattr(annealed, "start_values", lambda *_: np.zeros((COUNT, 3)))
         monkeypatch.setattr(annealed, "paired", lambda _task, number, *_: (pairings or [])[taken if number else 0 :])
         monkeypatch.setattr(annealed, "run_start", begin)
         prior = SimpleNamespace(prior_std=np.ones(3))
-        settings, motion = SimpleNamespace(agreeing_starts=AGREEING), SimpleNamespace(motion=None)
+        settings, motion = SimpleNamespace(agreeing_starts=AGREEING, min_tracked=0.5), SimpleNamespace(motion=None)
         task = SimpleNamespace(most_starts=COUNT, settings=settings, parameters=prior, filter=motion)
         unfinished = SimpleNamespace(read=lambda *_: kept, keep=keep)
         of_run = SimpleNamespace(
@@ -78,7 +80,7 @@ def run_all(monkeypatch: pytest.MonkeyPatch) -> Callable[..., list[Start]]:
             unfinished=unfinished, progress=lambda *_: None,
         )  # fmt: skip
         monkeypatch.setattr(annealed, "worker_processes", lambda *_: nullcontext(map))
-        found = annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task))
+        found = annealed._all_starts(cast("CalibrationRun", of_run), cast("Task", task), may_refuse)
         return (found, begun) if pairings else found
 
     return run
@@ -107,6 +109,16 @@ def test_starts_of_one_pairing_are_followed_once(
     assert [one.number for one in starts] == list(range(len(places)))
     assert begun == expected
     assert {one.fit.adjustment.values[0] for one in starts if one.succeeded} == {places[k] for k in expected} - {None}
+
+
+@pytest.mark.parametrize(
+    ("explained", "may_refuse", "count"), [(0.8, True, 2), (0.8, False, COUNT), (0.4, True, COUNT)]
+)
+def test_starts_that_explain_the_log_and_are_ruled_out_end_the_others(
+    run_all: Any, explained: float, may_refuse: bool, count: int
+) -> None:
+    assert len(run_all([None] * COUNT, explained=explained, may_refuse=may_refuse)) == count
+    assert len(run_all([None, 5.0, None, 5.0, *[None] * 4], explained=explained, may_refuse=may_refuse)) == 4
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 3])
@@ -157,7 +169,7 @@ def test_where_no_start_succeeds_what_nobody_measured_is_unknown(
     problem = CalibrationProblem(ParameterSet(two, known), 0, recording, None, {})
     sizes = list[int]()
 
-    def fail(run: Any, task: Any, *_: str) -> list[Start]:
+    def fail(run: Any, task: Any, *_: bool, **__: str) -> list[Start]:
         sizes.append(run.problem.parameters.size)
         return [start(0, None)]
 

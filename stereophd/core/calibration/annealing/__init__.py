@@ -3,7 +3,7 @@
 Fits differ in where the detections of a trajectory come from, what they hold, and which loss forgives. Those of passes
 adjust cameras and trajectories together (`adjustment.solver.adjust`), and are confirmed by the marginal posterior
 (`fits.confirmed_fit`). Those to given detections integrate the trajectories out (`adjustment.marginal`), but where they
-hold all values, and in the history:
+hold all values:
 
 =====================  =====================================  ==========================  ======  =====================
 fit                    detections of a trajectory             holds                       loss    called by

@@ -10,7 +10,13 @@ from scipy.linalg import LinAlgError
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import SETTLED, MarginalPosterior, Point, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import (
+    SETTLED,
+    MarginalPosterior,
+    Point,
+    at_answer,
+    marginal_optimum,
+)
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import KNOTS_NEAR, Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -42,9 +48,8 @@ ANNEALED_LOSS = Loss(normal_equations.CAUCHY, 2.0)
 FITTED_LOSS = Loss(normal_equations.FLOOR, 1e-3)
 # Spread of the draws about clock offsets that motion shows, in parts of the prior's.
 SEARCHED_PART = 0.1
-# Iterations of an adjustment, of one that others follow, and of one for the history, which need not end at the last
-# digit: the optimum of the first parts of the log is flat.
-MOST_ITERATIONS, ANNEALED_ITERATIONS, HISTORY_ITERATIONS = 200, 30, 3
+# Iterations of an adjustment, and of one that others follow.
+MOST_ITERATIONS, ANNEALED_ITERATIONS = 200, 30
 # Steps of the knots, whatever the loss says, before an adjustment.
 SETTLING_STEPS = 3
 # Step, in posterior standard deviations, at which the search for a joint or marginal optimum of a pass has settled.
@@ -77,16 +82,21 @@ def pairings_of(task: Task, values: Array, seed: np.random.SeedSequence) -> list
 
 
 def paired_fit(task: Task, pairing: Pairing) -> Fit:
-    """Adjust cameras and trajectories to paired one-camera tracks. See `calibration.pairing`."""
-    objects = paired_objects(task.pairs, pairing, len(task.tracks))
-    detections = np.concatenate([rows for (_, rows), o in zip(task.tracks, objects, strict=True) if o >= 0])
-    of_object = np.concatenate([np.full(len(rows), o) for (_, rows), o in zip(task.tracks, objects, strict=True)])
-    of_object = of_object[of_object >= 0]
-    order = np.lexsort((detections, of_object))
-    trajectories, detections = of_object[order], detections[order]
+    """Adjust cameras and trajectories to paired one-camera tracks, while both last. See `calibration.pairing`."""
+    objects, cameras = paired_objects(task.pairs, pairing, len(task.tracks)), task.parameters.build(pairing.values)
     rows, times, points = meeting_points(task.parameters, task.pairs, pairing)
-    met = objects[task.pairs.tracks[task.pairs.pair[rows], 0]]
-    cameras = task.parameters.build(pairing.values)
+    of_row, detections = task.pairs.pair[rows], np.concatenate([detections for _, detections in task.tracks])
+    of_track = np.repeat(np.arange(len(task.tracks)), [len(detections) for _, detections in task.tracks])
+    seen = task.observations(cameras, of_track, detections).times
+    # a track of one camera goes over to another object where two pass: beyond its partner nobody sees it
+    is_common = np.zeros(len(detections), dtype=np.bool_)
+    for pair in np.unique(of_row):
+        at = times[of_row == pair]
+        is_common |= np.isin(of_track, task.pairs.tracks[pair]) & (seen >= at.min()) & (seen <= at.max())
+    order = np.lexsort((detections[is_common], objects[of_track[is_common]]))
+    detections, of_track = detections[is_common][order], of_track[is_common][order]
+    numbers, trajectories = np.unique(objects[of_track], return_inverse=True)
+    met = np.searchsorted(numbers, objects[task.pairs.tracks[of_row, 0]])
     observations = task.observations(cameras, trajectories, detections)
     nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
@@ -126,7 +136,7 @@ def tracked_fit(
     detections = scans.source[found.detections[rows]]
     points = reduced(found.positions[rows], cameras, task.reference, ratio)
     observations = task.observations(cameras, tracks, detections, inflation)
-    knots = _knots(task, observations, points, values)
+    knots = _knots(task, observations, points, values, noise)
     precision = ratio**2 / np.maximum(found.variances[rows], 1e-12)
     states = fit_states(knots, *interpolation(knots, tracks, observations.times), points, precision)
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale, held)
@@ -174,86 +184,98 @@ def fit_from(task: Task, values: Array) -> Fit | None:
     return fit
 
 
-def fit_until(task: Task, fit: Fit, time_s: float) -> Fit | None:
-    """Adjust to the detections until a time only, with the association of the whole run; None without any."""
-    return _part(task, fit, np.flatnonzero(fit.observations.times <= time_s), HISTORY_ITERATIONS)
-
-
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
-    """Return the posterior over time: joint optima of the log so far, and the result as the last row.
+    """Return the posterior over time: of the log so far, to second order about the answer, and the result as the last.
 
-    Marginalising the trajectories at every time would take too long.
+    A search at every time would take too long, and in the valleys of the first parts it would go anywhere.
     """
     *times, end = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:].tolist()
 
-    def until(time_s: float) -> Fit | None:
+    def until(time_s: float) -> HistoryRow | None:
         begins = task.limit.begin(f"the history of the answer, {times.index(time_s) + 1} of {HISTORY_TIMES}")
-        return fit_until(task, answer, time_s) if begins else None
+        return stated_until(task, answer, time_s) if begins else None
 
-    fits = zip((*times, end), (*in_threads(until, times, task.threads), result), strict=True)
-    return tuple(
-        HistoryRow(at, fit.adjustment.values, fit.adjustment.covariance) for at, fit in fits if fit is not None
-    )
+    last = HistoryRow(end, result.adjustment.values, result.adjustment.covariance)
+    return tuple(row for row in (*in_threads(until, times, task.threads), last) if row is not None)
 
 
-def _part(task: Task, fit: Fit, rows: NDArray[np.intp], most: int | None = None) -> Fit | None:
-    """Adjust to some of the detections, with the association of all; None if no object of two cameras is left.
+def stated_until(task: Task, answer: Fit, time_s: float) -> HistoryRow | None:
+    """Return the posterior given the detections until a time, by one step from a marginal optimum; None without any."""
+    part = part_of(task, answer, np.flatnonzero(answer.observations.times <= time_s))
+    if part is None:
+        return None
+    size = task.parameters.size
+    with suppress(LinAlgError):
+        problem, begun = _begun(task, part, part.observations, part.observations.trajectories)
+        posterior, at = at_answer(problem, replace(begun, distances=part.adjustment.distances))
+        root = posterior.root(at)
+        step = -root @ (root.T @ posterior.gradient(at))
+        return HistoryRow(time_s, answer.adjustment.values + step[:size], (root @ root.T)[:size, :size])
+    return None
 
-    Trajectories of which one camera alone is left hold no information about the cameras, and collapse into it.
+
+def part_of(task: Task, fit: Fit, rows: NDArray[np.intp]) -> Fit | None:
+    """Return a fit with some of its detections, of objects that two cameras see; None if there is none.
+
+    Trajectories of which one camera alone is left hold no information about the cameras, and collapse into it. The
+    trajectories keep their numbers.
     """
     chosen = shared(fit.observations.trajectories[rows], fit.observations.cameras[rows], 1)
     rows = rows[np.isin(fit.observations.trajectories[rows], chosen)]
-    trajectories, numbers = np.unique(fit.observations.trajectories[rows], return_inverse=True)
-    if not len(trajectories):
+    if not len(rows):
         return None
     cameras = task.parameters.build(fit.adjustment.values)
-    observations = task.observations(cameras, numbers.astype(np.int64), fit.detections[rows])
+    observations = task.observations(cameras, fit.observations.trajectories[rows], fit.detections[rows])
     if fit.observations.weights is None:
         observations = replace(observations, weights=None)
-    of_fit, detections = fit.observations.trajectories[rows], fit.detections[rows]
-    return adjusted_to(task, fit, observations, of_fit, detections, most)
+    adjustment = replace(fit.adjustment, distances=fit.adjustment.distances[rows])
+    return replace(fit, adjustment=adjustment, observations=observations, detections=fit.detections[rows])
 
 
-def adjusted_to(
-    task: Task, fit: Fit, observations: Observations, of_fit: Integers, detections: Integers, most: int | None = None
-) -> Fit:
+def adjusted_to(task: Task, fit: Fit, observations: Observations, of_fit: Integers, detections: Integers) -> Fit:
     """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
 
-    To the optimum of the marginal posterior, or, with at most so many steps (`most`) and where all values are held, to
-    the joint one. What the fit held is held again. The search begins at the noise of the motion of the fit, which stays
-    in joint ones. Stretches that a joint optimum has put into their camera (`annealing.rejected`) are left out, and the
-    others are adjusted to again: after the search, or before it where they let no knots settle.
+    To the optimum of the marginal posterior, or, where all values are held, to the joint one. What the fit held is held
+    again. The search begins at the noise of the motion of the fit, which stays in joint ones. Stretches that a joint
+    optimum has put into their camera (`annealing.rejected`) are left out, and the others are adjusted to again: after
+    the search, or before it where they let no knots settle.
     """
-    is_joint = most is not None or (fit.held is not None and bool(fit.held.all()))
-    values, noise = fit.adjustment.values, fit.adjustment.motion_noise
-    points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
-    knots = _knots(task, observations, points, values)
-    if is_joint:
-        knots = replace(knots, noise_std=fit.knots.noise_std)
-    interpolated = interpolation(knots, observations.trajectories, observations.times)
-    length = _length_of_noise(task, observations, points, values)
-    states = fit_states(knots, *interpolated, points, np.full(len(points), length**-2))
-    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
-    states = _settled(problem, values, states)
+    problem, begun = _begun(task, fit, observations, of_fit)
     searched = None
-    if not is_joint:
-        begun = _at(problem, values, states, noise)
+    if fit.held is None or not fit.held.all():
         if not _can_settle(problem, begun):
-            standing = _standing(task, _fit(task, problem, begun, detections), most)
+            standing = _standing(task, _fit(task, problem, begun, detections))
             if standing is not None:
                 return standing
         with suppress(LinAlgError):  # the joint optimum is found with damping
             searched = _searched(task, problem, begun, detections, SETTLED_IN_PASSES)
     if searched is None:
-        joint = adjust(problem, values, states, most or MOST_ITERATIONS)
-        searched = _fit(task, problem, replace(joint, motion_noise=noise), detections)
-    return _standing(task, searched, most) or searched
+        joint = adjust(problem, begun.values, begun.states, MOST_ITERATIONS)
+        searched = _fit(task, problem, replace(joint, motion_noise=begun.motion_noise), detections)
+    return _standing(task, searched) or searched
 
 
-def _standing(task: Task, fit: Fit, most: int | None) -> Fit | None:
+def _begun(task: Task, fit: Fit, observations: Observations, of_fit: Integers) -> tuple[Problem, Adjustment]:
+    """Return the problem of observations, and where the search begins that starts from a fit, as in `adjusted_to`."""
+    values, noise = fit.adjustment.values, fit.adjustment.motion_noise
+    points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
+    _, trajectories = np.unique(observations.trajectories, return_inverse=True)
+    observations = replace(observations, trajectories=trajectories)
+    knots = _knots(task, observations, points, values, noise)
+    if fit.held is not None and fit.held.all():
+        knots = replace(knots, noise_std=fit.knots.noise_std)
+    interpolated = interpolation(knots, trajectories, observations.times)
+    length = _length_of_noise(task, observations, points, values)
+    states = fit_states(knots, *interpolated, points, np.full(len(points), length**-2))
+    problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
+    return problem, _at(problem, values, _settled(problem, values, states), noise)
+
+
+def _standing(task: Task, fit: Fit) -> Fit | None:
     """Adjust to what has not collapsed into its camera; None if nothing has, or no object of two cameras is left."""
     collapsed_rows = _collapsed(task, fit)
-    return _part(task, fit, np.flatnonzero(~collapsed_rows), most) if collapsed_rows.any() else None
+    part = part_of(task, fit, np.flatnonzero(~collapsed_rows)) if collapsed_rows.any() else None
+    return part and adjusted_to(task, part, part.observations, part.observations.trajectories, part.detections)
 
 
 def _collapsed(task: Task, fit: Fit) -> Booleans:
@@ -391,12 +413,13 @@ def _fit(task: Task, problem: Problem, found: Adjustment, detections: Integers) 
     return Fit(found, replace(problem.knots, noise_std=noise_std), observations, detections, problem.held)
 
 
-def _knots(task: Task, observations: Observations, points: Array, values: Array) -> Knots:
-    """Knots of trajectories with the given detections, near the given positions."""
+def _knots(task: Task, observations: Observations, points: Array, values: Array, noise: Array = STATED) -> Knots:
+    """Knots of trajectories with the given detections, near the given positions, at a noise (6,) of the motion."""
     seen = observations.trajectories
     detected = [observations.times[seen == j] for j in range(int(seen.max()) + 1)]
-    noise = _length_of_noise(task, observations, points, values)
-    return place_knots(detected, knot_spacing(task.filter.motion, noise), task.filter.motion)
+    length = _length_of_noise(task, observations, points, values)
+    factor = float(MotionNoise.of(noise, np.ones(3)).std.max())
+    return place_knots(detected, knot_spacing(task.filter.motion, length / factor), task.filter.motion)
 
 
 def _length_of_noise(task: Task, observations: Observations, points: Array, values: Array) -> float:

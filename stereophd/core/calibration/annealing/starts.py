@@ -62,9 +62,11 @@ def is_led_to(pairings: list[Pairing], pairing: Pairing | None, prior_std: Array
 
 
 def followed_before(task: Task, starts: list[Start], number: int, pairings: list[Pairing]) -> Start | None:
-    """Return what a start finds from pairings if a successful one has followed the same; None if none has."""
+    """Return what a start finds from pairings if one that explains the log has followed the same; None if none has."""
     for start in starts:
-        if start.succeeded and is_led_to(pairings, start.pairing, task.parameters.prior_std):
+        if start.explained >= task.settings.min_tracked and is_led_to(
+            pairings, start.pairing, task.parameters.prior_std
+        ):
             return replace(start, number=number)
     return None
 
@@ -72,9 +74,9 @@ def followed_before(task: Task, starts: list[Start], number: int, pairings: list
 def run_start(task: Task, number: int, values: Array, pairings: list[Pairing]) -> Start:
     """Follow one start through all passes: from the pairings found, the best first, then from its own values (m,).
 
-    A pairing nearly as good as the best is followed too, and the one of the greater evidence counts. Further pairings,
-    and the start's own values at the widest noise, are tried only where none has succeeded so far. The number is for
-    the record.
+    A pairing nearly as good as the best is followed too, and the one of the greater evidence counts. Further pairings
+    are tried only where none has succeeded so far, and the start's own values at the widest noise where none explains
+    the log. The number is for the record.
     """
     tried: list[Start] = []
     for place, pairing in enumerate(pairings):
@@ -83,7 +85,7 @@ def run_start(task: Task, number: int, values: Array, pairings: list[Pairing]) -
         task.limit.begin(f"start {number + 1} of at most {task.most_starts}: cameras are fitted to {PAIRING} {place}")
         found = _follow(task, number, f"{PAIRING} {place}", values, paired_fit(task, pairing))
         tried.append(replace(found, pairing=pairing))
-    if best_of(tried) is None:
+    if not any(start.explained >= task.settings.min_tracked for start in tried):
         tried.append(_follow(task, number, WIDE, values, None))
     return best_of(tried) or max(tried, key=lambda one: one.explained)
 

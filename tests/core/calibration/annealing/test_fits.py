@@ -14,15 +14,17 @@ from stereophd.core.calibration.adjustment.marginal import MarginalPosterior
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves
+from stereophd.core.calibration.adjustment.trajectories import OF_ALL
 from stereophd.core.calibration.annealing import fits
 from stereophd.core.calibration.annealing.fits import (
+    adjusted_to,
     fit_from,
-    fit_until,
     marginal_fit,
     paired_fit,
     pairings_of,
     refitted,
     restated_fit,
+    stated_until,
     tracked_fit,
 )
 from stereophd.core.calibration.annealing.method import (
@@ -44,6 +46,7 @@ from stereophd.core.calibration.annealing.starts import (
     squared_residuals,
 )
 from stereophd.core.calibration.annealing.task import Fit, Task
+from stereophd.core.calibration.pairing.track_pairs import make_pairs
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.motion.constant_velocity import ConstantVelocity
@@ -95,6 +98,30 @@ def test_a_fit_of_paired_tracks_has_one_object_in_each_trajectory(made: MadeUp, 
     check_near_truth(made, paired)
 
 
+def test_a_pair_is_fitted_while_both_its_tracks_last(made: MadeUp, task: Task) -> None:
+    """Of the first camera two tracks go over to each other's object half-way; those of the second end there."""
+    rows = np.arange(len(task.recording.pixels)).reshape(-1, 2, OBJECTS)
+    half, swapped = len(rows) // 2, np.r_[1, 0, 2:OBJECTS]
+    mixed = [(0, np.concatenate([rows[:half, 0, j], rows[half:, 0, swapped[j]]])) for j in range(OBJECTS)]
+    tracks = (*mixed, *((1, rows[:half, 1, j]) for j in range(OBJECTS)))
+    pairs = make_pairs(task.parameters, task.tracking, tracks)
+    task = replace(task, tracks=tracks, pairs=pairs)
+    fit = paired_fit(task, pairings_of(task, task.parameters.prior_mean, np.random.SeedSequence(1))[0])
+    assert sorted(map(sorted, objects_of(fit))) == [[j] for j in range(OBJECTS)]
+    check_near_truth(made, fit)
+
+
+def test_knots_are_as_near_as_the_noise_of_the_motion_that_was_found_asks_for(task: Task, paired: Fit) -> None:
+    """The motion strays with the noise, and with the power of 1.5 of the time."""
+    held = np.ones(task.parameters.size, dtype=np.bool_)
+    seen, found = paired.observations, []
+    for noise in (0.0, 3.0):
+        begun = replace(paired, adjustment=replace(paired.adjustment, motion_noise=noise * OF_ALL), held=held)
+        found.append(adjusted_to(task, begun, seen, seen.trajectories, paired.detections))
+    spacings = [float(np.median(np.diff(fit.knots.times)[fit.knots.links()])) for fit in found]
+    assert spacings[1] < 0.5 * spacings[0]
+
+
 def test_an_optimum_that_the_prior_rules_out_does_not_count(task: Task, monkeypatch: pytest.MonkeyPatch) -> None:
     pairing, adjusted = pairings_of(task, task.parameters.prior_mean, np.random.SeedSequence(1))[0], fits.adjust
 
@@ -126,9 +153,6 @@ def test_tracks_of_too_few_detections_are_no_fit(task: Task, paired: Fit) -> Non
 
 
 def test_trajectories_choose_all_their_detections_and_no_others(made: MadeUp, task: Task, paired: Fit) -> None:
-    half = fit_until(task, paired, (FRAMES - 1) / 2)
-    assert half is not None
-    assert half.observations.times.max() <= (FRAMES - 1) / 2
     # a tenth of the detections in the wrong trajectory
     wrong = paired.observations.trajectories.copy()
     wrong[::10] = (wrong[::10] + 1) % OBJECTS
@@ -139,6 +163,19 @@ def test_trajectories_choose_all_their_detections_and_no_others(made: MadeUp, ta
     # three of a thousand detections lie beyond the gate of 3.7 standard deviations
     assert len(again.detections) > 0.98 * 2 * FRAMES * OBJECTS
     check_near_truth(made, again)
+
+
+def test_the_history_ends_at_the_answer_and_is_wider_before(made: MadeUp, task: Task, paired: Fit) -> None:
+    answer = marginal_fit(task, paired)
+    half, whole = (stated_until(task, answer, time_s) for time_s in ((FRAMES - 1) / 2, float(FRAMES)))
+    assert half is not None
+    assert whole is not None
+    std = np.sqrt(np.diag(answer.adjustment.covariance))
+    np.testing.assert_allclose(np.diag(whole.covariance), std**2, rtol=0.05)
+    assert (np.abs(whole.mean - answer.adjustment.values) < 0.1 * std).all()
+    assert (np.diag(half.covariance) > std**2).all()
+    assert (np.abs(half.mean - made.truth) < 4.0 * np.sqrt(np.diag(half.covariance))).all()
+    assert stated_until(task, answer, -1.0) is None
 
 
 def test_detections_that_share_errors_count_less_and_show_the_noise_at_full_weight(task: Task, paired: Fit) -> None:

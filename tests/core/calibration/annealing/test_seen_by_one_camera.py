@@ -13,7 +13,7 @@ from scipy.linalg import LinAlgError
 from stereophd.core.calibration.adjustment.problem import Observations
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.annealing import fits
-from stereophd.core.calibration.annealing.fits import FITTED_LOSS, adjusted_to, fit_until
+from stereophd.core.calibration.annealing.fits import FITTED_LOSS, adjusted_to, part_of
 from stereophd.core.calibration.annealing.known_scale import rescaled
 from stereophd.core.calibration.annealing.rejected import collapsed
 from stereophd.core.calibration.annealing.task import Fit
@@ -185,9 +185,7 @@ def test_a_known_scale_holds_where_a_stretch_had_collapsed() -> None:
 def test_a_part_without_the_second_camera_of_an_object_leaves_the_object_out() -> None:
     task, joint, _ = one_alone()
     seen = joint.observations
-    rows = np.flatnonzero((seen.trajectories > 0) | (seen.cameras == 0))
-    until = fit_until(task, replace(joint, observations=of_rows(seen, rows), detections=rows), 15.0)
-    assert until is not None
-    assert (seen.trajectories[until.detections] > 0).all()
-    assert set(seen.trajectories[until.detections]) == {1, 2}
-    assert fit_until(task, replace(joint, observations=of_rows(seen, rows), detections=rows), -1.0) is None
+    part = part_of(task, joint, np.flatnonzero((seen.trajectories > 0) | (seen.cameras == 0)))
+    assert part is not None
+    assert set(part.observations.trajectories) == set(seen.trajectories[part.detections]) == {1, 2}
+    assert part_of(task, joint, np.flatnonzero(seen.cameras == 0)) is None
