@@ -2,9 +2,10 @@
 
 Makers state no lens, a focal length of the data sheet, the middle of the image. Whether the data contradict that, and
 how far an answer moves if it is not quite so, are questions to one set of unknowns in which everything is free
-(`calibration.adjustment.suspicions`). Who measures an image measures its lens, focal length and principal point
+(`calibration.adjustment.suspicions`). Who measures an image measures its lens, focal length, aspect and principal point
 together: where one of them is contradicted, all of them are unknown under these priors, of every camera that is stated
-as makers state it.
+as makers state it. A lens has more than k1: what k1 and the principal point took up of the rest would be stated as far
+more certain than it is.
 """
 
 from __future__ import annotations
@@ -19,9 +20,9 @@ from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import PARAMETERS, Lens
 
-# Standard deviations of what is stated as known: of the coefficients of a lens, of the logarithms of the focal length and
-# of the aspect, of the principal point in widths of the image, of the readout and the clock's offset in periods of the
-# frames, of the clock's rate.
+# Standard deviations of what is stated as known: of coefficients of the lens, of the logarithms of focal length and
+# aspect, of the principal point in widths of the image, of the readout and the clock's offset in periods of the frames,
+# of the clock's rate.
 LENS_STD = {"k1": 0.3, "k2": 0.15, "p1": 1e-3, "p2": 1e-3}
 FOCAL_STD, ASPECT_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.03, 5e-3, 0.015, 1.0, 1e-3
 # Odds, before the data, that a statement is wrong: of what is absent (a lens, an offset of clocks), of any other value.
