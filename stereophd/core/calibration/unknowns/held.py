@@ -3,8 +3,8 @@
 Makers state no lens, a focal length of the data sheet, the middle of the image. Whether the data contradict that, and
 how far an answer moves if it is not quite so, are questions to one set of unknowns in which everything is free
 (`calibration.adjustment.suspicions`). Who measures an image measures its lens, focal length, aspect and principal point
-together: where one of them is contradicted, all of them are unknown under these priors, of every camera that is stated
-as makers state it. A lens has more than k1: what k1 and the principal point took up of the rest would be stated as far
+together, and compares clocks: where one of them that nobody may have measured is contradicted, all of them are unknown
+under these priors. A lens has more than k1: what k1 and the principal point took up of the rest would be stated as far
 more certain than it is.
 """
 
@@ -27,7 +27,7 @@ LENS_STD = {"k1": 0.3, "k2": 0.15, "p1": 1e-3, "p2": 1e-3}
 FOCAL_STD, ASPECT_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.03, 5e-3, 0.015, 1.0, 1e-3
 # Odds, before the data, that a statement is wrong: of what is absent (a lens, an offset of clocks), of any other value.
 ABSENT_ODDS, STATED_ODDS = 0.1, 1e-3
-# What is measured of an image together; the middle is stated to half a pixel.
+# What makers state of an image; the middle is stated to half a pixel.
 IMAGE, MIDDLE_PX = ("distortion", "focal", "aspect", "principal_point"), 0.5
 
 
@@ -58,14 +58,10 @@ class EnlargedSet:
         return replace(known, cameras=cameras, parameters=(*known.parameters, *more))
 
     def unmeasured_with(self, group: HeldGroup) -> Integers:
-        """Places of what nobody has measured if that of a group is contradicted: of an image, of all that makers state.
-
-        That of any other group is the group alone.
-        """
-        if group.quantity not in IMAGE or not group.is_unmeasured:
+        """Places of all that nobody has measured if a group of that is contradicted; those of any other group alone."""
+        if not group.is_unmeasured:
             return group.places
-        of_images = [one.places for one in self.groups if one.quantity in IMAGE and one.is_unmeasured]
-        return np.unique(np.concatenate(of_images))
+        return np.unique(np.concatenate([one.places for one in self.groups if one.is_unmeasured]))
 
 
 def is_of_maker(camera: Camera) -> bool:

@@ -61,10 +61,10 @@ def test_images_that_nobody_has_measured_have_no_lens_and_their_middle_as_princi
         replace(right, lens=Lens("radial", k1=0.1)),
     )
     for camera, lens in zip(measured, (lens_of_right, lens_of_right, []), strict=True):
-        assert unmeasured_with_a_lens(ParameterSet((left, camera), known)) == sorted([*images, *lens])
-    both = [*images, *(f"right.{name}" for name in OF_MAKERS if name != "focal")]
+        assert unmeasured_with_a_lens(ParameterSet((left, camera), known)) == sorted([*images, *lens, "right.clock_offset"])
+    both = [*images, *(f"right.{name}" for name in OF_MAKERS if name != "focal"), "right.clock_offset"]
     assert unmeasured_with_a_lens(ParameterSet((left, right), known)) == sorted(both)
-    assert unmeasured_with_a_lens(ParameterSet(measured[:1], known)) == sorted(lens_of_right)
+    assert unmeasured_with_a_lens(ParameterSet(measured[:1], known)) == sorted(lens_of_right)  # the reference clock
 
 
 def unmeasured_with_a_lens(stated: ParameterSet) -> list[str]:
@@ -74,11 +74,16 @@ def unmeasured_with_a_lens(stated: ParameterSet) -> list[str]:
     return sorted(names(enlarged.parameters, enlarged.unmeasured_with(lens)))
 
 
-def test_clocks_that_were_not_compared_say_nothing_of_images() -> None:
-    enlarged = enlarge(ParameterSet(cameras(Lens()), ()), 0, PERIODS)
+def test_who_has_not_compared_clocks_has_not_measured_images_that_are_stated_as_makers_state_them() -> None:
+    left, right = cameras(Lens())
+    enlarged = enlarge(ParameterSet((left, replace(right, lens=Lens("radial", k1=0.1))), ()), 0, PERIODS)
     clock = next(group for group in enlarged.groups if group.quantity == "clock_offset")
     assert clock.is_unmeasured
-    assert names(enlarged.parameters, enlarged.unmeasured_with(clock)) == ["right.clock_offset"]
+    unmeasured = names(enlarged.parameters, enlarged.unmeasured_with(clock))
+    assert unmeasured == [*(f"left.{name}" for name in OF_MAKERS), "right.clock_offset"]
+    # what was measured and is wrong says nothing of the rest
+    rate = next(group for group in enlarged.groups if group.quantity == "clock_rate")
+    assert names(enlarged.parameters, enlarged.unmeasured_with(rate)) == ["right.clock_rate"]
 
 
 def test_what_nobody_may_have_measured_is_unknown_from_the_beginning() -> None:
