@@ -61,7 +61,9 @@ def test_images_that_nobody_has_measured_have_no_lens_and_their_middle_as_princi
         replace(right, lens=Lens("radial", k1=0.1)),
     )
     for camera, lens in zip(measured, (lens_of_right, lens_of_right, []), strict=True):
-        assert unmeasured_with_a_lens(ParameterSet((left, camera), known)) == sorted([*images, *lens, "right.clock_offset"])
+        assert unmeasured_with_a_lens(ParameterSet((left, camera), known)) == sorted(
+            [*images, *lens, "right.clock_offset"]
+        )
     both = [*images, *(f"right.{name}" for name in OF_MAKERS if name != "focal"), "right.clock_offset"]
     assert unmeasured_with_a_lens(ParameterSet((left, right), known)) == sorted(both)
     assert unmeasured_with_a_lens(ParameterSet(measured[:1], known)) == sorted(lens_of_right)  # the reference clock
