@@ -264,8 +264,8 @@ def test_a_lens_is_freed_as_it_is_stated_and_found_from_there(made: MadeUp, task
     assert found.converged
     assert (stds < 0.1).all()
     assert (np.abs(values + 0.3) < 3.0 * stds).all()
-    # all else that nobody measured is freed with it: a clock, and of images that makers state (two focal lengths are not
-    # theirs) the rest
+    # all else that nobody measured is freed with it: a clock, and the rest of images that makers state, which have not
+    # two focal lengths
     square = replace(loose, parameters=loose.parameters.about([replace(c, fy=c.fx) for c in loose.parameters.cameras]))
     for stated, expected in ((loose, 9), (square, 17)):
         enlarged, suspicions = suspected(stated, answer)
