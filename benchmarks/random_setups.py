@@ -32,13 +32,14 @@ from stereophd.commands.calibrate import calibrate
 from stereophd.commands.evaluate_cameras import evaluate_calibration
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import load_config
-from stereophd.core.calibration.unknowns.held import FOCAL_STD, K1_STD, RATE_STD
+from stereophd.core.calibration.unknowns.held import ASPECT_STD, FOCAL_STD, LENS_STD, RATE_STD
 
 # Standard deviations beyond which an error of a parameter is wrong: one in 90,000 sets of 20 right ones.
 WRONG_Z = 5.0
 # Wide priors of the bound for what `calibrate` frees because the data contradict it.
 FREED = {
-    "k1": f"distortion_std={{k1: {K1_STD}}}", "focal": f"focal_std={FOCAL_STD}", "readout": "readout_std_s=0.03",
+    **{name: f"distortion_std.{name}={std}" for name, std in LENS_STD.items()},
+    "focal": f"focal_std={FOCAL_STD}", "aspect": f"aspect_std={ASPECT_STD}", "readout": "readout_std_s=0.03",
     "principal_point_u": "principal_point_std_px=20", "principal_point_v": "principal_point_std_px=20",
     "clock_offset": "clock_offset_std_s=1", "clock_rate": f"clock_rate_std={RATE_STD}",
 }  # fmt: skip
@@ -70,7 +71,7 @@ def draw(seed: int, misstated: bool) -> tuple[dict[str, Any], dict[str, Any], di
         own_rate = rate if rng.random() < 0.6 else float(rate * rng.choice([0.5, 0.7, 0.999]))
         cameras[f"cam{k}"] = {
             **scene.camera(*place),
-            "distortion": {"model": "radial", "k1": k1},
+            "distortion": {"model": "brown_conrady", "k1": k1},
             "detector": {
                 "sigma_px": [sigma, sigma],
                 "p_detect": float(rng.uniform(0.7, 0.99)),

@@ -65,6 +65,8 @@ LARGEST_MOVE = 1.0
 # A value this many standard deviations from its prior is reported, and by these factors a noise of detections and of
 # the motion.
 FAR_FROM_PRIOR, SAID_FACTOR, MOTION_FACTOR = 3.0, 1.5, 4.0
+# What is contradicted together is named where it is this many of its standard deviations from what is stated.
+CLEAR = 2.0
 # An answer whose stated deviations are widened by more than this is not determined.
 LARGEST_WIDENING = 3.0
 # Where cameras leave tracks uncertain by more than this part s of their distance, deviations hold to first order only:
@@ -450,14 +452,14 @@ def statement_remarks(believed: Believed, is_doubted: bool, widening: float = 1.
 
 
 def fitting(suspicion: Suspicion, is_doubted: bool = False) -> str:
-    """Name the unknowns of a suspicion, with the values that fit if they are of an answer that is not doubted."""
+    """Name the clear unknowns of a suspicion, with the values that fit if they are of an answer that is not doubted."""
+    clear = np.abs(suspicion.values) >= CLEAR * suspicion.stds
+    places = np.flatnonzero(clear | ~clear.any())
     if is_doubted:
-        return f"another {', '.join(suspicion.group.names)}"
+        return f"another {', '.join(suspicion.group.names[place] for place in places)}"
     return ", ".join(
-        f"{name} {value:+.3g} +- {std:.2g}"
-        for name, value, std in zip(
-            suspicion.group.names, suspicion.values.tolist(), suspicion.stds.tolist(), strict=True
-        )
+        f"{suspicion.group.names[place]} {suspicion.values[place]:+.3g} +- {suspicion.stds[place]:.2g}"
+        for place in places
     )
 
 

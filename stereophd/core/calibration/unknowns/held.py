@@ -2,9 +2,10 @@
 
 Makers state no lens, a focal length of the data sheet, the middle of the image. Whether the data contradict that, and
 how far an answer moves if it is not quite so, are questions to one set of unknowns in which everything is free
-(`calibration.adjustment.suspicions`). Who measures an image measures its lens, focal length and principal point
-together: where one of them is contradicted, all of them are unknown under these priors, of every camera that is stated
-as makers state it.
+(`calibration.adjustment.suspicions`). Who measures an image measures its lens, focal length, aspect and principal point
+together, and compares clocks: where one of them that nobody may have measured is contradicted, all of them are unknown
+under these priors. A lens has more than k1: what k1 and the principal point took up of the rest would be stated as far
+more certain than it is.
 """
 
 from __future__ import annotations
@@ -17,15 +18,17 @@ from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.geometry.lens import Lens
+from stereophd.core.geometry.lens import PARAMETERS, Lens
 
-# Standard deviations of what is stated as known: of k1, of the logarithm of the focal length, of the principal point
-# in widths of the image, of the readout and the clock's offset in periods of the frames, of the clock's rate.
-K1_STD, FOCAL_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.3, 0.03, 0.015, 1.0, 1e-3
+# Standard deviations of what is stated as known: of coefficients of the lens, of the logarithms of focal length and
+# aspect, of the principal point in widths of the image, of the readout and the clock's offset in periods of the frames,
+# of the clock's rate.
+LENS_STD = {"k1": 0.3, "k2": 0.15, "p1": 1e-3, "p2": 1e-3}
+FOCAL_STD, ASPECT_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.03, 5e-3, 0.015, 1.0, 1e-3
 # Odds, before the data, that a statement is wrong: of what is absent (a lens, an offset of clocks), of any other value.
 ABSENT_ODDS, STATED_ODDS = 0.1, 1e-3
-# What is measured of an image together; the middle is stated to half a pixel.
-IMAGE, MIDDLE_PX = ("distortion", "focal", "principal_point"), 0.5
+# What makers state of an image; the middle is stated to half a pixel.
+IMAGE, MIDDLE_PX = ("distortion", "focal", "aspect", "principal_point"), 0.5
 
 
 @dataclass(frozen=True)
@@ -49,17 +52,16 @@ class EnlargedSet:
     def freed(self, known: ParameterSet, places: Integers) -> ParameterSet:
         """Return the unknowns of the calibration together with some of those that it holds."""
         more = tuple(self.parameters.parameters[i] for i in places.tolist())
-        return replace(self.parameters, parameters=(*known.parameters, *more))
+        lenses = {parameter.camera for parameter in more if parameter.quantity.name == "distortion"}
+        each = zip(self.parameters.cameras, known.cameras, strict=True)
+        cameras = tuple(own if own.name in lenses else stated for own, stated in each)
+        return replace(known, cameras=cameras, parameters=(*known.parameters, *more))
 
     def unmeasured_with(self, group: HeldGroup) -> Integers:
-        """Places of what nobody has measured if that of a group is contradicted: of an image, of all that makers state.
-
-        That of any other group is the group alone.
-        """
-        if group.quantity not in IMAGE or not group.is_unmeasured:
+        """Places of all that nobody has measured if a group of that is contradicted; those of any other group alone."""
+        if not group.is_unmeasured:
             return group.places
-        of_images = [one.places for one in self.groups if one.quantity in IMAGE and one.is_unmeasured]
-        return np.unique(np.concatenate(of_images))
+        return np.unique(np.concatenate([one.places for one in self.groups if one.is_unmeasured]))
 
 
 def is_of_maker(camera: Camera) -> bool:
@@ -74,7 +76,10 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
 
     The clock of the reference camera fixes that of the results; `periods` (c,) are median times between two frames, s.
     """
-    cameras = [replace(c, lens=Lens("radial")) if c.lens.model == "none" else c for c in parameters.cameras]
+    cameras = [
+        replace(c, lens=Lens("brown_conrady", k1=c.lens.k1)) if c.lens.model in ("none", "radial") else c
+        for c in parameters.cameras
+    ]
     size, extra, groups = parameters.size, list[Parameter](), list[HeldGroup]()
     by_quantity: dict[str, list[HeldGroup]] = {}
     for number, camera in enumerate(cameras):
@@ -84,7 +89,9 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
                 continue
             places = np.arange(size + len(extra), size + len(extra) + len(names))
             extra += [Parameter(name, camera.name, 0.0, stds[name]) for name in names]
-            is_absent = quantity == "clock_offset" or (quantity == "distortion" and not camera.lens.coefficients.any())
+            is_absent = quantity == "clock_offset" or (
+                quantity == "distortion" and not any(getattr(camera.lens, name) for name in names)
+            )
             odds = ABSENT_ODDS if is_absent else STATED_ODDS
             is_unmeasured = is_absent or (quantity in IMAGE and is_of_maker(camera))
             group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, odds, is_unmeasured)
@@ -114,8 +121,9 @@ def with_unmeasured(parameters: ParameterSet, reference: int, periods: Array) ->
 def _wide_priors(camera: Camera, period: float, is_reference: bool) -> dict[str, dict[str, float]]:
     """Standard deviations by quantity and component of what may be misstated of a camera."""
     wide = {
-        "distortion": {"k1": K1_STD},
+        "distortion": {name: std for name, std in LENS_STD.items() if name in PARAMETERS[camera.lens.model]},
         "focal": {"focal": FOCAL_STD},
+        "aspect": {"aspect": ASPECT_STD},
         "principal_point": dict.fromkeys(
             ("principal_point_u", "principal_point_v"), PRINCIPAL_POINT_WIDTHS * camera.width
         ),

@@ -9,10 +9,12 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.adjustment.solver import Adjustment
+from stereophd.core.calibration.adjustment.suspicions import Suspicion
 from stereophd.core.calibration.annealing.method import (
     Believed,
     Remark,
     doubt_of_starts,
+    fitting,
     statement_remarks,
     why_none_succeeded,
 )
@@ -133,3 +135,13 @@ def test_what_two_cameras_do_not_show_has_a_remedy_to_paste() -> None:
     (remark,) = statement_remarks(believed, is_doubted=False)
     assert remark.topic == "sensitivity"
     assert "calibration.priors.left.focal_std and calibration.priors.right.focal_std" in remark.text
+
+
+def test_of_what_is_contradicted_together_what_is_clear_is_named() -> None:
+    group = SimpleNamespace(names=("left.k1", "left.p1", "right.clock_offset"))
+    values, stds = np.array([-0.3, 2e-4, -0.02]), np.array([0.02, 1e-3, 0.002])
+    suspicion = cast("Suspicion", SimpleNamespace(group=group, values=values, stds=stds))
+    assert fitting(suspicion) == "left.k1 -0.3 +- 0.02, right.clock_offset -0.02 +- 0.002"
+    assert fitting(suspicion, is_doubted=True) == "another left.k1, right.clock_offset"
+    unclear = cast("Suspicion", SimpleNamespace(group=group, values=values, stds=stds + 1.0))
+    assert fitting(unclear, is_doubted=True) == "another left.k1, left.p1, right.clock_offset"

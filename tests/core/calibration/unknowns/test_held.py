@@ -6,13 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from stereophd.core.calibration.unknowns.held import K1_STD, enlarge, with_unmeasured
+from stereophd.core.calibration.unknowns.held import LENS_STD, enlarge, with_unmeasured
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from tests.scenes import build_camera
 
 PERIODS = np.array([0.1, 0.04])
+# What nobody has measured of an image that is stated as makers state it.
+OF_MAKERS = (*LENS_STD, "focal", "aspect", "principal_point_u", "principal_point_v")
 
 
 def cameras(lens: Lens) -> tuple[Camera, ...]:
@@ -33,7 +35,7 @@ def test_everything_but_the_unknowns_and_the_reference_clock_is_held() -> None:
     assert "right.clock_offset" in held
     assert not any(name.startswith("left.clock") for name in held)
     std = dict(zip(enlarged.parameters.names, enlarged.parameters.prior_std, strict=True))
-    assert std["right.k1"] == K1_STD
+    assert {name: std[f"right.{name}"] for name in LENS_STD} == LENS_STD
     assert std["right.readout"] == PERIODS[1]
     assert std["right.focal"] == 0.01
 
@@ -42,22 +44,29 @@ def test_absent_lenses_are_told_from_stated_ones() -> None:
     stated = ParameterSet(cameras(Lens("radial", k1=-0.1)), (Parameter("focal", "right", 0.0, 0.01),))
     lenses = [group for group in enlarge(stated, 0, PERIODS).groups if group.quantity == "distortion"]
     assert [group.is_unmeasured for group in lenses] == [True, False, False]
+    # of a lens whose first coefficient is unknown the others are absent
+    estimated = replace(stated, parameters=(Parameter("k1", "right", 0.0, 0.1),))
+    lenses = [group for group in enlarge(estimated, 0, PERIODS).groups if group.quantity == "distortion"]
+    assert lenses[1].names == ("right.k2", "right.p1", "right.p2")
+    assert [group.is_unmeasured for group in lenses] == [True, True, True]
 
 
 def test_images_that_nobody_has_measured_have_no_lens_and_their_middle_as_principal_point() -> None:
     left, right = cameras(Lens())
     known = (Parameter("focal", "right", 0.0, 0.01),)
-    images = ["left.k1", "left.focal", "left.principal_point_u", "left.principal_point_v"]
+    images, lens_of_right = [f"left.{name}" for name in OF_MAKERS], [f"right.{name}" for name in LENS_STD]
     measured = (
         replace(right, cx=right.cx + 2.0),
         replace(right, fy=880.0),
         replace(right, lens=Lens("radial", k1=0.1)),
     )
-    for camera, lens in zip(measured, (["right.k1"], ["right.k1"], []), strict=True):
-        assert unmeasured_with_a_lens(ParameterSet((left, camera), known)) == sorted([*images, *lens])
-    both = [*images, "right.k1", "right.principal_point_u", "right.principal_point_v"]
+    for camera, lens in zip(measured, (lens_of_right, lens_of_right, []), strict=True):
+        assert unmeasured_with_a_lens(ParameterSet((left, camera), known)) == sorted(
+            [*images, *lens, "right.clock_offset"]
+        )
+    both = [*images, *(f"right.{name}" for name in OF_MAKERS if name != "focal"), "right.clock_offset"]
     assert unmeasured_with_a_lens(ParameterSet((left, right), known)) == sorted(both)
-    assert unmeasured_with_a_lens(ParameterSet(measured[:1], known)) == ["right.k1"]
+    assert unmeasured_with_a_lens(ParameterSet(measured[:1], known)) == sorted(lens_of_right)  # the reference clock
 
 
 def unmeasured_with_a_lens(stated: ParameterSet) -> list[str]:
@@ -67,18 +76,23 @@ def unmeasured_with_a_lens(stated: ParameterSet) -> list[str]:
     return sorted(names(enlarged.parameters, enlarged.unmeasured_with(lens)))
 
 
-def test_clocks_that_were_not_compared_say_nothing_of_images() -> None:
-    enlarged = enlarge(ParameterSet(cameras(Lens()), ()), 0, PERIODS)
+def test_who_has_not_compared_clocks_has_not_measured_images_that_are_stated_as_makers_state_them() -> None:
+    left, right = cameras(Lens())
+    enlarged = enlarge(ParameterSet((left, replace(right, lens=Lens("radial", k1=0.1))), ()), 0, PERIODS)
     clock = next(group for group in enlarged.groups if group.quantity == "clock_offset")
     assert clock.is_unmeasured
-    assert names(enlarged.parameters, enlarged.unmeasured_with(clock)) == ["right.clock_offset"]
+    unmeasured = names(enlarged.parameters, enlarged.unmeasured_with(clock))
+    assert unmeasured == [*(f"left.{name}" for name in OF_MAKERS), "right.clock_offset"]
+    # what was measured and is wrong says nothing of the rest
+    rate = next(group for group in enlarged.groups if group.quantity == "clock_rate")
+    assert names(enlarged.parameters, enlarged.unmeasured_with(rate)) == ["right.clock_rate"]
 
 
 def test_what_nobody_may_have_measured_is_unknown_from_the_beginning() -> None:
     left, right = cameras(Lens())
     known = (Parameter("focal", "right", 0.0, 0.01),)
     measured = replace(right, lens=Lens("radial", k1=0.1))
-    images = ("left.k1", "left.focal", "left.principal_point_u", "left.principal_point_v")
+    images = [f"left.{name}" for name in OF_MAKERS]
     found = with_unmeasured(ParameterSet((left, measured), known), 0, PERIODS)
     assert found.names == ("right.focal", *images, "right.clock_offset")
     assert with_unmeasured(ParameterSet((measured,), known), 0, PERIODS[1:]).names == ("right.focal",)
@@ -87,12 +101,14 @@ def test_what_nobody_may_have_measured_is_unknown_from_the_beginning() -> None:
 def test_what_is_freed_follows_the_unknowns() -> None:
     stated = ParameterSet(cameras(Lens()), (Parameter("focal", "right", 0.0, 0.01),))
     enlarged = enlarge(stated, 0, PERIODS)
-    both = next(g for g in enlarged.groups if g.quantity == "distortion" and len(g.places) == 2)
+    both = next(g for g in enlarged.groups if g.quantity == "distortion" and len(g.places) == 8)
     freed = enlarged.freed(stated, both.places)
-    assert freed.names == ("right.focal", "left.k1", "right.k1")
+    assert freed.names == ("right.focal", *(f"{camera}.{name}" for camera in ("left", "right") for name in LENS_STD))
     # the cameras are those of the statement, with a lens to estimate
-    assert [camera.lens for camera in freed.build(np.zeros(3))] == [Lens("radial"), Lens("radial")]
-    assert freed.build([0.0, -0.3, 0.0])[0].lens.k1 == -0.3
+    assert [camera.lens for camera in freed.build(np.zeros(9))] == [Lens("brown_conrady"), Lens("brown_conrady")]
+    assert freed.build([0.0, -0.3, 0.1, *np.zeros(6)])[0].lens == Lens("brown_conrady", k1=-0.3, k2=0.1)
+    clock = next(g for g in enlarged.groups if g.quantity == "clock_offset")
+    assert enlarged.freed(stated, clock.places).cameras == stated.cameras
 
 
 def test_a_frame_alone_has_no_period() -> None:
