@@ -73,7 +73,8 @@ def check_log(
             rays = [found for found in rays if found.name != "geometry.cause"]
         rays += residuals
     unnamed = {found.cause for found in warnings_of(tuple(rays))}
-    if unnamed <= {DO_NOT_MEET, ERRORS_LAST} and (DO_NOT_MEET in unnamed or geometry.is_blurred()):
+    is_asked = unnamed <= {DO_NOT_MEET, ERRORS_LAST} and not geometry.is_suspicious  # which was asked at first
+    if is_asked and (DO_NOT_MEET in unnamed or geometry.is_blurred()):
         sharp = [*check_geometry(geometry, is_blurred=True)]
         # errors that last blur rays as a mistake of the list does, which explains more; that some turn explains it
         # tells no more than that rays miss each other for long

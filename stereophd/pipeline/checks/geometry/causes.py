@@ -65,11 +65,11 @@ POSE_TURNS_DEG, POSE_SCALES, POSE_STEPS, POSE_STD, FARTHEST = (2.0, 4.0), (30.0,
 QUICK_DISTANCES, LEAST_DETECTIONS = 8000, 8
 
 
-def best_explanation(geometry: Geometry, is_suspicious: bool) -> Explanation | None:
+def best_explanation(geometry: Geometry) -> Explanation | None:
     """Return the mistake that explains the log decisively better than the cameras as stated, if there is one.
 
-    Every alternative is tried on a few detections, and the best of them on all. What is far off makes rays meet at a
-    wide tolerance, where rays are suspicious; at one standard deviation the remedy must not be compared with that.
+    Every alternative is tried on a few detections, and the best of them on all: at the usual tolerances where rays are
+    suspicious, and, if these name none, at one standard deviation, at which rays that are only near do not meet.
     """
     few = (pair.thinned(_affordable(pair, FEW_DETECTIONS, 1 + FEW_SHIFTS), FEW_SHIFTS) for pair in geometry.pairs)
     quick = replace(geometry, pairs=tuple(few), given=())
@@ -103,8 +103,7 @@ def best_explanation(geometry: Geometry, is_suspicious: bool) -> Explanation | N
         alike = [one for one in compete if one.met.sharpness >= best - 0.03]
         return next((one for one in alike[:1] if is_wrong or _is_confirmed(one, geometry, tolerances, least)), None)
 
-    found = best_at(TOLERANCES) if is_suspicious else None
-    return best_at(SHARP) if found is None else found
+    return (best_at(TOLERANCES) if geometry.is_suspicious else None) or best_at(SHARP)
 
 
 def _affordable(pair: Candidates, count: int, tables: int) -> int:

@@ -20,11 +20,8 @@ def check_geometry(geometry: Geometry, is_blurred: bool = False) -> Iterator[Fin
     Where rays meet and are blurred, what makes them meet better at one standard deviation is looked for.
     """
     yield from left_out(geometry)
-    suspicious = [k for k in range(len(geometry.pairs)) if geometry.is_suspicious(k)]
-    explanation = None
-    if geometry.pairs and (suspicious or is_blurred):
-        explanation = best_explanation(geometry, bool(suspicious))
-    if explanation is not None:
+    is_asked = geometry.pairs and (geometry.is_suspicious or is_blurred)
+    if (explanation := best_explanation(geometry) if is_asked else None) is not None:
         yield _named(geometry, explanation)
     alone = set() if explanation is not None else _alone(geometry)
     for k, (pair, found) in enumerate(zip(geometry.pairs, geometry.given, strict=True)):

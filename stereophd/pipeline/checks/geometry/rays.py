@@ -280,19 +280,19 @@ class Geometry:
         least = cache(lambda k: nearest(p := pairs[k], views[p.a], views[p.b], rays[k]))
         return cache(lambda k, tolerance: meeting(least(k), (tolerance,)))
 
-    def is_suspicious(self, k: int) -> bool:
-        """Whether fewer rays of pair k meet than the configuration promises, or no more than by chance.
+    @cached_property
+    def is_suspicious(self) -> bool:
+        """Whether fewer rays of a pair meet than the configuration promises, or no more than by chance.
 
         Wrong poses may promise nothing, so a pair that meets by chance only is suspicious in any case.
         """
-        found, expected = self.given[k], self.expected[k]
-        if found.chance > MOST_CHANCE:  # as those of slow objects do at a wide tolerance, whatever their clocks
-            found = self.given_at(k, TOLERANCES[0])
-        if found.chance > MOST_CHANCE and found.share > MOST_CHANCE:
-            return False
-        return found.score < SUSPICIOUS_SCORE or (
-            expected >= LEAST_EXPECTED and found.excess < SUSPICIOUS_SHARE * expected
-        )
+        for k, (found, expected) in enumerate(zip(self.given, self.expected, strict=True)):
+            # those of slow objects meet by chance at a wide tolerance, whatever their clocks
+            met = self.given_at(k, TOLERANCES[0]) if found.chance > MOST_CHANCE else found
+            is_few = expected >= LEAST_EXPECTED and met.excess < SUSPICIOUS_SHARE * expected
+            if min(met.chance, met.share) <= MOST_CHANCE and (is_few or met.score < SUSPICIOUS_SCORE):
+                return True
+        return False
 
     def is_blurred(self) -> bool:
         """Whether rays meet, but by less than the noise of the detections allows: something is slightly off."""
