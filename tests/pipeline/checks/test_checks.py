@@ -572,7 +572,9 @@ def test_a_sample_has_fewer_frames_of_a_crowd_but_never_few(monkeypatch: pytest.
     frames, count = _frames(CAMERAS, count=40), len(CAMERAS)
     for name, value in (("LEAST_FRAMES", 20), ("MOST_FRAMES", 30), ("MOST_DETECTIONS", 10)):
         monkeypatch.setattr(sampling, name, value)
-    assert sum(len(one.times) for one in sample_log(frames, CAMERAS)) == 20 * count
+    read = iter(frames)
+    assert sum(len(one.times) for one in sample_log(read, CAMERAS)) == 20 * count
+    assert len([*read]) == 20 * count  # none is read and left out: whether the log goes on is asked of the next
     monkeypatch.setattr(sampling, "MOST_DETECTIONS", 10_000)
     assert sum(len(one.times) for one in sample_log(frames, CAMERAS)) == 30 * count
 
@@ -806,8 +808,22 @@ def test_half_the_frame_rate_of_slow_objects_is_named(factor: float, pace: float
     assert [(one.cause, one.camera) for one in found if one.status == "warning"] == [("frame_rate", "right")]
 
 
+def test_causes_of_rays_that_do_not_meet_are_looked_for_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Rays that are blurred, or that residuals show apart, had the whole search twice where it had found nothing."""
+    loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml")
+    with LogWriter(tmp_path / "log.parquet") as table:
+        for frame in _frames(CAMERAS, count=300):
+            table.write(frame.time_s, CAMERAS[frame.camera].name, frame.frame, frame.pixels)
+    asked = list[Geometry]()
+    monkeypatch.setattr("stereophd.pipeline.checks.geometry.findings.best_explanation", asked.append)
+    turned = _turned(CAMERAS[1], rotation_from_vector([0.0, 0.0, np.deg2rad(5.0)]) @ CAMERAS[1].pose.rotation)
+    found = check_log(loaded, tmp_path / "log.parquet", cameras=(CAMERAS[0], turned))
+    assert DO_NOT_MEET in {one.cause for one in found}
+    assert len(asked) == 1
+
+
 def test_every_command_compares_the_same_rays(tmp_path: Path) -> None:
-    """Where tracks are few, those of a longer part of the log decide whether a lens is missing."""
+    """What a run states of rows itself is left out, and nothing else."""
     loaded = load_config(Path(__file__).parents[3] / "configs" / "quickstart.yaml")
     with LogWriter(tmp_path / "log.parquet") as table:
         for frame in _frames(CAMERAS, count=600):

@@ -262,18 +262,18 @@ def by_interval(intervals: Integers, pixels: Array, count: int) -> Array:
 
 
 def sample_log(frames: Iterable[Frame], cameras: tuple[Camera, ...]) -> list[CameraSample]:
-    """Return the first frames of a log, fewer of a crowd.
+    """Return the first frames of a log, so many a camera on average, fewer of a crowd; no more are read.
 
     The frames are in the order of true time. There is one sample per camera, in order; empty for one without frames.
     """
     kept: list[list[Frame]] = [[] for _ in cameras]
     detections = 0
-    for count, frame in enumerate(frames):
+    for count, frame in enumerate(frames, 1):
+        kept[frame.camera].append(frame)
+        detections += len(frame.pixels)
         is_crowded = detections >= MOST_DETECTIONS * len(cameras) and count >= LEAST_FRAMES * len(cameras)
         if is_crowded or count >= MOST_FRAMES * len(cameras):
             break
-        kept[frame.camera].append(frame)
-        detections += len(frame.pixels)
     return [_of_camera(camera, own) for camera, own in zip(cameras, kept, strict=True)]
 
 
