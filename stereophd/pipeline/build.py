@@ -108,7 +108,7 @@ def _check_birth_rate(settings: FilterSettings, cameras: tuple[Camera, ...], pat
     rate = settings.birth.per_s
     for camera in cameras:
         born = camera.detector.p_detect * rate
-        existence = born / (born + camera.detector.clutter_per_frame)
+        existence = born / (born + camera.detector.expected_clutter)
         if existence < LEAST_PRUNING * settings.prune_weight:
             raise InputError(
                 f"{path}: filter.birth.per_s: expected births that outlive prune_weight "

@@ -53,3 +53,11 @@ def test_what_is_complete_passes(command: str | None, name: str) -> None:
 def test_what_is_missing_is_named(command: str, override: str, expected: str) -> None:
     with pytest.raises(InputError, match=expected):
         check_config(load_config(CONFIGS / "quickstart.yaml", [override]), command)
+
+
+def test_births_are_asked_beside_the_clutter_that_filters_expect() -> None:
+    """Where none was stated every birth outlived, and the filter dropped it without a word."""
+    names = load_config(CONFIGS / "quickstart.yaml").cameras
+    none = [f"cameras.{name}.detector.clutter_per_frame=0.0" for name in names]
+    with pytest.raises(InputError, match="expected births that outlive prune_weight"):
+        check_config(load_config(CONFIGS / "quickstart.yaml", [*none, "filter.birth.per_s=1e-12"]), "track")

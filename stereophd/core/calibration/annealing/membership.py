@@ -98,8 +98,8 @@ def chosen_detections(
     """
     recording, cameras = scans.recording, problem.parameters.build(adjustment.values)
     predictions, known = Predictions.of(problem, adjustment), problem.observations.trajectories
-    clutter = np.array([c.detector.expected_clutter / (c.width * c.height * c.detector.p_detect) for c in cameras])
-    weights = problem.weights(adjustment.distances)
+    clutter = [c.detector.expected_clutter / (c.width * c.height * c.detector.p_detect) for c in cameras]
+    weights, least = problem.weights(adjustment.distances), np.log(clutter)
     owner = np.full(len(scans.points), -1)
     for j in np.argsort(-np.bincount(known, minlength=problem.knots.count), kind="stable"):
         start, end = problem.knots.spans[j]
@@ -115,7 +115,7 @@ def chosen_detections(
         weight = np.zeros(len(recording.pixels))
         weight[members[known == j]] = weights[known == j]
         distance, density = predictions.judged(seen, weight[scans.source[near]])
-        chosen = np.flatnonzero((distance < GATE) & (density > np.log(np.maximum(clutter[seen.cameras], 1e-300))))
+        chosen = np.flatnonzero((distance < GATE) & (density > least[seen.cameras]))
         # the nearest of each event
         chosen = chosen[np.lexsort((distance[chosen], scans.event_of[near[chosen]]))]
         _, nearest = np.unique(scans.event_of[near[chosen]], return_index=True)
