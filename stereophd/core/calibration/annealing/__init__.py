@@ -12,7 +12,6 @@ fit                    detections of a trajectory             holds             
 ``tracked_fit``        tracks of the filter, noise inflated   nothing, or a stage's rest  Cauchy  ``starts.run_start``
 ``refitted``           chosen anew by the trajectories        nothing, or all values      fixed   ``starts``, ``method``
 ``adjusted_to``        those given                            what the fit given held     fixed   the others below
-``fit_until``          those until a time                     as the fit given            floor   ``fits.history_of``
 ``rescaled``           as the fit given                       as the fit given            fixed   ``at_known_scale``
 ``readjusted``         as the fit given                       nothing, or all values      fixed   ``method.believe``
 ``with_freed``         as the fit given                       all values                  floor   ``method.believe``

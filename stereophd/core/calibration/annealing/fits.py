@@ -10,13 +10,7 @@ from scipy.linalg import LinAlgError
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import (
-    SETTLED,
-    MarginalPosterior,
-    Point,
-    at_answer,
-    marginal_optimum,
-)
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, at_answer, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import KNOTS_NEAR, Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -33,7 +27,7 @@ from stereophd.core.calibration.adjustment.trajectories import (
 from stereophd.core.calibration.annealing.membership import chosen_detections
 from stereophd.core.calibration.annealing.rejected import collapsed, lone
 from stereophd.core.calibration.annealing.task import Fit, Task
-from stereophd.core.calibration.pairing.association import keep, shared, track_detections, with_cameras
+from stereophd.core.calibration.pairing.association import shared, track_detections, with_cameras
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.pairing.refinement import meeting_points
@@ -48,8 +42,8 @@ ANNEALED_LOSS = Loss(normal_equations.CAUCHY, 2.0)
 FITTED_LOSS = Loss(normal_equations.FLOOR, 1e-3)
 # Spread of the draws about clock offsets that motion shows, in parts of the prior's.
 SEARCHED_PART = 0.1
-# Iterations of an adjustment, and of one that others follow.
-MOST_ITERATIONS, ANNEALED_ITERATIONS = 200, 30
+# Iterations of an adjustment that others follow.
+ANNEALED_ITERATIONS = 30
 # Steps of the knots, whatever the loss says, before an adjustment.
 SETTLING_STEPS = 3
 # Step, in posterior standard deviations, at which the search for a joint or marginal optimum of a pass has settled.
@@ -85,13 +79,14 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     """Adjust cameras and trajectories to paired one-camera tracks, while both last. See `calibration.pairing`."""
     objects, cameras = paired_objects(task.pairs, pairing, len(task.tracks)), task.parameters.build(pairing.values)
     rows, times, points = meeting_points(task.parameters, task.pairs, pairing)
-    of_row, detections = task.pairs.pair[rows], np.concatenate([detections for _, detections in task.tracks])
-    of_track = np.repeat(np.arange(len(task.tracks)), [len(detections) for _, detections in task.tracks])
+    of_row, entries = task.pairs.pair[rows], task.pairs.entries[rows]
+    detections = np.concatenate([detections for _, detections in task.tracks])
+    of_track = np.repeat(np.arange(len(task.tracks)), np.diff(task.pairs.raw.first))
     seen = task.observations(cameras, of_track, detections).times
     # a track of one camera goes over to another object where two pass: beyond its partner nobody sees it
     is_common = np.zeros(len(detections), dtype=np.bool_)
     for pair in np.unique(of_row):
-        at = times[of_row == pair]
+        at = seen[entries[of_row == pair]]
         is_common |= np.isin(of_track, task.pairs.tracks[pair]) & (seen >= at.min()) & (seen <= at.max())
     order = np.lexsort((detections[is_common], objects[of_track[is_common]]))
     detections, of_track = detections[is_common][order], of_track[is_common][order]
@@ -127,12 +122,10 @@ def tracked_fit(
     cameras = task.parameters.build(values)
     scans = task.tracked_scans(cameras)
     found = track_detections(with_cameras(task.filter, enlarged(cameras, task.reference, ratio)), scans, inflation)
-    if not len(found):
+    rows = shared(found.tracks, scans.cameras[scans.event_of[found.detections]], task.settings.min_detections)
+    if not rows.any():
         return None
-    chosen = shared(found.tracks, scans.cameras[scans.event_of[found.detections]], task.settings.min_detections)
-    if not len(chosen):
-        return None
-    rows, tracks = keep(found.tracks, chosen)
+    _, tracks = np.unique(found.tracks[rows], return_inverse=True)
     detections = scans.source[found.detections[rows]]
     points = reduced(found.positions[rows], cameras, task.reference, ratio)
     observations = task.observations(cameras, tracks, detections, inflation)
@@ -162,17 +155,15 @@ def refitted(task: Task, fit: Fit, tracked: bool = False, still: bool = False) -
     p_detect = np.array([camera.detector.p_detect for camera in cameras])
     several = ~lone(trajectories, scans.event_of[detections], scans.cameras, p_detect)
     trajectories, detections = trajectories[several], detections[several]
-    of_camera = scans.cameras[scans.event_of[detections]]
-    chosen = shared(trajectories, of_camera, task.settings.min_detections)
-    if not len(chosen):
+    rows = shared(trajectories, scans.cameras[scans.event_of[detections]], task.settings.min_detections)
+    if not rows.any():
         return None
-    rows, numbers = keep(trajectories, chosen)
     of_log = scans.source[detections[rows]]
     fit = replace(fit, held=np.ones(task.parameters.size, dtype=np.bool_) if still else None)
-    observations = task.observations(cameras, numbers, of_log)
+    observations = task.observations(cameras, trajectories[rows], of_log)
     if still:
         observations = replace(observations, weights=None)
-    return adjusted_to(task, fit, observations, trajectories[rows], of_log)
+    return adjusted_to(task, fit, observations, of_log)
 
 
 def fit_from(task: Task, values: Array) -> Fit | None:
@@ -206,7 +197,7 @@ def stated_until(task: Task, answer: Fit, time_s: float) -> HistoryRow | None:
         return None
     size = task.parameters.size
     with suppress(LinAlgError):
-        problem, begun = _begun(task, part, part.observations, part.observations.trajectories)
+        problem, begun = _begun(task, part, part.observations)
         posterior, at = at_answer(problem, replace(begun, distances=part.adjustment.distances))
         root = posterior.root(at)
         step = -root @ (root.T @ posterior.gradient(at))
@@ -220,8 +211,7 @@ def part_of(task: Task, fit: Fit, rows: NDArray[np.intp]) -> Fit | None:
     Trajectories of which one camera alone is left hold no information about the cameras, and collapse into it. The
     trajectories keep their numbers.
     """
-    chosen = shared(fit.observations.trajectories[rows], fit.observations.cameras[rows], 1)
-    rows = rows[np.isin(fit.observations.trajectories[rows], chosen)]
+    rows = rows[shared(fit.observations.trajectories[rows], fit.observations.cameras[rows], 1)]
     if not len(rows):
         return None
     cameras = task.parameters.build(fit.adjustment.values)
@@ -232,15 +222,15 @@ def part_of(task: Task, fit: Fit, rows: NDArray[np.intp]) -> Fit | None:
     return replace(fit, adjustment=adjustment, observations=observations, detections=fit.detections[rows])
 
 
-def adjusted_to(task: Task, fit: Fit, observations: Observations, of_fit: Integers, detections: Integers) -> Fit:
-    """Adjust to observations, starting from a fit; `of_fit` are their trajectories there.
+def adjusted_to(task: Task, fit: Fit, observations: Observations, detections: Integers) -> Fit:
+    """Adjust to observations of trajectories of a fit, starting from it; those that have some are numbered anew.
 
     To the optimum of the marginal posterior, or, where all values are held, to the joint one. What the fit held is held
     again. The search begins at the noise of the motion of the fit, which stays in joint ones. Stretches that a joint
     optimum has put into their camera (`annealing.rejected`) are left out, and the others are adjusted to again: after
     the search, or before it where they let no knots settle.
     """
-    problem, begun = _begun(task, fit, observations, of_fit)
+    problem, begun = _begun(task, fit, observations)
     searched = None
     if fit.held is None or not fit.held.all():
         if not _can_settle(problem, begun):
@@ -248,17 +238,17 @@ def adjusted_to(task: Task, fit: Fit, observations: Observations, of_fit: Intege
             if standing is not None:
                 return standing
         with suppress(LinAlgError):  # the joint optimum is found with damping
-            searched = _searched(task, problem, begun, detections, SETTLED_IN_PASSES)
+            searched = marginal_optimum(problem, begun, SETTLED_IN_PASSES)
     if searched is None:
-        joint = adjust(problem, begun.values, begun.states, MOST_ITERATIONS)
-        searched = _fit(task, problem, replace(joint, motion_noise=begun.motion_noise), detections)
-    return _standing(task, searched) or searched
+        searched = replace(adjust(problem, begun.values, begun.states), motion_noise=begun.motion_noise)
+    found = _fit(task, problem, searched, detections)
+    return _standing(task, found) or found
 
 
-def _begun(task: Task, fit: Fit, observations: Observations, of_fit: Integers) -> tuple[Problem, Adjustment]:
+def _begun(task: Task, fit: Fit, observations: Observations) -> tuple[Problem, Adjustment]:
     """Return the problem of observations, and where the search begins that starts from a fit, as in `adjusted_to`."""
     values, noise = fit.adjustment.values, fit.adjustment.motion_noise
-    points = positions(fit.adjustment.states, *interpolation(fit.knots, of_fit, observations.times))
+    points = positions(fit.adjustment.states, *interpolation(fit.knots, observations.trajectories, observations.times))
     _, trajectories = np.unique(observations.trajectories, return_inverse=True)
     observations = replace(observations, trajectories=trajectories)
     knots = _knots(task, observations, points, values, noise)
@@ -273,13 +263,6 @@ def _begun(task: Task, fit: Fit, observations: Observations, of_fit: Integers) -
 
 def _standing(task: Task, fit: Fit) -> Fit | None:
     """Adjust to what has not collapsed into its camera; None if nothing has, or no object of two cameras is left."""
-    collapsed_rows = _collapsed(task, fit)
-    part = part_of(task, fit, np.flatnonzero(~collapsed_rows)) if collapsed_rows.any() else None
-    return part and adjusted_to(task, part, part.observations, part.observations.trajectories, part.detections)
-
-
-def _collapsed(task: Task, fit: Fit) -> Booleans:
-    """Which detections (n,) of a fit belong to stretches that have collapsed into their camera."""
     seen = fit.observations
     points = positions(fit.adjustment.states, *interpolation(fit.knots, seen.trajectories, seen.times))
     still = np.zeros_like(points)
@@ -287,7 +270,9 @@ def _collapsed(task: Task, fit: Fit) -> Booleans:
         np.linalg.norm(look(camera, points, still, seen.times, seen.log_times, seen.rows).points, axis=1)
         for camera in task.parameters.build(fit.adjustment.values)
     ]
-    return collapsed(seen.trajectories, seen.times, seen.cameras, np.stack(distances, axis=1))
+    gone = collapsed(seen.trajectories, seen.times, seen.cameras, np.stack(distances, axis=1))
+    part = part_of(task, fit, np.flatnonzero(~gone)) if gone.any() else None
+    return part and adjusted_to(task, part, part.observations, part.detections)
 
 
 def problem_of(task: Task, fit: Fit) -> Problem:
@@ -314,15 +299,11 @@ def marginal_fit(task: Task, fit: Fit) -> Fit:
     Nothing is held. The noise of the motion beside what is stated is looked for from that of the fit. Where the normal
     equations are singular, the fit is returned, not converged.
     """
+    problem = stated_problem(task, fit)
     try:
-        return _searched(task, stated_problem(task, fit), fit.adjustment, fit.detections)
+        return _fit(task, problem, marginal_optimum(problem, fit.adjustment), fit.detections)
     except LinAlgError:
         return replace(fit, adjustment=replace(fit.adjustment, converged=False), held=None)
-
-
-def _searched(task: Task, problem: Problem, begun: Adjustment, detections: Integers, settled: float = SETTLED) -> Fit:
-    """Return the fit at the marginal optimum of a problem with the noise stated; LinAlgError if there is none."""
-    return _fit(task, problem, marginal_optimum(problem, begun, settled), detections)
 
 
 def restated_fit(task: Task, chosen: Fit) -> Fit:
@@ -336,10 +317,10 @@ def restated_fit(task: Task, chosen: Fit) -> Fit:
 
 def readjusted(task: Task, fit: Fit, still: bool = False) -> Fit:
     """Adjust a fit to its detections with the noise and the unknowns of a task; `still`: the cameras stay."""
-    cameras, of_fit = task.parameters.build(fit.adjustment.values), fit.observations.trajectories
-    observations = task.observations(cameras, of_fit, fit.detections)
+    cameras = task.parameters.build(fit.adjustment.values)
+    observations = task.observations(cameras, fit.observations.trajectories, fit.detections)
     fit = replace(fit, held=np.ones(task.parameters.size, dtype=np.bool_) if still else None)
-    return adjusted_to(task, fit, observations, of_fit, fit.detections)
+    return adjusted_to(task, fit, observations, fit.detections)
 
 
 def confirmed_fit(
@@ -361,20 +342,15 @@ def confirmed_fit(
     with suppress(LinAlgError):  # where nothing can be compared, or found, the joint optimum stays
         first = posterior.with_shown_motion(values, states, noise)
         noise = posterior.parted(first.unknowns)[1]
-        last = _shown(posterior, joint, noise)
+        last = None
+        with suppress(LinAlgError):
+            last = posterior.with_shown_motion(joint.values, joint.states, noise)
         is_ruled_out = task.parameters.prior_disagreement(joint.values) is not None
         if last is None or is_ruled_out or last.objective > first.objective:
             begun = replace(begun, states=first.states, motion_noise=noise)
-            return _searched(task, problem, begun, detections, SETTLED_IN_PASSES)
+            return _fit(task, problem, marginal_optimum(problem, begun, SETTLED_IN_PASSES), detections)
         noise = posterior.parted(last.unknowns)[1]
     return _fit(task, problem, replace(joint, motion_noise=noise), detections)
-
-
-def _shown(posterior: MarginalPosterior, joint: Adjustment, noise: Array) -> Point | None:
-    """Return the point of a joint optimum at the noise of the motion that shows there, if it has one."""
-    with suppress(LinAlgError):
-        return posterior.with_shown_motion(joint.values, joint.states, noise)
-    return None
 
 
 def _settled(problem: Problem, values: Array, states: Array) -> Array:

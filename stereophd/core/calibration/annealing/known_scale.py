@@ -102,7 +102,7 @@ def rescaled(task: Task, fit: Fit, measurement: ScaleMeasurement) -> Fit:
     """Adjust again, with the scale measured."""
     # in the task, for all adjustments that this one may need
     task = replace(task, scale=measurement)
-    return adjusted_to(task, fit, fit.observations, fit.observations.trajectories, fit.detections)
+    return adjusted_to(task, fit, fit.observations, fit.detections)
 
 
 def mean_speeds(fit: Fit) -> Array:

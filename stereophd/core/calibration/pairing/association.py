@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from stereophd.core.arrays import Array, Integers
+from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment.recording import Scans
 from stereophd.core.calibration.time_limit import within
 from stereophd.core.disparity.events import Event, make_rig
@@ -121,16 +120,8 @@ def match(pixels: Array, event: Event, gate: float) -> tuple[Integers, Integers]
     return rows[kept].astype(np.int64), columns[kept].astype(np.int64)
 
 
-def shared(trajectories: Integers, cameras: Integers, least: int) -> Integers:
-    """Trajectories with at least so many detections in each of two cameras."""
-    if not len(trajectories):
-        return np.empty(0, dtype=np.int64)
-    counts = np.zeros((int(trajectories.max()) + 1, int(cameras.max()) + 1), dtype=np.int64)
+def shared(trajectories: Integers, cameras: Integers, least: int) -> Booleans:
+    """Whether each detection (n,) is of a trajectory that has at least so many in each of two cameras."""
+    counts = np.zeros((int(trajectories.max(initial=0)) + 1, int(cameras.max(initial=0)) + 1), dtype=np.int64)
     np.add.at(counts, (trajectories, cameras), 1)
-    return np.flatnonzero((counts >= least).sum(axis=1) >= 2)
-
-
-def keep(trajectories: Integers, chosen: Integers) -> tuple[NDArray[np.intp], Integers]:
-    """Rows of the chosen trajectories, and their new numbers from 0 on."""
-    rows = np.flatnonzero(np.isin(trajectories, chosen))
-    return rows, np.searchsorted(chosen, trajectories[rows])
+    return np.asarray((counts >= least).sum(axis=1)[trajectories] >= 2)

@@ -55,7 +55,7 @@ def test_fits_end_near_the_marginal_optimum_where_the_joint_one_runs_away(seed: 
     far, near = (
         adjusted_to(
             task, Fit(begun, problem.knots, problem.observations, detections), problem.observations,  # type: ignore[arg-type]
-            problem.observations.trajectories, detections,
+            detections,
         ).adjustment
         for begun in (joint, replace(joint, values=true, states=states))
     )  # fmt: skip
@@ -94,7 +94,7 @@ def test_the_joint_optimum_stays_where_no_marginal_one_is_found(monkeypatch: pyt
     detections = np.arange(len(problem.observations))
     joint = adjust(problem, true, states)
     begun = Fit(joint, problem.knots, problem.observations, detections)
-    given = adjusted_to(task, begun, problem.observations, problem.observations.trajectories, detections)  # type: ignore[arg-type]
+    given = adjusted_to(task, begun, problem.observations, detections)  # type: ignore[arg-type]
     passed = confirmed_fit(task, problem, true, states, detections)  # type: ignore[arg-type]
     for fit in (given, passed):
         assert fit.adjustment.covariance[0, 0] < 0.5 * task.parameters.prior_std[0] ** 2

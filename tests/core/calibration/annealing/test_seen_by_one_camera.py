@@ -127,7 +127,7 @@ def test_an_object_that_one_camera_alone_sees_for_long_is_not_put_into_the_camer
     assert nearest(joint, 0, task) < 0.2  # the fault of the joint optimum
 
     observations = joint.observations
-    fit = adjusted_to(task, joint, observations, observations.trajectories, joint.detections)
+    fit = adjusted_to(task, joint, observations, joint.detections)
     assert nearest(fit, 0, task) > 1.0
     np.testing.assert_array_equal(fit.detections, joint.detections)
     error = fit.adjustment.values - drawn
@@ -145,7 +145,7 @@ def test_a_stretch_from_which_the_marginal_search_does_not_come_back_is_left_out
     task, joint, _ = one_alone()
     monkeypatch.setattr(fits, "marginal_optimum", fails)
     observations = joint.observations
-    fit = adjusted_to(task, joint, observations, observations.trajectories, joint.detections)
+    fit = adjusted_to(task, joint, observations, joint.detections)
     assert nearest(fit, 0, task) > 1.0
     left = np.setdiff1d(joint.detections, fit.detections)
     assert len(left)
@@ -167,7 +167,7 @@ def test_a_stretch_that_lets_no_knots_settle_is_left_out_before_the_search(monke
     for limit, stays in ((fits.KNOTS_NEAR, True), (1e-3, False)):
         begun.clear()
         monkeypatch.setattr(fits, "KNOTS_NEAR", limit)
-        adjusted_to(task, joint, joint.observations, joint.observations.trajectories, joint.detections)
+        adjusted_to(task, joint, joint.observations, joint.detections)
         assert (begun[0] == len(joint.detections)) == stays
         assert len(begun) == 1
 
