@@ -127,7 +127,7 @@ def choices_of(section: CalibrationConfig) -> Choices:
 
 
 def _all_starts(run: CalibrationRun, task: Task, may_refuse: bool = False, kept: str = "starts") -> list[Start]:
-    """Run starts until enough agree, or, if they may, as many explain the log and are ruled out.
+    """Run starts until enough agree or, if that `may_refuse` the others, as many explain the log and are ruled out.
 
     They are kept under a name while the run is unfinished.
     """

@@ -29,7 +29,7 @@ def start(number: int, place: float | None, explained: float = 0.1) -> Start:
     adjustment = Adjustment(values, np.empty((0, 2, 3)), np.eye(3), 0.0, np.full(4, 2.0), True)
     fit = cast("Fit", SimpleNamespace(adjustment=adjustment))
     outcome = "it failed" if place is None else SUCCEEDED
-    return Start(number, outcome, np.empty((0, 3)), fit, -100.0, 0.0, 1.0 if place else explained, "pairing 0")
+    return Start(number, outcome, np.empty((0, 3)), fit, -100.0, 0.0, explained if place is None else 1.0, "pairing 0")
 
 
 @dataclass
@@ -119,6 +119,20 @@ def test_starts_that_explain_the_log_and_are_ruled_out_end_the_others(
 ) -> None:
     assert len(run_all([None] * COUNT, explained=explained, may_refuse=may_refuse)) == count
     assert len(run_all([None, 5.0, None, 5.0, *[None] * 4], explained=explained, may_refuse=may_refuse)) == 4
+
+
+@pytest.mark.parametrize("jobs", [1, 2, 3])
+@pytest.mark.parametrize(("explained", "expected"), [(0.8, [0]), (0.4, list(range(COUNT)))])
+def test_a_pairing_that_explains_the_log_and_is_ruled_out_is_followed_once(
+    run_all: Any, explained: float, expected: list[int], jobs: int
+) -> None:
+    pairings = [Pairing(np.zeros(3), np.array([0, 2]), 100.0), Pairing(np.ones(3), np.array([1]), 10.0)]
+    starts, begun = run_all([None] * COUNT, pairings=pairings, jobs=jobs, explained=explained)
+    assert [one.number for one in starts] == list(range(COUNT))
+    assert begun == expected
+    # the others are ended by as many as are to agree, whatever the processes
+    starts, _ = run_all([None] * COUNT, pairings=pairings, jobs=jobs, explained=explained, may_refuse=True)
+    assert len(starts) == (AGREEING if explained > 0.5 else COUNT)
 
 
 @pytest.mark.parametrize("jobs", [1, 2, 3])

@@ -174,13 +174,12 @@ def doubt_of_starts(task: Task, starts: list[Start], best: Start, is_sampled: bo
     agreeing, least = agreeing_with_best(starts), task.settings.agreeing_starts
     doubt, remarks = "", tuple[Remark, ...]()
     if agreeing < min(least, task.most_starts):
-        why = f"only {agreeing} of {len(starts)} starts found these cameras, of {least} wanted: others may be right"
+        why = f"only {agreeing} of {len(starts)} starts found these cameras, of {least} wanted: others may be right; "
+        why += "narrower priors or more starts (calibration.annealed.starts) show it"
         if not is_sampled and task.parameters.only_moves:
-            doubt = f"{why}; narrower priors show it, or more starts (calibration.annealed.starts)"
+            doubt = why
         else:
-            remarks = (
-                Remark("starts", f"{why}; narrower priors or more starts (calibration.annealed.starts) show it"),
-            )
+            remarks = (Remark("starts", why),)
     assert best.fit is not None
     squares = float(squared_residuals(best.fit).mean())
     if squares > NOISE_AS_STATED:

@@ -62,13 +62,13 @@ def is_led_to(pairings: list[Pairing], pairing: Pairing | None, prior_std: Array
 
 
 def followed_before(task: Task, starts: list[Start], number: int, pairings: list[Pairing]) -> Start | None:
-    """Return what a start finds from pairings if one that explains the log has followed the same; None if none has."""
-    for start in starts:
-        if start.explained >= task.settings.min_tracked and is_led_to(
-            pairings, start.pairing, task.parameters.prior_std
-        ):
-            return replace(start, number=number)
-    return None
+    """Return what a start finds from pairings if one that explains the log has followed the best; None if none has.
+
+    Where that one was ruled out, pairings that are far worse are left to none.
+    """
+    least, std = task.settings.min_tracked, task.parameters.prior_std
+    same = (start for start in starts if start.explained >= least and is_led_to(pairings, start.pairing, std))
+    return next((replace(start, number=number) for start in same), None)
 
 
 def run_start(task: Task, number: int, values: Array, pairings: list[Pairing]) -> Start:
