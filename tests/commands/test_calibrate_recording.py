@@ -47,7 +47,7 @@ def test_cameras_that_are_two_metres_and_five_degrees_off(tmp_path: Path) -> Non
     report = calibrate(loaded, tmp_path / "log.parquet", tmp_path / "out", plots=False)
     # the supplied lenses and clocks are known to a few tenths of a degree only: the answer says that it depends on them
     assert report["status"] == "partly determined"
-    assert "focal, cam1.focal, cam2.focal, cam3.focal may fit better" in report["reason"]
+    assert "cam0.focal may fit better" in report["reason"]
     assert report["scale"]["determined_by"] == "baseline"
     scores = evaluate_calibration(tmp_path / "out" / "cameras.yaml", folder / "cameras_as_supplied.yaml")
     # beside what was measured when this was written: 0.29 deg and 0.36 m, which is the error of lenses and clocks
