@@ -227,11 +227,9 @@ def _followed(
     if after.cost <= before.cost:
         return values, states, after
     problem = linearisation.problem.weighted(linearisation.problem.weights(before.distances))
-    settled = CONVERGED * max(before.cost, 1.0)
+    weighted, settled = replace(linearisation, problem=problem), CONVERGED * max(before.cost, 1.0)
     try:
-        states, _ = settled_knots(
-            replace(linearisation, problem=problem), values, states, STATED, FOLLOWING_STEPS, settled
-        )
+        states, _ = settled_knots(weighted, values, states, STATED, FOLLOWING_STEPS, settled)
     except LinAlgError:
         return values, states, after
     return values, states, linearisation.at(values, states)

@@ -152,8 +152,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
         except ValueError as error:
             remarks += (Remark("control", f"the control was not used: {error}", is_reservation=True),)
     values = fit.adjustment.values
-    early = "" if answer.adjustment.converged else "the search for the optimum ended before it was found"
-    doubt = doubt or early
+    doubt = doubt or ("" if answer.adjustment.converged else "the search for the optimum ended before it was found")
     if (against := task.parameters.prior_disagreement(values)) is not None:
         by = known.kind if known is not None else "baseline" if task.scale is not None else ""
         doubt = f"with the known {by} {against}" if by else against

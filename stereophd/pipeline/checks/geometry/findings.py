@@ -107,13 +107,6 @@ def _named(geometry: Geometry, found: Explanation) -> Finding:
         f"as stated {percent(given.share)}, by chance {percent(met.chance)}"
     )
     return Finding(
-        "geometry.cause",
-        "warning",
-        message,
-        round(given.excess, 3),
-        round(met.excess, 3),
-        None if everybody or len(names) != 1 else names[0],
-        trial.remedy,
-        trial.cause,
-        trial.change,
-    )
+        "geometry.cause", "warning", message, round(given.excess, 3), round(met.excess, 3),
+        None if everybody or len(names) != 1 else names[0], trial.remedy, trial.cause, trial.change,
+    )  # fmt: skip

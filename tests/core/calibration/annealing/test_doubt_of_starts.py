@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import cast
 
@@ -10,6 +11,7 @@ import pytest
 
 from stereophd.core.calibration.adjustment.solver import Adjustment
 from stereophd.core.calibration.adjustment.suspicions import Suspicion
+from stereophd.core.calibration.annealing import starts as start_module
 from stereophd.core.calibration.annealing.method import (
     Believed,
     Remark,
@@ -18,9 +20,11 @@ from stereophd.core.calibration.annealing.method import (
     statement_remarks,
     why_none_succeeded,
 )
-from stereophd.core.calibration.annealing.starts import agree, best_of, distinct, rival_of
+from stereophd.core.calibration.annealing.starts import agree, best_of, distinct, rival_of, run_start
 from stereophd.core.calibration.annealing.task import SUCCEEDED, Fit, Start, Task
+from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.settings import AnnealedSettings
+from stereophd.core.calibration.time_limit import ENDLESS
 
 SIZE = 6
 FAILED = "residuals are 3.0 times the detector's noise"
@@ -145,3 +149,22 @@ def test_of_what_is_contradicted_together_what_is_clear_is_named() -> None:
     assert fitting(suspicion, is_doubted=True) == "another left.k1, right.clock_offset"
     unclear = cast("Suspicion", SimpleNamespace(group=group, values=values, stds=stds + 1.0))
     assert fitting(unclear, is_doubted=True) == "another left.k1, left.p1, right.clock_offset"
+
+
+@pytest.mark.parametrize(("explained", "origins"), [(0.8, ["pairing 0"]), (0.4, ["pairing 0", "wide"])])
+def test_a_start_is_followed_from_its_own_values_where_no_pairing_explains_the_log(
+    monkeypatch: pytest.MonkeyPatch, explained: float, origins: list[str]
+) -> None:
+    begun = list[str]()
+
+    def follow(_task: Task, number: int, origin: str, *_: object) -> Start:
+        begun.append(origin)
+        return replace(start(number, None), explained=explained, origin=origin)
+
+    monkeypatch.setattr(start_module, "_follow", follow)
+    monkeypatch.setattr(start_module, "paired_fit", lambda *_: None)
+    settings = SimpleNamespace(min_tracked=0.5)
+    task = cast("Task", SimpleNamespace(limit=ENDLESS, most_starts=1, settings=settings))
+    found = run_start(task, 0, np.zeros(3), [Pairing(np.zeros(3), np.array([0]), 100.0)])
+    assert begun == origins
+    assert found.origin == "pairing 0"
