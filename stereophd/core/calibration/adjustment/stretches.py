@@ -95,11 +95,14 @@ def _scores(posterior: MarginalPosterior, point: Point) -> Array:
     across = np.swapaxes(both, 1, 2) @ (moved - links.pull)
     products = across - np.swapaxes(links.pull, 1, 2) @ both + links.energy
     by_noise = -motion.by_unknowns(products) - volume.by_noise - 6.0 * OF_ALL
-    stretch_of = np.searchsorted(ends, 0.5 * (knots.times[links.knot] + knots.times[links.knot + 1]))
+    # one that passes several stretches belongs to each for the part of its time
+    begin, end = knots.times[links.knot], knots.times[links.knot + 1]
+    edges = np.concatenate([[-np.inf], ends, [np.inf]])[:, None]
+    passed = np.maximum(np.minimum(end, edges[1:]) - np.maximum(begin, edges[:-1]), 0.0) / (end - begin)
     _, by_scale = log_scale(problem.parameters, problem.reference, values)
-    for stretch in range(STRETCHES):
-        rows = np.flatnonzero(stretch_of == stretch)
-        total = by_noise[rows].sum(axis=0)
+    for stretch, parts in enumerate(passed):
+        rows = np.flatnonzero(parts)
+        total, forced = parts[rows] @ by_noise[rows], parts[rows, None, None] * forces[rows]
         pulled = np.concatenate([following[links.knot[rows]], following[links.knot[rows] + 1]], axis=1)
-        scores[stretch] += np.einsum("lja,ljau->u", forces[rows], pulled) + np.append(total[0] * by_scale, total)
+        scores[stretch] += np.einsum("lja,ljau->u", forced, pulled) + np.append(total[0] * by_scale, total)
     return scores

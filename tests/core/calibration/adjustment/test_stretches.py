@@ -8,10 +8,21 @@ import numpy as np
 import pytest
 
 from stereophd.core.calibration.adjustment.marginal import marginal_optimum
+from stereophd.core.calibration.adjustment.problem import SQUARED, Problem
 from stereophd.core.calibration.adjustment.solver import adjust
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches, widening
+from stereophd.core.calibration.adjustment.trajectories import fit_states, interpolation, place_knots
 from stereophd.core.geometry.lens import Lens
-from tests.core.calibration.problems_of_unknowns import STDS, in_turn, observe, problem_of, rig, some_problem, unknowns
+from tests.core.calibration.problems_of_unknowns import (
+    MOTION,
+    STDS,
+    in_turn,
+    observe,
+    problem_of,
+    rig,
+    some_problem,
+    unknowns,
+)
 
 
 def test_scores_of_the_stated_information_widen_nothing() -> None:
@@ -63,6 +74,20 @@ def test_what_stretches_say_of_the_noise_of_the_motion_is_not_said_of_cameras(se
     covariance = marginal.covariance
     widened = np.linalg.eigvals(np.linalg.solve(covariance, covariance + more)).real.max()
     assert of_cameras == pytest.approx(np.sqrt(widened), rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_knots_that_are_far_apart_let_stretches_agree(seed: int) -> None:
+    """Objects that move straight need few knots, and each pair of them was counted in one of the stretches between."""
+    true = unknowns(rig("none"), ("center", "rotation", "focal"))
+    drawn = 0.3 * true.sample(np.random.default_rng(seed), 1)[0]
+    observations, times, points = observe(true.cameras, seed, 3, 12.0, agility=np.zeros_like)
+    knots = place_knots([times[observations.trajectories == j] for j in range(3)], 2.5, MOTION)
+    at = interpolation(knots, observations.trajectories, times)
+    states = fit_states(knots, *at, points, np.full(len(points), 1e4))
+    problem = Problem(true.about(true.guess(drawn)), 0, knots, observations, SQUARED)
+    marginal = marginal_optimum(problem, adjust(problem, drawn, states))
+    assert disagreement_of_stretches(problem, marginal)[1] < 1.5
 
 
 def test_stretches_disagree_where_an_unstated_lens_is_strong() -> None:
