@@ -56,6 +56,10 @@ def atomic_write(path: Path | str, replace: bool = True) -> Iterator[Path]:
     try:
         name = temporary_beside(target)
         descriptor = lock_file(name, str(target), "choose another file")
+        if os.fstat(descriptor).st_nlink > 1:  # a run that was killed had given the file its name, too
+            name.unlink()
+            os.close(descriptor)
+            descriptor = lock_file(name, str(target), "choose another file")
         temporary = name
         os.truncate(descriptor, 0)
         yield temporary

@@ -197,8 +197,7 @@ def _clock_report(task: Task) -> dict[str, Any]:
 
 
 def _start_report(task: Task, start: Start, best: Start | None) -> dict[str, Any]:
-    nothing: list[float] = []
-    values = nothing if start.fit is None else start.fit.adjustment.values.tolist()
+    values = list[float]() if start.fit is None else start.fit.adjustment.values.tolist()
     return {
         "start": start.number,
         "began_from": start.origin,

@@ -42,6 +42,18 @@ def test_atomic_write_leaves_nothing_after_an_error(tmp_path: Path, error: type[
     assert contents(tmp_path) == {}
 
 
+def test_what_a_killed_run_had_finished_stays_until_the_next_is_whole(tmp_path: Path) -> None:
+    """It had given the file its name, and was killed before it removed the temporary one."""
+    target = tmp_path / "a.txt"
+    target.write_text("old")
+    os.link(target, temporary_beside(target))
+    with atomic_write(target) as temporary:
+        temporary.write_text("ne")
+        assert target.read_text() == "old"
+        temporary.write_text("new")
+    assert contents(tmp_path) == {"a.txt": "new"}
+
+
 def test_atomic_write_follows_the_umask(tmp_path: Path) -> None:
     with atomic_write(tmp_path / "a.txt") as temporary:
         temporary.write_text("x")

@@ -49,7 +49,7 @@ SETTLING_STEPS = 3
 # Step, in posterior standard deviations, at which the search for a joint or marginal optimum of a pass has settled.
 SETTLED_IN_PASSES = 1.0
 # Times at which the history holds the posterior.
-HISTORY_TIMES = 25
+HISTORY_TIMES = 16
 # Passes in which fitted trajectories choose their detections.
 FITTED_PASSES = 3
 # Frames by which a trajectory may go on before its first detection and after its last one, in a pass.
@@ -176,10 +176,7 @@ def fit_from(task: Task, values: Array) -> Fit | None:
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
-    """Return the posterior over time: of the log so far, to second order about the answer, and the result as the last.
-
-    A search at every time would take too long, and in the valleys of the first parts it would go anywhere.
-    """
+    """Return the posterior over time, of the log so far, and the result as the last row."""
     *times, end = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:].tolist()
 
     def until(time_s: float) -> HistoryRow | None:
@@ -191,17 +188,21 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
 
 
 def stated_until(task: Task, answer: Fit, time_s: float) -> HistoryRow | None:
-    """Return the posterior given the detections until a time, by one step from a marginal optimum; None without any."""
+    """Return the marginal posterior given the detections until a time, with their association; None without any.
+
+    The search begins at the answer and settles within a standard deviation; the values alone take its last step.
+    """
     part = part_of(task, answer, np.flatnonzero(answer.observations.times <= time_s))
     if part is None:
         return None
-    size = task.parameters.size
     with suppress(LinAlgError):
         problem, begun = _begun(task, part, part.observations)
-        posterior, at = at_answer(problem, replace(begun, distances=part.adjustment.distances))
-        root = posterior.root(at)
-        step = -root @ (root.T @ posterior.gradient(at))
-        return HistoryRow(time_s, answer.adjustment.values + step[:size], (root @ root.T)[:size, :size])
+        begun = replace(begun, distances=part.adjustment.distances)
+        found = marginal_optimum(problem, begun, SETTLED_IN_PASSES)
+        posterior, at = at_answer(problem, found)
+        root, size = posterior.root(at), len(found.values)
+        step = root @ (root.T @ posterior.gradient(at))
+        return HistoryRow(time_s, found.values - step[:size], (root @ root.T)[:size, :size])
     return None
 
 
@@ -234,8 +235,7 @@ def adjusted_to(task: Task, fit: Fit, observations: Observations, detections: In
     searched = None
     if fit.held is None or not fit.held.all():
         if not _can_settle(problem, begun):
-            standing = _standing(task, _fit(task, problem, begun, detections))
-            if standing is not None:
+            if (standing := _standing(task, _fit(task, problem, begun, detections))) is not None:
                 return standing
         with suppress(LinAlgError):  # the joint optimum is found with damping
             searched = marginal_optimum(problem, begun, SETTLED_IN_PASSES)

@@ -191,7 +191,7 @@ def test_the_history_ends_at_the_answer_and_is_wider_before(made: MadeUp, task: 
     std = np.sqrt(np.diag(answer.adjustment.covariance))
     np.testing.assert_allclose(np.diag(whole.covariance), std**2, rtol=0.05)
     assert (np.abs(whole.mean - answer.adjustment.values) < 0.1 * std).all()
-    assert (np.diag(half.covariance) > std**2).all()
+    assert (np.diag(half.covariance)[1:] > 1.2 * std[1:] ** 2).all()  # the first is the scale, which nothing shows
     assert (np.abs(half.mean - made.truth) < 4.0 * np.sqrt(np.diag(half.covariance))).all()
     assert stated_until(task, answer, -1.0) is None
 
