@@ -234,9 +234,9 @@ def adjusted_to(task: Task, fit: Fit, observations: Observations, detections: In
     problem, begun = _begun(task, fit, observations)
     searched = None
     if fit.held is None or not fit.held.all():
-        if not _can_settle(problem, begun):
-            if (standing := _standing(task, _fit(task, problem, begun, detections))) is not None:
-                return standing
+        standing = None if _can_settle(problem, begun) else _standing(task, _fit(task, problem, begun, detections))
+        if standing is not None:
+            return standing
         with suppress(LinAlgError):  # the joint optimum is found with damping
             searched = marginal_optimum(problem, begun, SETTLED_IN_PASSES)
     if searched is None:
