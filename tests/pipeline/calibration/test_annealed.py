@@ -149,6 +149,8 @@ def test_a_run_that_is_continued_goes_on_after_the_starts_that_are_kept(run_all:
     assert [one.number for one in run_all([5.0, None, None, 5.0, *[None] * 4], first)] == [0, 1, 2, 3]
     agreeing = [start(0, 5.0), start(1, 5.0)]
     assert run_all([None] * COUNT, agreeing) == agreeing
+    refused = [start(0, None, 0.8), start(1, None, 0.8)]
+    assert run_all([5.0] * COUNT, refused, may_refuse=True) == refused
     # the run was interrupted after the last of all
     assert run_all([None] * COUNT, [start(k, None) for k in range(COUNT)])[-1].number == COUNT - 1
 
