@@ -1,4 +1,4 @@
-"""Signals such as Ctrl-C end a run by an exception, so that unfinished outputs are removed before it exits.
+"""Signals such as Ctrl-C end a run by an exception, so that temporary files are removed before it exits.
 
 The first signal raises an exception. Where compiled code calls Python, an exception would be lost (the compiler of the
 kernels, which then misses what it compiled) or end the process by a segmentation fault (a kernel that makes a named

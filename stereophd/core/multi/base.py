@@ -218,7 +218,7 @@ class DisparityFilter(ABC):
         return float(levels.confirm), float(levels.release), float(levels.tentative), self.labels_may_split
 
     def step(self, state: FilterState, event: Event) -> tuple[FilterState, Info, Estimates]:
-        """Predict, update and extract for one event."""
+        """Predict, update and extract for one event; filters that swap tracks do so in between."""
         state, info = self.update(state, self.predict(state, event), event)
         state, estimates = self.extract(state)
         return state, info, estimates

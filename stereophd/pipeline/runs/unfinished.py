@@ -2,7 +2,7 @@
 
 `track`, the pieces of a long log, `calibrate` and `experiment` keep their work here in the same way. A whole file holds
 one object. Parts hold what is too much to be written each time, such as the rows of a table; they count as far as the
-state says that was written after them. States are written about once a minute.
+state says that was written after them. `track` and `calibrate` write about once a minute, the others as they go.
 
 Everything in the folder is data (`stereophd.io.outputs.saved`). It goes when the results come into their places.
 """

@@ -1,4 +1,4 @@
-"""Mistakes in cameras and clocks that are tried, and the one that explains the log best."""
+"""Which mistake in cameras or clocks explains a log best: those of `alternatives`, and offsets and rates of clocks."""
 
 from __future__ import annotations
 

@@ -88,7 +88,7 @@ class PrincipalPoint(Quantity):
 
 
 class Distortion(Quantity):
-    """The coefficients of a camera's lens model: offsets without unit."""
+    """The coefficients of a camera's lens model (k1, k2, p1, ...): offsets without unit."""
 
     name = "distortion"
     components = DISTORTION
