@@ -83,7 +83,7 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     detections = np.concatenate([detections for _, detections in task.tracks])
     of_track = np.repeat(np.arange(len(task.tracks)), np.diff(task.pairs.raw.first))
     seen = task.observations(cameras, of_track, detections).times
-    # a track of one camera goes over to another object where two pass: beyond its partner nobody sees it
+    # where two objects pass, a track of one camera may go on with the other: a pair is of one object while both last
     is_common = np.zeros(len(detections), dtype=np.bool_)
     for pair in np.unique(of_row):
         at = seen[entries[of_row == pair]]
@@ -93,7 +93,7 @@ def paired_fit(task: Task, pairing: Pairing) -> Fit:
     numbers, trajectories = np.unique(objects[of_track], return_inverse=True)
     met = np.searchsorted(numbers, objects[task.pairs.tracks[of_row, 0]])
     observations = task.observations(cameras, trajectories, detections)
-    nearest = np.array([points[met == j].mean(axis=0) for j in range(int(trajectories.max()) + 1)])
+    nearest = np.array([points[met == j].mean(axis=0) for j in range(len(numbers))])
     knots = _knots(task, observations, nearest[trajectories], pairing.values)
     states = fit_states(knots, *interpolation(knots, met, times), points, np.full(len(rows), 1.0))
     problem = Problem(task.parameters, task.reference, knots, observations, ANNEALED_LOSS, task.scale)
