@@ -58,6 +58,8 @@ class Suspicion:
     def is_contradicted_at(self, widening: float) -> bool:
         """Whether they do where the errors that stretches of a log have in common are so many times as large."""
         evidence = self.log_evidence - self.gain * (1.0 - widening**-2) + len(self.values) * np.log(widening)
+        if self.group.is_of_makers:
+            return bool(evidence > -np.log(CONTRADICTED_ODDS))
         return bool(evidence + np.log(self.group.odds) > np.log(CONTRADICTED_ODDS))
 
 

@@ -10,6 +10,7 @@ more certain than it is.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,6 +41,7 @@ class HeldGroup:
     places: Integers  # Where they are in the enlarged set.
     odds: float  # Before the data, that the values are not as stated.
     is_unmeasured: bool  # Whether nobody may have measured it: what is absent, and the image that makers state.
+    is_of_makers: bool = False  # Whether it has all images, and none has a lens: as makers state cameras.
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,13 @@ def is_of_maker(camera: Camera) -> bool:
     return is_plain and bool((np.abs(middle) <= MIDDLE_PX).all())
 
 
+def is_neutral(quantity: str, camera: Camera, names: Sequence[str]) -> bool:
+    """Whether nothing is stated of a quantity of a camera: no lens, the clock of the reference, a global shutter."""
+    if quantity == "distortion":
+        return not any(getattr(camera.lens, name) for name in names)
+    return quantity == "clock_offset" or (quantity == "readout" and camera.readout_s == 0.0)
+
+
 def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> EnlargedSet:
     """Return the unknowns of a calibration and, under wide priors, what it holds of lenses, images and clocks.
 
@@ -89,9 +98,7 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
                 continue
             places = np.arange(size + len(extra), size + len(extra) + len(names))
             extra += [Parameter(name, camera.name, 0.0, stds[name]) for name in names]
-            is_absent = quantity == "clock_offset" or (
-                quantity == "distortion" and not any(getattr(camera.lens, name) for name in names)
-            )
+            is_absent = is_neutral(quantity, camera, names)
             odds = ABSENT_ODDS if is_absent else STATED_ODDS
             is_unmeasured = is_absent or (quantity in IMAGE and is_of_maker(camera))
             group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, odds, is_unmeasured)
@@ -101,6 +108,9 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
     unmeasured = [group for each in by_quantity.values() for group in each if group.is_unmeasured]
     if len({group.quantity for group in unmeasured}) > 1:
         groups.append(_together("unmeasured", unmeasured))
+    images = [group for group in unmeasured if group.quantity in IMAGE]
+    if images and all(is_of_maker(c) and c.lens.model == "none" for c in parameters.cameras):
+        groups.append(replace(_together("image", images), is_of_makers=True))
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
 
 
