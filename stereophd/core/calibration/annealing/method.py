@@ -280,7 +280,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             text = "what is held as stated could not be tested: the posterior is singular"
             held, remarks = [], (Remark("model", text, is_reservation=True),)
             break
-        wrong = next((s for s in held if s.is_contradicted and may_be_freed(s, choices, task.parameters)), None)
+        wrong = next((s for s in held if s.is_unknown and may_be_freed(s, choices, task.parameters)), None)
         if wrong is not None and not last:
             given_up.append(wrong)
             task, fit = with_freed(task, fit, enlarged, wrong)
@@ -411,8 +411,8 @@ def statement_remarks(believed: Believed, is_doubted: bool, widening: float = 1.
     remarks = [
         Remark(
             "model",
-            f"the data contradict what is stated: {fitting(suspicion, is_doubted)} fits; it was estimated "
-            "(calibration.model: as_stated keeps the statement)",
+            f"the data {'contradict' if suspicion.is_contradicted else 'do not show'} what is stated: "
+            f"{fitting(suspicion, is_doubted)} fits; it was estimated (calibration.model: as_stated keeps the statement)",
         )
         for suspicion in believed.given_up
     ]

@@ -17,6 +17,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.unknowns.quantities.base import IMAGES
 from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import PARAMETERS, Lens
@@ -41,7 +42,6 @@ class HeldGroup:
     places: Integers  # Where they are in the enlarged set.
     odds: float  # Before the data, that the values are not as stated.
     is_unmeasured: bool  # Whether nobody may have measured it: what is absent, and the image that makers state.
-    is_of_makers: bool = False  # Whether it has all images, and none has a lens: as makers state cameras.
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
         groups.append(_together("unmeasured", unmeasured))
     images = [group for group in unmeasured if group.quantity in IMAGE]
     if images and all(is_of_maker(c) and c.lens.model == "none" for c in parameters.cameras):
-        groups.append(replace(_together("image", images), is_of_makers=True))
+        groups.append(_together(IMAGES, images))
     return EnlargedSet(ParameterSet(tuple(cameras), (*parameters.parameters, *extra)), tuple(groups))
 
 
