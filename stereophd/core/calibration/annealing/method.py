@@ -412,7 +412,8 @@ def statement_remarks(believed: Believed, is_doubted: bool, widening: float = 1.
         Remark(
             "model",
             f"the data {'contradict' if suspicion.is_contradicted else 'do not show'} what is stated: "
-            f"{fitting(suspicion, is_doubted)} fits; it was estimated (calibration.model: as_stated keeps the statement)",
+            f"{fitting(suspicion, is_doubted)} fits; it was estimated "
+            "(calibration.model: as_stated keeps the statement)",
         )
         for suspicion in believed.given_up
     ]

@@ -20,6 +20,7 @@ from stereophd.core.calibration.adjustment.suspicions import (
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves
 from stereophd.core.calibration.unknowns.held import LENS_STD, EnlargedSet, HeldGroup, enlarge
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
+from stereophd.core.calibration.unknowns.quantities.base import IMAGES
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from tests.core.calibration.problems_of_unknowns import observe, problem_of, rig, unknowns
@@ -60,6 +61,17 @@ def test_what_is_stated_right_is_not_contradicted() -> None:
     _, suspicions = suspicions_of(problem, found)
     assert not any(suspicion.is_contradicted for suspicion in suspicions)
     assert max(suspicion.expected_move for suspicion in suspicions) < 1.0
+
+
+@pytest.mark.parametrize(("quantity", "evidence", "unknown"), [
+    (IMAGES, -4.0, True), (IMAGES, -5.0, False), ("focal", -4.0, False), ("focal", 11.0, False), ("focal", 12.0, True),
+])  # fmt: skip
+def test_images_that_nobody_measured_are_unknown_until_the_data_show_them(
+    quantity: str, evidence: float, unknown: bool
+) -> None:
+    group = HeldGroup(quantity, ("left.focal",), np.arange(1), 1e-3, True)
+    suspicion = Suspicion(group, np.zeros(1), np.ones(1), evidence, 0.0, 1.0, 1.0, np.zeros((1, 1)))
+    assert suspicion.is_unknown == unknown
 
 
 def test_the_evidence_is_that_of_a_gaussian_model() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from stereophd.core.calibration.unknowns.held import LENS_STD, enlarge, with_unmeasured
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
+from stereophd.core.calibration.unknowns.quantities.base import IMAGES
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.lens import Lens
 from tests.scenes import build_camera
@@ -55,18 +56,17 @@ def test_images_that_nobody_has_measured_have_no_lens_and_their_middle_as_princi
     left, right = cameras(Lens())
     known = (Parameter("focal", "right", 0.0, 0.01),)
     images, lens_of_right = [f"left.{name}" for name in OF_MAKERS], [f"right.{name}" for name in LENS_STD]
+    times = ["left.readout", "right.readout", "right.clock_offset"]
     measured = (
         replace(right, cx=right.cx + 2.0),
         replace(right, fy=880.0),
         replace(right, lens=Lens("radial", k1=0.1)),
     )
     for camera, lens in zip(measured, (lens_of_right, lens_of_right, []), strict=True):
-        assert unmeasured_with_a_lens(ParameterSet((left, camera), known)) == sorted(
-            [*images, *lens, "right.clock_offset"]
-        )
-    both = [*images, *(f"right.{name}" for name in OF_MAKERS if name != "focal"), "right.clock_offset"]
+        assert unmeasured_with_a_lens(ParameterSet((left, camera), known)) == sorted([*images, *lens, *times])
+    both = [*images, *(f"right.{name}" for name in OF_MAKERS if name != "focal"), *times]
     assert unmeasured_with_a_lens(ParameterSet((left, right), known)) == sorted(both)
-    assert unmeasured_with_a_lens(ParameterSet(measured[:1], known)) == sorted(lens_of_right)  # the reference clock
+    assert unmeasured_with_a_lens(ParameterSet(measured[:1], known)) == sorted([*lens_of_right, "right.readout"])
 
 
 def unmeasured_with_a_lens(stated: ParameterSet) -> list[str]:
@@ -82,7 +82,12 @@ def test_who_has_not_compared_clocks_has_not_measured_images_that_are_stated_as_
     clock = next(group for group in enlarged.groups if group.quantity == "clock_offset")
     assert clock.is_unmeasured
     unmeasured = names(enlarged.parameters, enlarged.unmeasured_with(clock))
-    assert unmeasured == [*(f"left.{name}" for name in OF_MAKERS), "right.clock_offset"]
+    assert unmeasured == [
+        *(f"left.{name}" for name in OF_MAKERS),
+        "left.readout",
+        "right.readout",
+        "right.clock_offset",
+    ]
     # what was measured and is wrong says nothing of the rest
     rate = next(group for group in enlarged.groups if group.quantity == "clock_rate")
     assert names(enlarged.parameters, enlarged.unmeasured_with(rate)) == ["right.clock_rate"]
@@ -94,8 +99,24 @@ def test_what_nobody_may_have_measured_is_unknown_from_the_beginning() -> None:
     measured = replace(right, lens=Lens("radial", k1=0.1))
     images = [f"left.{name}" for name in OF_MAKERS]
     found = with_unmeasured(ParameterSet((left, measured), known), 0, PERIODS)
-    assert found.names == ("right.focal", *images, "right.clock_offset")
-    assert with_unmeasured(ParameterSet((measured,), known), 0, PERIODS[1:]).names == ("right.focal",)
+    assert found.names == ("right.focal", *images, "left.readout", "right.readout", "right.clock_offset")
+    stated = replace(measured, readout_s=0.01)  # a shutter that was measured
+    assert with_unmeasured(ParameterSet((stated,), known), 0, PERIODS[1:]).names == ("right.focal",)
+
+
+def test_images_are_one_statement_where_no_camera_states_a_lens() -> None:
+    left, right = cameras(Lens())
+
+    def images(*stated: Camera) -> list[str]:
+        enlarged = enlarge(ParameterSet(stated, (Parameter("focal", "right", 0.0, 0.01),)), 0, PERIODS)
+        groups = [group for group in enlarged.groups if group.quantity == IMAGES]
+        return [name for group in groups for name in names(enlarged.parameters, group.places)]
+
+    of_right = [f"right.{name}" for name in OF_MAKERS if name != "focal"]
+    assert sorted(images(left, right)) == sorted([*(f"left.{name}" for name in OF_MAKERS), *of_right])
+    # who states a lens without distortion has measured it, as has who states different pixels
+    assert images(left, replace(right, lens=Lens("radial"))) == []
+    assert images(left, replace(right, fy=880.0)) == []
 
 
 def test_what_is_freed_follows_the_unknowns() -> None:
