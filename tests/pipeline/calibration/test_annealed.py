@@ -173,7 +173,7 @@ class Run:
     is_searched: bool = False
 
 
-@pytest.mark.parametrize(("model", "expected"), [("lenses", [1, 19]), ("as_stated", [1])])
+@pytest.mark.parametrize(("model", "expected"), [("lenses", [1, 20]), ("as_stated", [1])])
 def test_where_no_start_succeeds_what_nobody_measured_is_unknown(
     monkeypatch: pytest.MonkeyPatch, model: str, expected: list[int]
 ) -> None:
@@ -195,6 +195,6 @@ def test_where_no_start_succeeds_what_nobody_measured_is_unknown(
     monkeypatch.setattr(annealed, "_start_report", lambda *_: {})
     monkeypatch.setattr(annealed, "_all_starts", fail)
     outcome = annealed.annealed_outcome(cast("CalibrationRun", Run(problem, SimpleNamespace(model=model))))
-    assert sizes == expected  # with eight and seven values of the images, two readouts, one offset of clocks
+    assert sizes == expected  # with eight and seven values of the images, two readouts, one clock
     assert len(outcome.details["starts"]) == len(expected)
     assert outcome.reason.startswith("none of 1 starts agrees with the data")

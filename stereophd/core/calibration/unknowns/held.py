@@ -27,7 +27,7 @@ from stereophd.core.geometry.lens import PARAMETERS, Lens
 # of the clock's rate.
 LENS_STD = {"k1": 0.3, "k2": 0.15, "p1": 1e-3, "p2": 1e-3}
 FOCAL_STD, ASPECT_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.03, 5e-3, 0.015, 1.0, 1e-3
-# Odds, before the data, that a statement is wrong: of what is absent (a lens, an offset of clocks), of any other value.
+# Odds, before the data, that a statement is wrong: of what is absent, of any other value.
 ABSENT_ODDS, STATED_ODDS = 0.1, 1e-3
 # What makers state of an image; the middle is stated to half a pixel.
 IMAGE, MIDDLE_PX = ("distortion", "focal", "aspect", "principal_point"), 0.5
@@ -59,11 +59,15 @@ class EnlargedSet:
         cameras = tuple(own if own.name in lenses else stated for own, stated in each)
         return replace(known, cameras=cameras, parameters=(*known.parameters, *more))
 
+    @property
+    def unmeasured(self) -> Integers:
+        """Places of all that nobody has measured."""
+        places = [np.empty(0, np.int64), *(group.places for group in self.groups if group.is_unmeasured)]
+        return np.unique(np.concatenate(places))
+
     def unmeasured_with(self, group: HeldGroup) -> Integers:
-        """Places of all that nobody has measured if a group of that is contradicted; those of any other group alone."""
-        if not group.is_unmeasured:
-            return group.places
-        return np.unique(np.concatenate([one.places for one in self.groups if one.is_unmeasured]))
+        """Places of all that nobody has measured if a group of that is unknown; those of any other group alone."""
+        return self.unmeasured if group.is_unmeasured else group.places
 
 
 def is_of_maker(camera: Camera) -> bool:
@@ -73,11 +77,12 @@ def is_of_maker(camera: Camera) -> bool:
     return is_plain and bool((np.abs(middle) <= MIDDLE_PX).all())
 
 
-def is_neutral(quantity: str, camera: Camera, names: Sequence[str]) -> bool:
-    """Whether nothing is stated of a quantity of a camera: no lens, the clock of the reference, a global shutter."""
+def _is_absent(camera: Camera, quantity: str, names: Sequence[str]) -> bool:
+    """Whether nobody stated a quantity: without a lens, a readout, an offset or a rate of its clock."""
     if quantity == "distortion":
         return not any(getattr(camera.lens, name) for name in names)
-    return quantity == "clock_offset" or (quantity == "readout" and camera.readout_s == 0.0)
+    absent = {"readout": camera.readout_s == 0.0, "clock_offset": True, "clock_rate": camera.clock.rate == 1.0}
+    return absent.get(quantity, False)
 
 
 def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> EnlargedSet:
@@ -98,7 +103,7 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
                 continue
             places = np.arange(size + len(extra), size + len(extra) + len(names))
             extra += [Parameter(name, camera.name, 0.0, stds[name]) for name in names]
-            is_absent = is_neutral(quantity, camera, names)
+            is_absent = _is_absent(camera, quantity, names)
             odds = ABSENT_ODDS if is_absent else STATED_ODDS
             is_unmeasured = is_absent or (quantity in IMAGE and is_of_maker(camera))
             group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, odds, is_unmeasured)
@@ -124,8 +129,7 @@ def _together(quantity: str, groups: list[HeldGroup]) -> HeldGroup:
 def with_unmeasured(parameters: ParameterSet, reference: int, periods: Array) -> ParameterSet:
     """Return the unknowns of a calibration, and all that nobody may have measured, under wide priors."""
     enlarged = enlarge(parameters, reference, periods)
-    places = [group.places for group in enlarged.groups if group.is_unmeasured]
-    return enlarged.freed(parameters, np.unique(np.concatenate([np.empty(0, np.int64), *places])))
+    return enlarged.freed(parameters, enlarged.unmeasured)
 
 
 def _wide_priors(camera: Camera, period: float, is_reference: bool) -> dict[str, dict[str, float]]:

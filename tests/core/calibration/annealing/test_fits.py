@@ -322,7 +322,7 @@ def test_a_lens_is_freed_as_it_is_stated_and_found_from_there(made: MadeUp, task
     # all else that nobody measured is freed with it: a clock, and the rest of images that makers state, which have not
     # two focal lengths
     square = replace(loose, parameters=loose.parameters.about([replace(c, fy=c.fx) for c in loose.parameters.cameras]))
-    for stated, expected in ((loose, 11), (square, 19)):
+    for stated, expected in ((loose, 12), (square, 20)):
         enlarged, suspicions = suspected(stated, answer)
         lenses = next(one for one in suspicions if one.group.quantity == "distortion" and len(one.values) == 8)
         assert len(enlarged.unmeasured_with(lenses.group)) == expected

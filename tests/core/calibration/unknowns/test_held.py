@@ -16,6 +16,7 @@ from tests.scenes import build_camera
 PERIODS = np.array([0.1, 0.04])
 # What nobody has measured of an image that is stated as makers state it.
 OF_MAKERS = (*LENS_STD, "focal", "aspect", "principal_point_u", "principal_point_v")
+TIMES_OF_RIGHT = ("right.readout", "right.clock_offset", "right.clock_rate")
 
 
 def cameras(lens: Lens) -> tuple[Camera, ...]:
@@ -56,7 +57,7 @@ def test_images_that_nobody_has_measured_have_no_lens_and_their_middle_as_princi
     left, right = cameras(Lens())
     known = (Parameter("focal", "right", 0.0, 0.01),)
     images, lens_of_right = [f"left.{name}" for name in OF_MAKERS], [f"right.{name}" for name in LENS_STD]
-    times = ["left.readout", "right.readout", "right.clock_offset"]
+    times = ["left.readout", *TIMES_OF_RIGHT]
     measured = (
         replace(right, cx=right.cx + 2.0),
         replace(right, fy=880.0),
@@ -82,15 +83,11 @@ def test_who_has_not_compared_clocks_has_not_measured_images_that_are_stated_as_
     clock = next(group for group in enlarged.groups if group.quantity == "clock_offset")
     assert clock.is_unmeasured
     unmeasured = names(enlarged.parameters, enlarged.unmeasured_with(clock))
-    assert unmeasured == [
-        *(f"left.{name}" for name in OF_MAKERS),
-        "left.readout",
-        "right.readout",
-        "right.clock_offset",
-    ]
+    assert unmeasured == [*(f"left.{name}" for name in OF_MAKERS), "left.readout", *TIMES_OF_RIGHT]
     # what was measured and is wrong says nothing of the rest
-    rate = next(group for group in enlarged.groups if group.quantity == "clock_rate")
-    assert names(enlarged.parameters, enlarged.unmeasured_with(rate)) == ["right.clock_rate"]
+    measured = enlarge(ParameterSet((left, replace(right, readout_s=0.01)), ()), 0, PERIODS)
+    readout = next(group for group in measured.groups if group.names == ("right.readout",))
+    assert names(measured.parameters, measured.unmeasured_with(readout)) == ["right.readout"]
 
 
 def test_what_nobody_may_have_measured_is_unknown_from_the_beginning() -> None:
@@ -99,8 +96,8 @@ def test_what_nobody_may_have_measured_is_unknown_from_the_beginning() -> None:
     measured = replace(right, lens=Lens("radial", k1=0.1))
     images = [f"left.{name}" for name in OF_MAKERS]
     found = with_unmeasured(ParameterSet((left, measured), known), 0, PERIODS)
-    assert found.names == ("right.focal", *images, "left.readout", "right.readout", "right.clock_offset")
-    stated = replace(measured, readout_s=0.01)  # a shutter that was measured
+    assert found.names == ("right.focal", *images, "left.readout", *TIMES_OF_RIGHT)
+    stated = replace(measured, readout_s=0.01)  # a shutter that was measured, and the reference's clock
     assert with_unmeasured(ParameterSet((stated,), known), 0, PERIODS[1:]).names == ("right.focal",)
 
 
