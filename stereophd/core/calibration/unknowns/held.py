@@ -5,7 +5,8 @@ how far an answer moves if it is not quite so, are questions to one set of unkno
 (`calibration.adjustment.suspicions`). Who measures an image measures its lens, focal length, aspect and principal point
 together, and compares clocks: where one of them that nobody may have measured is contradicted, all of them are unknown
 under these priors. A lens has more than k1: what k1 and the principal point took up of the rest would be stated as far
-more certain than it is.
+more certain than it is. A log of which all images are as makers state them has to show that they are exact, as hardly
+any is: else they are unknown, too.
 """
 
 from __future__ import annotations
