@@ -11,7 +11,6 @@ any is: else they are unknown, too.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +29,7 @@ LENS_STD = {"k1": 0.3, "k2": 0.15, "p1": 1e-3, "p2": 1e-3}
 FOCAL_STD, ASPECT_STD, PRINCIPAL_POINT_WIDTHS, PERIODS, RATE_STD = 0.03, 5e-3, 0.015, 1.0, 1e-3
 # Odds, before the data, that a statement is wrong: of what is absent, of any other value.
 ABSENT_ODDS, STATED_ODDS = 0.1, 1e-3
-# What makers state of an image; the middle is stated to half a pixel.
+# What makers state of an image, a lens first; the middle is stated to half a pixel.
 IMAGE, MIDDLE_PX = ("distortion", "focal", "aspect", "principal_point"), 0.5
 
 
@@ -60,15 +59,12 @@ class EnlargedSet:
         cameras = tuple(own if own.name in lenses else stated for own, stated in each)
         return replace(known, cameras=cameras, parameters=(*known.parameters, *more))
 
-    @property
-    def unmeasured(self) -> Integers:
-        """Places of all that nobody has measured."""
-        places = [np.empty(0, np.int64), *(group.places for group in self.groups if group.is_unmeasured)]
-        return np.unique(np.concatenate(places))
-
-    def unmeasured_with(self, group: HeldGroup) -> Integers:
-        """Places of all that nobody has measured if a group of that is unknown; those of any other group alone."""
-        return self.unmeasured if group.is_unmeasured else group.places
+    def unmeasured_with(self, group: HeldGroup | None = None) -> Integers:
+        """Places of all that nobody has measured, also if a group of that is unknown; those of another group alone."""
+        if group is not None and not group.is_unmeasured:
+            return group.places
+        places = [one.places for one in self.groups if one.is_unmeasured]
+        return np.unique(np.concatenate([np.empty(0, np.int64), *places]))
 
 
 def is_of_maker(camera: Camera) -> bool:
@@ -76,14 +72,6 @@ def is_of_maker(camera: Camera) -> bool:
     middle = np.array([camera.cx - (camera.width - 1) / 2.0, camera.cy - (camera.height - 1) / 2.0])
     is_plain = not camera.lens.coefficients.any() and camera.fx == camera.fy
     return is_plain and bool((np.abs(middle) <= MIDDLE_PX).all())
-
-
-def _is_absent(camera: Camera, quantity: str, names: Sequence[str]) -> bool:
-    """Whether nobody stated a quantity: without a lens, a readout, an offset or a rate of its clock."""
-    if quantity == "distortion":
-        return not any(getattr(camera.lens, name) for name in names)
-    absent = {"readout": camera.readout_s == 0.0, "clock_offset": True, "clock_rate": camera.clock.rate == 1.0}
-    return absent.get(quantity, False)
 
 
 def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> EnlargedSet:
@@ -98,13 +86,15 @@ def enlarge(parameters: ParameterSet, reference: int, periods: Array) -> Enlarge
     size, extra, groups = parameters.size, list[Parameter](), list[HeldGroup]()
     by_quantity: dict[str, list[HeldGroup]] = {}
     for number, camera in enumerate(cameras):
+        of_times = {"clock_offset": 0.0, "clock_rate": camera.clock.rate - 1.0, "readout": camera.readout_s}
         for quantity, stds in _wide_priors(camera, float(periods[number]), number == reference).items():
             names = [name for name, std in stds.items() if std > 0.0 and parameters.index(camera.name, [name])[0] < 0]
             if not names:
                 continue
             places = np.arange(size + len(extra), size + len(extra) + len(names))
             extra += [Parameter(name, camera.name, 0.0, stds[name]) for name in names]
-            is_absent = _is_absent(camera, quantity, names)
+            stated = [of_times.get(name, getattr(camera.lens, name, 0.0)) for name in names]
+            is_absent = quantity not in IMAGE[1:] and not any(stated)
             odds = ABSENT_ODDS if is_absent else STATED_ODDS
             is_unmeasured = is_absent or (quantity in IMAGE and is_of_maker(camera))
             group = HeldGroup(quantity, tuple(f"{camera.name}.{name}" for name in names), places, odds, is_unmeasured)
@@ -130,7 +120,7 @@ def _together(quantity: str, groups: list[HeldGroup]) -> HeldGroup:
 def with_unmeasured(parameters: ParameterSet, reference: int, periods: Array) -> ParameterSet:
     """Return the unknowns of a calibration, and all that nobody may have measured, under wide priors."""
     enlarged = enlarge(parameters, reference, periods)
-    return enlarged.freed(parameters, enlarged.unmeasured)
+    return enlarged.freed(parameters, enlarged.unmeasured_with())
 
 
 def _wide_priors(camera: Camera, period: float, is_reference: bool) -> dict[str, dict[str, float]]:
