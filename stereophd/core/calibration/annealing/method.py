@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from stereophd.core.arrays import Array, Booleans
-from stereophd.core.calibration.adjustment.marginal import exact_covariance
+from stereophd.core.calibration.adjustment.marginal import curvature_covariance
 from stereophd.core.calibration.adjustment.noise import estimate_noise
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
@@ -315,7 +315,7 @@ def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, float, tuple
     task.limit.begin("the covariance of the answer is computed")
     if adjustment.converged:
         try:
-            exact = exact_covariance(problem, adjustment, task.threads)
+            exact = curvature_covariance(problem, adjustment, task.threads)
             adjustment = replace(adjustment, covariance=exact)
         except LinAlgError:
             adjustment = replace(adjustment, converged=False)
