@@ -22,9 +22,9 @@ from stereophd.io.outputs.locks import output_lock
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.options import takes
 from stereophd.pipeline.cameras_covariance import stated_uncertainty
+from stereophd.pipeline.checks.check_log import check_log, report_findings
 from stereophd.pipeline.checks.finding import Finding, once_mended
-from stereophd.pipeline.checks.run import check_log, report_findings
-from stereophd.pipeline.checks.run_figures import (
+from stereophd.pipeline.checks.run_checks import (
     check_detections,
     check_errors,
     check_estimated_detectors,
@@ -38,7 +38,8 @@ from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.run import (
+from stereophd.pipeline.tracking.single import SingleTracker
+from stereophd.pipeline.tracking.tracking_run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
     TRACKS_FILE,
@@ -46,7 +47,6 @@ from stereophd.pipeline.tracking.run import (
     build_tracking,
     with_detectors,
 )
-from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw

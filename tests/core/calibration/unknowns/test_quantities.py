@@ -234,7 +234,7 @@ def test_every_quantity_has_a_prior_and_unique_names(quantity: Quantity) -> None
 def test_the_entry_leads_back_to_the_camera(quantity: Quantity) -> None:
     from stereophd.io.cameras.models import CameraConfig
     from stereophd.io.cameras.writing import camera_config
-    from stereophd.pipeline.calibration.unknowns import with_quantities
+    from stereophd.pipeline.calibration.configured_unknowns import with_quantities
 
     camera = camera_for(quantity)
     config = (
