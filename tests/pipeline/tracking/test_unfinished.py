@@ -213,7 +213,7 @@ def test_killed_between_the_tables_and_the_end_continues(
         raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr("stereophd.commands.track.check_losses", raise_killed)
+        patch.setattr("stereophd.pipeline.checks.run_checks.check_losses", raise_killed)
         with pytest.raises(Killed):
             track(*scene, out)
     with monkeypatch.context() as patch:
