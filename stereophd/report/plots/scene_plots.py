@@ -18,7 +18,8 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.metrics.scans import UNLABELLED
-from stereophd.core.metrics.truth.interpolation import in_window
+from stereophd.core.metrics.truth.interpolation import Truth, in_window
+from stereophd.pipeline.evaluation.scoring import Scored
 from stereophd.report import style
 from stereophd.report.plots.views import SceneView, field_of_view, limits, viewing_depth, views
 
@@ -36,10 +37,30 @@ LEAST_FOR_LOG = 5
 GAP_STEPS = 10
 
 
-def draw_ospa(pictures: style.Pictures) -> Figure:
+@dataclass(frozen=True)
+class Pictures:
+    """What is drawn of an evaluation."""
+
+    report: Mapping[str, Any]  # As `stereophd.commands.evaluate.evaluate` returns it
+    scored: Scored
+    truth: Truth  # All rows; those at scored times are drawn
+    cameras: Sequence[Camera] = ()
+
+    @property
+    def unit(self) -> str:
+        """The unit of length as it follows a number, empty if it is not known."""
+        return f" {self.report['length_unit']}" if self.report["length_unit"] else ""
+
+    def mostly_unmatched(self, part: str, identity: str, count: str) -> Integers:
+        """Return the identities in a table of the report of which less than half of the rows are matched."""
+        rows = self.report[part]["table"] or ()
+        return np.array([row[identity] for row in rows if 2 * row["matched"] < row[count]], dtype=np.int64)
+
+
+def draw_ospa(pictures: Pictures) -> Figure:
     """Draw OSPA over time, and below it its two parts."""
-    columns = pictures.columns
-    unit = style.unit_text(pictures) if pictures.base == "euclidean" else ""
+    columns, ospa = pictures.scored.columns, pictures.report["ospa"]
+    unit = pictures.unit if ospa["base"] == "euclidean" else ""
     figure, (whole, parts) = _time_axes(2)
     bins = _bins(columns["time_s"])
     bins.fill_range(whole, columns["ospa"], color=style.GREY, alpha=0.3)
@@ -55,8 +76,8 @@ def draw_ospa(pictures: style.Pictures) -> Figure:
         _set_scale(axes, np.concatenate([columns[name] for name in names]))
         style.legend_right(axes)
     figure.supylabel(f"OSPA{style.bracketed(unit)}", fontsize=10, color=style.INK)
-    base = "" if pictures.base == "euclidean" else ", Mahalanobis"
-    whole.set_title(f"OSPA over time  (p = {pictures.order:g}, c = {pictures.cutoff:g}{unit}{base})")
+    base = "" if ospa["base"] == "euclidean" else ", Mahalanobis"
+    whole.set_title(f"OSPA over time  (p = {ospa['order']:g}, c = {ospa['cutoff']:g}{unit}{base})")
     return figure
 
 
@@ -70,9 +91,9 @@ def _set_scale(axes: Axes, values: Array) -> None:
     axes.set_ylim(bottom=0.7 * float(np.quantile(positive, 0.005)), top=1.4 * float(positive.max()))
 
 
-def draw_cardinality(pictures: style.Pictures) -> Figure:
+def draw_cardinality(pictures: Pictures) -> Figure:
     """Draw the number of true objects and of estimates over time."""
-    columns = pictures.columns
+    columns = pictures.scored.columns
     figure, (axes,) = _time_axes(1)
     bins = _bins(columns["time_s"])
     bins.fill_range(axes, columns["n_estimates"], step="mid", color=style.BLUE, alpha=0.15)
@@ -152,23 +173,23 @@ MOST_CROSSES = 40
 MOST_POINTS_DRAWN = 20_000
 
 
-def write_plots(pictures: style.Pictures, paths: Mapping[str, Path]) -> None:
+def write_plots(pictures: Pictures, paths: Mapping[str, Path]) -> None:
     """Draw the plots ``ospa``, ``cardinality``, ``top`` and ``side`` as the files that `paths` names: png or svg."""
     with mpl.rc_context(style.STYLE):
         over_time = {"ospa": draw_ospa(pictures), "cardinality": draw_cardinality(pictures)}
         style.save_figures({**over_time, **draw_views(pictures)}, paths)
 
 
-def draw_views(pictures: style.Pictures) -> dict[str, Figure]:
+def draw_views(pictures: Pictures) -> dict[str, Figure]:
     """Draw truth, estimates and cameras from above (``top``) and from the side (``side``)."""
-    time = pictures.columns["time_s"]
+    time = pictures.scored.columns["time_s"]
     rows = in_window(pictures.truth.time_s, float(time[0]), float(time[-1]))
     points = pictures.truth.position[rows]
     cameras = [camera.at(float(time[0])) for camera in pictures.cameras]
     scene = np.concatenate([points, *(camera.pose.center[None] for camera in cameras)])
     figures = {}
     for name, view in views(cameras, scene).items():
-        figures[name], axes = view_axes(view, scene, style.bracketed(style.unit_text(pictures)))
+        figures[name], axes = view_axes(view, scene, style.bracketed(pictures.unit))
         draw_camera_views(axes, cameras, points, view)
         _draw_estimates(axes, pictures, view, scene)
         _draw_truth(axes, pictures, view, rows)
@@ -240,9 +261,9 @@ def _draw_cameras(axes: Axes, cameras: Sequence[Camera], view: SceneView, near: 
         )
 
 
-def _draw_estimates(axes: Axes, pictures: style.Pictures, view: SceneView, scene: Array) -> None:
+def _draw_estimates(axes: Axes, pictures: Pictures, view: SceneView, scene: Array) -> None:
     """Draw the estimates that lie within the limits of a scene (n, 3), and state how many do not."""
-    estimates = pictures.estimates
+    estimates = pictures.scored.estimates
     drawn = view.project(estimates.position)
     low, high = np.stack(limits(view.project(scene)), axis=1)
     inside = np.asarray(((drawn >= low) & (drawn <= high)).all(axis=1))
@@ -264,7 +285,7 @@ def _draw_estimates(axes: Axes, pictures: style.Pictures, view: SceneView, scene
             marker=style.TRACK_MARKERS[number],
             linewidths=0, zorder=3, rasterized=True,
         )  # fmt: skip
-    false = rows[np.isin(labels, np.array(sorted(pictures.false_tracks), dtype=np.int64))]
+    false = rows[np.isin(labels, pictures.mostly_unmatched("purity", "track_id", "estimates"))]
     if len(false):
         # some estimates of each false track
         false = false[:: max(1, len(false) // MOST_CROSSES)]
@@ -276,19 +297,20 @@ def _draw_estimates(axes: Axes, pictures: style.Pictures, view: SceneView, scene
     axes.plot([], [], marker="o", markersize=4, color=style.TRACK_COLOURS[0], linestyle="none", label=name)
 
 
-def _draw_truth(axes: Axes, pictures: style.Pictures, view: SceneView, rows: Any) -> None:
+def _draw_truth(axes: Axes, pictures: Pictures, view: SceneView, rows: Any) -> None:
     """Draw the true paths as lines that break at gaps, with a ring where each begins."""
-    truth = pictures.truth
+    truth, gap_s = pictures.truth, pictures.report["max_gap_s"]
+    gap_s = np.inf if gap_s is None else gap_s
     time, label, points = truth.time_s[rows], truth.object_id[rows], view.project(truth.position[rows])
     first = np.append(True, np.diff(label) != 0)[: len(label)]
     step = max(1, len(label) // MOST_POINTS_DRAWN)
     keep = first | np.append(first[1:], True)[: len(label)] | (np.arange(len(label)) % step == 0)
-    breaks = first | np.append(False, np.diff(time) > pictures.max_gap_s + 1e-9)[: len(label)]
+    breaks = first | np.append(False, np.diff(time) > gap_s + 1e-9)[: len(label)]
     keep |= breaks
     cuts = np.flatnonzero(breaks[keep])
     path = np.insert(points[keep], cuts, np.nan, axis=0)
     axes.plot(*path.T, color=style.INK, linewidth=1.1, alpha=0.85, zorder=4, label="truth")
-    missed = np.isin(np.insert(label[keep], cuts, -1), np.array(sorted(pictures.missed_objects), dtype=np.int64))
+    missed = np.isin(np.insert(label[keep], cuts, -1), pictures.mostly_unmatched("completeness", "object_id", "scans"))
     if missed.any():
         lost = np.where(missed[:, None], path, np.nan)
         axes.plot(*lost.T, color=style.WRONG, linewidth=3.5, alpha=0.5, zorder=3.5, label="missed objects")

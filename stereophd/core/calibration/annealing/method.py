@@ -230,11 +230,11 @@ def chosen_anew(task: Task, fit: Fit, still: bool = False) -> Fit:
 def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict.
 
-    Each round: (1) the answer, where there is none, is the marginal optimum of the fit. (2) Its trajectories choose their
-    detections, whose residuals show the noise. (3) Where that is another, the search goes on from the answer, or anew
-    from the joint optimum where it had not converged or residuals hide the noise; the next round follows. (4) Once the
-    noise stays, what is held is tested; what is contradicted is freed, beginning as it was stated, for the next round.
-    (5) The errors of detections are independent at first, and shared within a radius once nothing is contradicted.
+    Each round: (1) the answer, where there is none, is the marginal optimum of the fit. (2) Its trajectories choose
+    detections anew, whose residuals show the noise. (3) Where that is another, the search goes on from the answer, or
+    begins at the joint optimum where it had not converged or residuals hide the noise; the next round follows. (4) Once
+    the noise stays, what is held is tested; what is contradicted is freed, beginning as stated, for the next round. (5)
+    The errors of detections are independent at first, and shared within a radius once nothing is contradicted.
     """
     count = len(task.parameters.cameras)
     noise, shared = np.ones(count), np.zeros(count)
