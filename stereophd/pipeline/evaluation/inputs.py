@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.metrics.truth.events import EventKeys, event_keys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import Events, Truth
 from stereophd.core.metrics.truth.registration import TrackedPlaces
 from stereophd.core.metrics.truth.scored import Sightings
@@ -70,15 +69,14 @@ def read_tracks(path: Path) -> Tracks:
     position, velocity = _vectors(table, schemas.POSITION, path), _vectors(table, schemas.VELOCITY, path)
     cameras: dict[str, int] = {}
     rows = _keys(table, path, cameras)
-    starts = first_rows_of_events(rows)
+    starts = np.flatnonzero(np.append(True, rows[1:] != rows[:-1])[: len(rows)]).astype(np.int64)
     ends = np.append(starts[1:], table.num_rows).astype(np.int64)[: len(starts)]
     keys = rows[starts]
     all_events = path.with_name(SCANS_NAME).exists()
     if all_events:
         events = _events_of_scans(keys, starts, ends, path, cameras)
     else:
-        repeated = first_repeated(keys)
-        if repeated is not None:
+        if (repeated := _first_repeated(keys)) is not None:
             raise _split_event(path, int(starts[repeated]))
         events = Events(keys["time_s"].copy(), starts, ends)
     with open_parquet(path) as parquet:
@@ -176,8 +174,8 @@ def cameras_of_record(record: Mapping[str, Any] | None) -> list[Camera] | None:
         return None
 
 
-def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> EventKeys:
-    """Return the keys of the rows; `cameras` numbers the names, and grows by new ones."""
+def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> NDArray[Any]:
+    """Return time, camera and frame of the rows (n,), compared as a whole; `cameras` numbers the names, and grows."""
     time_s = finite_column(table, "time_s", path)
     backwards = np.flatnonzero(np.diff(time_s) < 0)
     if backwards.size:
@@ -187,17 +185,27 @@ def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> EventKeys:
         )
     camera, names = _names(table)
     number = np.array([cameras.setdefault(name, len(cameras)) for name in names], dtype=np.int64)
-    return event_keys(time_s, number[camera], _integers(table, "frame"))
+    columns = time_s, number[camera], _integers(table, "frame")
+    kinds = [("time_s", np.float64), ("camera", np.int64), ("frame", np.int64)]
+    return np.asarray(np.rec.fromarrays(columns, dtype=kinds))
 
 
-def _events_of_scans(keys: EventKeys, starts: Integers, ends: Integers, path: Path, cameras: dict[str, int]) -> Events:
+def _first_repeated(keys: NDArray[Any]) -> int | None:
+    """Return the first row whose key is that of an earlier row, None if all keys differ."""
+    first: dict[Any, int] = {}
+    return next((row for row, key in enumerate(keys.tolist()) if first.setdefault(key, row) != row), None)
+
+
+def _events_of_scans(
+    keys: NDArray[Any], starts: Integers, ends: Integers, path: Path, cameras: dict[str, int]
+) -> Events:
     """Return the events of ``scans.parquet`` and the rows of tracks that belong to each."""
     scans_path = path.with_name(SCANS_NAME)
     scans = _keys(read_table(scans_path, schemas.KEY, what="table of scans"), scans_path, cameras)
-    twice = first_repeated(scans)
-    if twice is not None:
+    if (twice := _first_repeated(scans)) is not None:
         raise InputError(f"{scans_path}: row {twice}: this event (time_s, camera, frame) is there already")
-    event = find_events(keys, scans)
+    rows = {key: row for row, key in enumerate(scans.tolist())}
+    event = np.array([rows.get(key, -1) for key in keys.tolist()], dtype=np.int64)
     unknown = np.flatnonzero(event < 0)
     if unknown.size:
         event_text = "its event (time_s, camera, frame)"
