@@ -7,7 +7,6 @@ destination's space describes it badly beyond the field of view and behind the c
 module is rank-deficient.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 import numpy as np
@@ -20,6 +19,7 @@ from stereophd.core.disparity.sample_move import Draws, EventDraws, carry_compon
 from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SampleSets, cubature_points
+from stereophd.core.numerics.threads import in_threads
 
 # A Gaussian refitted from fewer samples than this is rank-deficient or soon overconfident.
 FEWEST_SAMPLES = 24
@@ -65,11 +65,8 @@ def move(
     def run(part: Integers) -> None:
         carry_components(part, sources, important, draws, destination, p_detect, region, moved)
 
-    parts = _parts(len(which), sets.size, threads)
-    if parts == 1:
-        run(which)
-    else:
-        list(_pool(threads).map(run, np.array_split(which, parts)))
+    parts = max(1, min(threads, len(which) * sets.size // TRIPS_PER_THREAD))
+    in_threads(run, [which] if parts == 1 else np.array_split(which, parts), parts)
     return moved
 
 
@@ -121,12 +118,3 @@ def _low_order(sources: Sources, destination: Array, sets: SampleSets, region: A
         kept = near.status == IN_VIEW
         moved.means[kept], moved.covariances[kept] = near.means[kept], near.covariances[kept] / STEP**2
     return todo
-
-
-def _parts(count: int, samples: int, threads: int) -> int:
-    return max(1, min(threads, count * samples // TRIPS_PER_THREAD))
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads)
