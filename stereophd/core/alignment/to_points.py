@@ -90,6 +90,9 @@ def adjust_to_points(
     known = np.isfinite(points.places) & used[:, None]
     size, count, root = len(values), int(used.sum()), np.linalg.cholesky(precision).T
     free = size + 6 + any_scale
+    # a residual depends on the values, the similarity, and its own point
+    owner = np.concatenate([np.repeat(points.point, 2), np.nonzero(known)[0], np.full(size, -1)])
+    pattern = np.hstack([np.ones((len(owner), free)), owner[:, None] == np.repeat(np.flatnonzero(used), 3)])
 
     def moved(unknowns: Array) -> tuple[Array, Registration, Array]:
         step, at = np.zeros(9), places.copy()
@@ -109,14 +112,14 @@ def adjust_to_points(
         # Cauchy weights: a pixel that was given another point's name counts little
         reach = max(REACH * float(np.median(distances)), LEAST_REACH)
         deviations = points.sigma_px * np.sqrt(1.0 + (distances / reach) ** 2)
-        fit = least_squares(residuals, start, x_scale="jac", args=(deviations,))
+        fit = least_squares(residuals, start, x_scale="jac", jac_sparsity=pattern, args=(deviations,))
         values, found, places = moved(fit.x)
         if ((fit.jac @ (fit.x - start)) ** 2).sum() < SETTLED:
             break
     beyond = 2 * int(used[points.point].sum()) + int(known.sum()) - 3 * count - 6 - any_scale
     worse = max(2.0 * fit.cost / beyond, 1.0) if beyond > 0 else 1.0
     covariance = np.zeros((size + 9, size + 9))
-    covariance[:free, :free] = worse * np.linalg.inv(fit.jac.T @ fit.jac)[:free, :free]
+    covariance[:free, :free] = worse * np.linalg.inv((fit.jac.T @ fit.jac).toarray())[:free, :free]
     missed = np.linalg.norm(found.positions(_triangulated(build(values), points)) - points.places, axis=1)
     alignment = Alignment(found, center, covariance[size:, size:], distances=missed[np.isfinite(missed)])
     _refuse_unlike(alignment, points.extent)
