@@ -170,8 +170,8 @@ class CalibrationConfig(Model):
     )
     model: Literal["as_stated", "lenses", "free"] = parameter(
         "what is estimated although it is stated as known, where the data contradict it: nothing; images as makers "
-        "state them (also where the data do not show them to be exact), and lenses, clocks and readouts of which nothing "
-        "is stated; all of these where they are stated, too",
+        "state them (also where the data do not show them to be exact), and lenses, clocks and readouts of which "
+        "nothing is stated; all of these where they are stated, too",
         default="lenses",
     )
     scale: ScaleConfig = parameter("what fixes the scale, which moving objects do not show", default_factory=NoScale)
