@@ -29,9 +29,9 @@ from stereophd.core.calibration.unknowns.held import EnlargedSet, HeldGroup
 from stereophd.core.calibration.unknowns.quantities.base import IMAGES
 from stereophd.core.numerics.covariance_factors import covariance_factor
 
-# Odds, after the data, from which a statement is contradicted; images that nobody measured are as stated from the same
-# odds on, of even ones before.
-CONTRADICTED_ODDS = 100.0
+# Logarithm of the odds, after the data, from which a statement is contradicted; images that nobody measured are as
+# stated from the same odds on, of even ones before.
+LOG_ODDS = float(np.log(100.0))
 # Least move of tracks that is compared with, in parts of their distance.
 LEAST_STATED = 1e-4
 
@@ -59,14 +59,13 @@ class Suspicion:
 
     @property
     def is_unknown(self) -> bool:
-        """Whether the statement is contradicted or, of images that nobody measured, not shown to be right."""
-        is_shown = self.group.quantity != IMAGES or self.log_evidence < -np.log(CONTRADICTED_ODDS)
-        return self.is_contradicted or not is_shown
+        """Whether it is contradicted or, of images that nobody measured, not shown to be right."""
+        return self.is_contradicted or (self.group.quantity == IMAGES and self.log_evidence > -LOG_ODDS)
 
     def is_contradicted_at(self, widening: float) -> bool:
         """Whether they do where the errors that stretches of a log have in common are so many times as large."""
         evidence = self.log_evidence - self.gain * (1.0 - widening**-2) + len(self.values) * np.log(widening)
-        return bool(evidence + np.log(self.group.odds) > np.log(CONTRADICTED_ODDS))
+        return bool(evidence + np.log(self.group.odds) > LOG_ODDS)
 
 
 @dataclass(frozen=True)
