@@ -93,6 +93,8 @@ SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS = 0.05, 20.0, 1.0, 200
 # A search has settled as well where so many steps lower the objective by less than this together: no detection tells
 # their points apart. It follows curved valleys of scenes that hold little, step by small step.
 STALLED_STEPS, STALLED = 6, 0.5
+# Steps that begin within this of the optimum, in posterior standard deviations, show the curvature there.
+NEAR = 3.0
 # Most steps of the noise of the motion where the values stay, the longest one, and that at which it has settled.
 MOST_MOTIONS, LONGEST_MOTION, MOTION_SETTLED = 12, 3.0, 0.03
 # A step is halved until the objective falls by this part of what the gradient says.
@@ -118,12 +120,14 @@ def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTL
     size = problem.parameters.size
     states, weights = begun.states, problem.weights(begun.distances)
     unknowns = np.append(begun.values, begun.motion_noise[: len(STATED) if len(problem.knots.links()) else 0])
-    for _ in range(MOST_WEIGHTINGS):
+    secants: list[tuple[Array, Array]] = []
+    for number in range(MOST_WEIGHTINGS):
         posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
-        at, left = _minimised(posterior, posterior.at(unknowns, states), settled)
+        begins = posterior.at(unknowns, states)
+        at, left = _minimised(posterior, begins, settled, secants)
         unknowns, states, before = at.unknowns, at.states, weights
         weights = problem.weights(at.equations.distances)
-        if np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
+        if (number and at is begins) or np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
             break
     covariance = posterior.covariance(at)[:size, :size]
     values, noise = posterior.parted(at.unknowns)
@@ -378,32 +382,50 @@ def _motion_step(energy: float, determined: float, now: float, std: float) -> fl
     return float(brentq(excess, -LONGEST_MOTION, LONGEST_MOTION)) if excess(-LONGEST_MOTION) > 0.0 else -LONGEST_MOTION
 
 
-def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple[Point, float]:
-    """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
+def _minimised(
+    posterior: MarginalPosterior, at: Point, settled: float, secants: list[tuple[Array, Array]]
+) -> tuple[Point, float]:
+    """Minimise the objective from a point; also the length of the last step found, posterior standard deviations.
+
+    `secants` are steps and the changes of the gradient along them, of this search and of those before it.
+    """
     length, longest, objectives = 0.0, LONGEST_STEP, [at.objective]
+    step = gradient = np.zeros(posterior.size)
     for number in range(MOST_STEPS):
         within(f"search for the optimum, step {number + 1}")
+        before = gradient
         try:
             root, gradient = posterior.root(at), posterior.gradient(at)
         except LinAlgError:
             return at, np.inf
-        downhill = -root.T @ gradient
-        length = float(np.linalg.norm(downhill))
+        if length <= NEAR and step @ (gradient - before) > 0.0:
+            secants.append((step, gradient - before))
+        downhill = -_bent(root @ root.T, secants) @ gradient
+        length = float(np.sqrt(max(-downhill @ gradient, 0.0)))
         if length <= settled:
             break
         taken = min(length, longest)
-        step = taken / length * root @ downhill
+        step = taken / length * downhill
         slope = float(gradient @ step)
         tried = _tried(posterior, at, step)
         found = next(((s, p) for s, p in tried if p.objective <= at.objective + DECREASE * s * slope), None)
         if found is None:
             break
         share, at = found
+        step = share * step
         longest = min((LONGER if share == 1.0 else 1.0) * share * taken, LONGEST_STEP)
         objectives.append(at.objective)
         if len(objectives) > STALLED_STEPS and objectives[-1 - STALLED_STEPS] - at.objective < STALLED:
             break
     return at, length
+
+
+def _bent(covariance: Array, secants: list[tuple[Array, Array]]) -> Array:
+    """Covariance (size, size) that explains how the gradient changed along steps, the last of them exactly (BFGS)."""
+    for step, change in secants:
+        across = np.eye(len(step)) - np.outer(step, change) / (step @ change)
+        covariance = across @ covariance @ across.T + np.outer(step, step) / (step @ change)
+    return covariance
 
 
 def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tuple[float, Point]]:
