@@ -110,7 +110,9 @@ DIFFERENCE, BEND_DIFFERENCE = 1e-3, 0.03
 LOOSE, BENDS = 0.1, 12
 
 
-def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTLED) -> Adjustment:
+def marginal_optimum(
+    problem: Problem, begun: Adjustment, settled: float = SETTLED, secants: list[tuple[Array, Array]] | None = None
+) -> Adjustment:
     """Move an adjustment of the problem to the maximum of the marginal posterior of the values.
 
     The search begins at its noise of the motion, and ends at a step of at most `settled` posterior standard deviations;
@@ -120,19 +122,20 @@ def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTL
     size = problem.parameters.size
     states, weights = begun.states, problem.weights(begun.distances)
     unknowns = np.append(begun.values, begun.motion_noise[: len(STATED) if len(problem.knots.links()) else 0])
-    secants: list[tuple[Array, Array]] = []
+    secants = [] if secants is None else secants
     for number in range(MOST_WEIGHTINGS):
         posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
         begins = posterior.at(unknowns, states)
-        at, left = _minimised(posterior, begins, settled, secants)
-        unknowns, states, before = at.unknowns, at.states, weights
+        at, step, left = _minimised(posterior, begins, settled, secants)
+        unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
+        before = weights
         weights = problem.weights(at.equations.distances)
         if (number and at is begins) or np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
             break
     covariance = posterior.covariance(at)[:size, :size]
-    values, noise = posterior.parted(at.unknowns)
+    values, noise = posterior.parted(unknowns)
     cost, distances = at.equations.cost, at.equations.distances
-    return Adjustment(values, at.states, covariance, cost, distances, left <= LONGEST_LEFT, noise)
+    return Adjustment(values, states, covariance, cost, distances, left <= LONGEST_LEFT, noise)
 
 
 def exact_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1) -> Array:
@@ -384,10 +387,10 @@ def _motion_step(energy: float, determined: float, now: float, std: float) -> fl
 
 def _minimised(
     posterior: MarginalPosterior, at: Point, settled: float, secants: list[tuple[Array, Array]]
-) -> tuple[Point, float]:
-    """Minimise the objective from a point; also the length of the last step found, posterior standard deviations.
+) -> tuple[Point, Array, float]:
+    """Minimise the objective from a point; also the step that is left, and its length in posterior standard deviations.
 
-    `secants` are steps and the changes of the gradient along them, of this search and of those before it.
+    That step is one on which the search has settled; it is 0 where the search has ended otherwise. `secants` are steps and the changes of the gradient along them, of this search and of those before it.
     """
     length, longest, objectives = 0.0, LONGEST_STEP, [at.objective]
     step = gradient = np.zeros(posterior.size)
@@ -397,13 +400,13 @@ def _minimised(
         try:
             root, gradient = posterior.root(at), posterior.gradient(at)
         except LinAlgError:
-            return at, np.inf
+            return at, np.zeros(posterior.size), np.inf
         if length <= NEAR and step @ (gradient - before) > 0.0:
             secants.append((step, gradient - before))
         downhill = -_bent(root @ root.T, secants) @ gradient
         length = float(np.sqrt(max(-downhill @ gradient, 0.0)))
         if length <= settled:
-            break
+            return at, downhill, length
         taken = min(length, longest)
         step = taken / length * downhill
         slope = float(gradient @ step)
@@ -417,7 +420,7 @@ def _minimised(
         objectives.append(at.objective)
         if len(objectives) > STALLED_STEPS and objectives[-1 - STALLED_STEPS] - at.objective < STALLED:
             break
-    return at, length
+    return at, np.zeros(posterior.size), length
 
 
 def _bent(covariance: Array, secants: list[tuple[Array, Array]]) -> Array:

@@ -10,7 +10,7 @@ from scipy.linalg import LinAlgError
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, at_answer, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import KNOTS_NEAR, Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -34,7 +34,6 @@ from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
 from stereophd.core.calibration.unknowns.scale import enlarged, reduced
-from stereophd.core.numerics.threads import in_threads
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
 # are rather false ones (at that distance a normal density is down to this part of its peak).
@@ -176,34 +175,25 @@ def fit_from(task: Task, values: Array) -> Fit | None:
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
-    """Return the posterior over time, of the log so far, and the result as the last row."""
-    *times, end = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:].tolist()
+    """Return the posterior over time, of the log so far, and the result as the last row.
 
-    def until(time_s: float) -> HistoryRow | None:
-        begins = task.limit.begin(f"the history of the answer, {times.index(time_s) + 1} of {HISTORY_TIMES}")
-        return stated_until(task, answer, time_s) if begins else None
-
-    last = HistoryRow(end, result.adjustment.values, result.adjustment.covariance)
-    return tuple(row for row in (*in_threads(until, times, task.threads), last) if row is not None)
-
-
-def stated_until(task: Task, answer: Fit, time_s: float) -> HistoryRow | None:
-    """Return the marginal posterior given the detections until a time, with their association; None without any.
-
-    The search begins at the answer and settles within a standard deviation; the values alone take its last step.
+    A row is the marginal posterior given the detections until a time, with the association of the answer. It is
+    searched from the row after it, beside whose optimum that of a little less of the log lies. None is without any
+    detection of an object that two cameras see.
     """
-    part = part_of(task, answer, np.flatnonzero(answer.observations.times <= time_s))
-    if part is None:
-        return None
-    with suppress(LinAlgError):
-        problem, begun = _begun(task, part, part.observations)
-        begun = replace(begun, distances=part.adjustment.distances)
-        found = marginal_optimum(problem, begun, SETTLED_IN_PASSES)
-        posterior, at = at_answer(problem, found)
-        root, size = posterior.root(at), len(found.values)
-        step = root @ (root.T @ posterior.gradient(at))
-        return HistoryRow(time_s, found.values - step[:size], (root @ root.T)[:size, :size])
-    return None
+    *times, end = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:].tolist()
+    rows = [HistoryRow(end, result.adjustment.values, result.adjustment.covariance)]
+    secants: list[tuple[Array, Array]] = []
+    for time_s in reversed(times):
+        part = part_of(task, answer, np.flatnonzero(answer.observations.times <= time_s))
+        if part is None or not task.limit.begin(f"the history of the answer, {len(rows)} of {HISTORY_TIMES}"):
+            break
+        with suppress(LinAlgError):
+            problem, begun = _begun(task, part, part.observations)
+            begun = replace(begun, distances=part.adjustment.distances)
+            answer = _fit(task, problem, marginal_optimum(problem, begun, SETTLED_IN_PASSES, secants), part.detections)
+            rows.append(HistoryRow(time_s, answer.adjustment.values, answer.adjustment.covariance))
+    return tuple(reversed(rows))
 
 
 def part_of(task: Task, fit: Fit, rows: NDArray[np.intp]) -> Fit | None:

@@ -116,6 +116,8 @@ class Task:
         """
         tried = []
         for part, frames in parts_of(recording, settings, parameters):
+            if tried and len(part.pixels) <= tried[0][0]:
+                continue  # no tracks in it can hold more
             scans = Scans.of(part, parameters.cameras)
             tracking = scans if len(frames) == len(scans.events) else Scans.of(part, parameters.cameras, frames)
             tracks = one_camera_tracks(multi_filter, tracking, settings)
