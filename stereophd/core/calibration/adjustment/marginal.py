@@ -110,9 +110,7 @@ DIFFERENCE, BEND_DIFFERENCE = 1e-3, 0.03
 LOOSE, BENDS = 0.1, 12
 
 
-def marginal_optimum(
-    problem: Problem, begun: Adjustment, settled: float = SETTLED, secants: list[tuple[Array, Array]] | None = None
-) -> Adjustment:
+def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTLED) -> Adjustment:
     """Move an adjustment of the problem to the maximum of the marginal posterior of the values.
 
     The search begins at its noise of the motion, and ends at a step of at most `settled` posterior standard deviations;
@@ -122,7 +120,8 @@ def marginal_optimum(
     size = problem.parameters.size
     states, weights = begun.states, problem.weights(begun.distances)
     unknowns = np.append(begun.values, begun.motion_noise[: len(STATED) if len(problem.knots.links()) else 0])
-    secants = [] if secants is None else secants
+    count = len(problem.observations)
+    secants = [(step, count * change) for step, change in begun.secants if len(step) == len(unknowns)]
     for number in range(MOST_WEIGHTINGS):
         posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
         begins = posterior.at(unknowns, states)
@@ -135,7 +134,8 @@ def marginal_optimum(
     covariance = posterior.covariance(at)[:size, :size]
     values, noise = posterior.parted(unknowns)
     cost, distances = at.equations.cost, at.equations.distances
-    return Adjustment(values, states, covariance, cost, distances, left <= LONGEST_LEFT, noise)
+    kept = np.array([(step, change / count) for step, change in secants]).reshape(-1, 2, len(unknowns))
+    return Adjustment(values, states, covariance, cost, distances, left <= LONGEST_LEFT, noise, kept)
 
 
 def exact_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1) -> Array:
@@ -392,7 +392,7 @@ def _minimised(
 
     That step is one on which the search has settled; it is 0 where the search has ended otherwise. `secants` are steps and the changes of the gradient along them, of this search and of those before it.
     """
-    length, longest, objectives = 0.0, LONGEST_STEP, [at.objective]
+    longest, objectives, is_near = LONGEST_STEP, [at.objective], False
     step = gradient = np.zeros(posterior.size)
     for number in range(MOST_STEPS):
         within(f"search for the optimum, step {number + 1}")
@@ -401,9 +401,10 @@ def _minimised(
             root, gradient = posterior.root(at), posterior.gradient(at)
         except LinAlgError:
             return at, np.zeros(posterior.size), np.inf
-        if length <= NEAR and step @ (gradient - before) > 0.0:
+        if is_near and step @ (gradient - before) > 0.0:
             secants.append((step, gradient - before))
-        downhill = -_bent(root @ root.T, secants) @ gradient
+        is_near = bool(np.linalg.norm(root.T @ gradient) <= NEAR)
+        downhill = -_bent(root @ root.T, secants if is_near else []) @ gradient
         length = float(np.sqrt(max(-downhill @ gradient, 0.0)))
         if length <= settled:
             return at, downhill, length

@@ -10,7 +10,7 @@ from scipy.linalg import LinAlgError
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import SETTLED, MarginalPosterior, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import KNOTS_NEAR, Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -50,7 +50,7 @@ SETTLED_IN_PASSES = 1.0
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 16
 # Passes in which fitted trajectories choose their detections.
-FITTED_PASSES = 3
+FITTED_PASSES = 2
 # Frames by which a trajectory may go on before its first detection and after its last one, in a pass.
 PADDED_FRAMES = 2.0
 
@@ -135,15 +135,14 @@ def tracked_fit(
     return confirmed_fit(task, problem, values, states, detections, noise)
 
 
-def refitted(task: Task, fit: Fit, tracked: bool = False, still: bool = False) -> Fit | None:
-    """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
+def refitted(task: Task, fit: Fit, still: bool = False) -> Fit | None:
+    """Let fitted trajectories choose their detections anew, among all, and adjust again.
 
     `still`: the cameras stay, and the trajectories follow every detection at the weight of its noise alone
     (`adjustment.noise`).
     """
     cameras = task.parameters.build(fit.adjustment.values)
-    scans = task.tracked_scans(cameras) if tracked else task.all_scans(cameras)
-    seen = fit.observations
+    scans, seen = task.all_scans(cameras), fit.observations
     points = positions(fit.adjustment.states, *interpolation(fit.knots, seen.trajectories, seen.times))
     noise = _length_of_noise(task, seen, points, fit.adjustment.values)
     # over this time the noise of the motion moves an object by its detection's noise; a frame or two are looked at
@@ -183,7 +182,6 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
     """
     *times, end = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:].tolist()
     rows = [HistoryRow(end, result.adjustment.values, result.adjustment.covariance)]
-    secants: list[tuple[Array, Array]] = []
     for time_s in reversed(times):
         part = part_of(task, answer, np.flatnonzero(answer.observations.times <= time_s))
         if part is None or not task.limit.begin(f"the history of the answer, {len(rows)} of {HISTORY_TIMES}"):
@@ -191,7 +189,7 @@ def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
         with suppress(LinAlgError):
             problem, begun = _begun(task, part, part.observations)
             begun = replace(begun, distances=part.adjustment.distances)
-            answer = _fit(task, problem, marginal_optimum(problem, begun, SETTLED_IN_PASSES, secants), part.detections)
+            answer = _fit(task, problem, marginal_optimum(problem, begun, SETTLED_IN_PASSES), part.detections)
             rows.append(HistoryRow(time_s, answer.adjustment.values, answer.adjustment.covariance))
     return tuple(reversed(rows))
 
@@ -230,9 +228,10 @@ def adjusted_to(task: Task, fit: Fit, observations: Observations, detections: In
         with suppress(LinAlgError):  # the joint optimum is found with damping
             searched = marginal_optimum(problem, begun, SETTLED_IN_PASSES)
     if searched is None:
-        searched = replace(adjust(problem, begun.values, begun.states), motion_noise=begun.motion_noise)
-    found = _fit(task, problem, searched, detections)
-    return _standing(task, found) or found
+        found = adjust(problem, begun.values, begun.states)
+        searched = replace(found, motion_noise=begun.motion_noise, secants=begun.secants)
+    fitted = _fit(task, problem, searched, detections)
+    return _standing(task, fitted) or fitted
 
 
 def _begun(task: Task, fit: Fit, observations: Observations) -> tuple[Problem, Adjustment]:
@@ -248,7 +247,8 @@ def _begun(task: Task, fit: Fit, observations: Observations) -> tuple[Problem, A
     length = _length_of_noise(task, observations, points, values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), length**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
-    return problem, _at(problem, values, _settled(problem, values, states), noise)
+    begun = _at(problem, values, _settled(problem, values, states), noise)
+    return problem, replace(begun, secants=fit.adjustment.secants)
 
 
 def _standing(task: Task, fit: Fit) -> Fit | None:
@@ -283,15 +283,15 @@ def at_values(task: Task, fit: Fit, values: Array, states: Array, covariance: Ar
     return replace(fit, adjustment=adjustment, observations=seen, held=None)
 
 
-def marginal_fit(task: Task, fit: Fit) -> Fit:
-    """Move a fit to the maximum of the marginal posterior.
+def marginal_fit(task: Task, fit: Fit, settled: float = SETTLED) -> Fit:
+    """Move a fit to the maximum of the marginal posterior, until steps are `settled`.
 
     Nothing is held. The noise of the motion beside what is stated is looked for from that of the fit. Where the normal
     equations are singular, the fit is returned, not converged.
     """
     problem = stated_problem(task, fit)
     try:
-        return _fit(task, problem, marginal_optimum(problem, fit.adjustment), fit.detections)
+        return _fit(task, problem, marginal_optimum(problem, fit.adjustment, settled), fit.detections)
     except LinAlgError:
         return replace(fit, adjustment=replace(fit.adjustment, converged=False), held=None)
 
