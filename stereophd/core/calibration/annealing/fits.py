@@ -10,7 +10,7 @@ from scipy.linalg import LinAlgError
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import SETTLED, MarginalPosterior, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import KNOTS_NEAR, Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -283,15 +283,15 @@ def at_values(task: Task, fit: Fit, values: Array, states: Array, covariance: Ar
     return replace(fit, adjustment=adjustment, observations=seen, held=None)
 
 
-def marginal_fit(task: Task, fit: Fit, settled: float = SETTLED) -> Fit:
-    """Move a fit to the maximum of the marginal posterior, until steps are `settled`.
+def marginal_fit(task: Task, fit: Fit) -> Fit:
+    """Move a fit to the maximum of the marginal posterior.
 
     Nothing is held. The noise of the motion beside what is stated is looked for from that of the fit. Where the normal
     equations are singular, the fit is returned, not converged.
     """
     problem = stated_problem(task, fit)
     try:
-        return _fit(task, problem, marginal_optimum(problem, fit.adjustment, settled), fit.detections)
+        return _fit(task, problem, marginal_optimum(problem, fit.adjustment), fit.detections)
     except LinAlgError:
         return replace(fit, adjustment=replace(fit.adjustment, converged=False), held=None)
 
@@ -333,10 +333,10 @@ def confirmed_fit(
         first = posterior.with_shown_motion(values, states, noise)
         noise = posterior.parted(first.unknowns)[1]
         last = None
-        with suppress(LinAlgError):
-            last = posterior.with_shown_motion(joint.values, joint.states, noise)
-        is_ruled_out = task.parameters.prior_disagreement(joint.values) is not None
-        if last is None or is_ruled_out or last.objective > first.objective:
+        if task.parameters.prior_disagreement(joint.values) is None:
+            with suppress(LinAlgError):
+                last = posterior.with_shown_motion(joint.values, joint.states, noise)
+        if last is None or last.objective > first.objective:
             begun = replace(begun, states=first.states, motion_noise=noise)
             return _fit(task, problem, marginal_optimum(problem, begun, SETTLED_IN_PASSES), detections)
         noise = posterior.parted(last.unknowns)[1]

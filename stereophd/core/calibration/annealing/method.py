@@ -24,7 +24,6 @@ from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadrati
 from stereophd.core.calibration.adjustment.track_moves import TrackMoves, track_moves
 from stereophd.core.calibration.annealing.control import World, WorldControl, with_control
 from stereophd.core.calibration.annealing.fits import (
-    SETTLED_IN_PASSES,
     HistoryRow,
     history_of,
     marginal_fit,
@@ -251,7 +250,7 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
             radius = task.settings.shared_error_px
         last = choices.is_sampled or number == MOST_ROUNDS - 1  # particles are weighed as the configuration states
         if answer is None:
-            answer = marginal_fit(task, fit, SETTLED_IN_PASSES)
+            answer = marginal_fit(task, fit)
         chosen = chosen_anew(task, answer, still=True) if answer.adjustment.converged else answer
         estimate = estimate_noise(
             problem_of(task, chosen), chosen.adjustment, noise, shared, radius, np.random.default_rng(NOISE_SEED)
