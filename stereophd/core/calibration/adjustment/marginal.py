@@ -29,8 +29,7 @@ motion, where that hardly shows, to nothing.
 **Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it
 where the search begins, in the cost and in the volume. With the loss itself, a step that leaves detections out makes
 the volume smaller, which is no evidence, and the objective is not smooth. The weights at the optimum found replace
-them, and the optimum is looked for again from there, until they are the same or the search takes no
-step.
+them, and the optimum is looked for again from there, until they are the same or the search takes no step.
 
 **Derivatives.** The residuals of the motion are proportional to e^-u / s, so that the logarithm of s enters the normal
 equations as u does (`Linearisation.at`). At knots that minimise the cost the gradient of J / 2 is minus the vector of
@@ -378,7 +377,7 @@ def _minimised(
             secants.append((step, gradient - before))
         is_near = bool(np.linalg.norm(root.T @ gradient) <= NEAR)
         downhill = -_bent(root @ root.T, secants if is_near else []) @ gradient
-        length = float(np.sqrt(max(-downhill @ gradient, 0.0)))
+        length = float(np.sqrt(max(-float(downhill @ gradient), 0.0)))
         if length <= settled:
             return at, downhill, length
         taken = min(length, longest)

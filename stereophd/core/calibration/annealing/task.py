@@ -114,7 +114,7 @@ class Task:
         log hold objects that stay, stretches of it those that are seen briefly. Without `stages` those of
         `stereophd.core.calibration.unknowns.unknown_sets.default_stages` are taken.
         """
-        tried = []
+        tried: list[tuple[float, Recording, Integers, Scans, Scans, tuple[tuple[int, Integers], ...]]] = []
         for part, frames in parts_of(recording, settings, parameters):
             if tried and len(part.pixels) <= tried[0][0]:
                 continue  # no tracks in it can hold more
