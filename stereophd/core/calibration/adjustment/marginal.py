@@ -29,7 +29,7 @@ motion, where that hardly shows, to nothing.
 **Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it
 where the search begins, in the cost and in the volume. With the loss itself, a step that leaves detections out makes
 the volume smaller, which is no evidence, and the objective is not smooth. The weights at the optimum found replace
-them, and the optimum is looked for again from there, until they are the same.
+them, and the optimum is looked for again from there, until they are the same or the search takes no step.
 
 **Derivatives.** The residuals of the motion are proportional to e^-u / s, so that the logarithm of s enters the normal
 equations as u does (`Linearisation.at`). At knots that minimise the cost the gradient of J / 2 is minus the vector of
@@ -42,8 +42,11 @@ the volume, and of the noise half: a mode of the motion of unit variance that is
 estimated with w = b / (1 + b) of its variance, so that the normal equations find w^2 for u in the mean, while the
 information of z ~ N(0, 1 + b) about u is 2 w^2. What they find for u beside the knots is therefore counted twice.
 Valleys are curved: cameras that turn together leave them with the fourth power of the step. The longest step is
-therefore what the valley allowed last, and grows again where it allows more. Quasi-Newton steps remember differences of
-the gradient from other bends of the valley, and took four times as many steps.
+therefore what the valley allowed last, and grows again where it allows more. Within a few standard deviations of the
+optimum the curvature is that of the optimum, and steps there correct it by how they have changed the gradient (BFGS; J.
+Nocedal, "Updating quasi-Newton matrices with limited storage", 1980). Alone it is up to twice too small for cameras,
+where steps then go too far by as much as they began, and up to seventeen times too large for the noise of the motion.
+Farther away such differences are from other bends of the valley, and took four times as many steps.
 
 **Covariance.** The normal equations lack second derivatives of the residuals, too. Where objects turn within the time
 in which they move by some noises of their detections, other velocities compensate for a later clock: by residuals
@@ -62,7 +65,6 @@ from itertools import count
 
 import numpy as np
 from scipy.linalg import LinAlgError, cho_solve_banded, solve_triangular
-from scipy.optimize import brentq
 
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, Seen, factor_knots
@@ -76,7 +78,7 @@ from stereophd.core.calibration.adjustment.solver import (
     within_prior,
 )
 from stereophd.core.calibration.adjustment.trajectories import OF_ALL, STATED, positions
-from stereophd.core.calibration.adjustment.volume import VolumeSlopes, inverse_in_band
+from stereophd.core.calibration.adjustment.volume import VolumeSlopes
 from stereophd.core.calibration.time_limit import within
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.random_streams import BENDS_SEED
@@ -93,8 +95,10 @@ SETTLED, LONGEST_STEP, LONGEST_LEFT, MOST_STEPS = 0.05, 20.0, 1.0, 200
 # A search has settled as well where so many steps lower the objective by less than this together: no detection tells
 # their points apart. It follows curved valleys of scenes that hold little, step by small step.
 STALLED_STEPS, STALLED = 6, 0.5
-# Most steps of the noise of the motion where the values stay, the longest one, and that at which it has settled.
-MOST_MOTIONS, LONGEST_MOTION, MOTION_SETTLED = 12, 3.0, 0.03
+# Steps that begin within this of the optimum, in posterior standard deviations, show the curvature there.
+NEAR = 3.0
+# Step at which a search for the noise of the motion alone has settled, in posterior standard deviations.
+MOTION_SETTLED = 0.5
 # A step is halved until the objective falls by this part of what the gradient says.
 DECREASE = 1e-4
 # Squared distance from which a detection is left out by the loss.
@@ -118,17 +122,22 @@ def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTL
     size = problem.parameters.size
     states, weights = begun.states, problem.weights(begun.distances)
     unknowns = np.append(begun.values, begun.motion_noise[: len(STATED) if len(problem.knots.links()) else 0])
-    for _ in range(MOST_WEIGHTINGS):
+    count = len(problem.observations)
+    secants = [(step, count * change) for step, change in begun.secants if len(step) == len(unknowns)]
+    for number in range(MOST_WEIGHTINGS):
         posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
-        at, left = _minimised(posterior, posterior.at(unknowns, states), settled)
-        unknowns, states, before = at.unknowns, at.states, weights
+        begins = posterior.at(unknowns, states)
+        at, step, left = _minimised(posterior, begins, settled, secants)
+        unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
+        before = weights
         weights = problem.weights(at.equations.distances)
-        if np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
+        if (number and at is begins) or np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
             break
     covariance = posterior.covariance(at)[:size, :size]
-    values, noise = posterior.parted(at.unknowns)
+    values, noise = posterior.parted(unknowns)
     cost, distances = at.equations.cost, at.equations.distances
-    return Adjustment(values, at.states, covariance, cost, distances, left <= LONGEST_LEFT, noise)
+    kept = np.array([(step, change / count) for step, change in secants]).reshape(-1, 2, len(unknowns))
+    return Adjustment(values, states, covariance, cost, distances, left <= LONGEST_LEFT, noise, kept)
 
 
 def curvature_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1) -> Array:
@@ -276,29 +285,9 @@ class MarginalPosterior:
         return self._point(unknowns, states, self.linearisation.residuals(values, states, placement))
 
     def with_shown_motion(self, values: Array, states: Array, noise: Array) -> Point:
-        """Return the point of values (m,), which stay, at the noise of the motion that fits there, from one (6,) on.
-
-        That is E = g + u / std^2, of the energy E of the motion and the number g of differences between knots that the
-        detections determine: 6 l less the trace of the motion's part of A by A^-1. E goes with e^-2u, and g hardly
-        changes (D. J. C. MacKay, "Bayesian interpolation", Neural Computation 4, 1992).
-        """
-        linearisation = self.linearisation
-        for _ in range(MOST_MOTIONS):
-            at = self.at(np.append(values, noise[: self.size - len(values)]), states)
-            if not self.links:
-                break
-            states, inverse = at.states, np.zeros_like(at.factor)
-            inverse_in_band(at.factor, inverse)
-            precision = linearisation.noise_at(values, noise).precision
-            _, products = linearisation.motion.pulls(states)
-            by_pairs = inverse * linearisation.motion.with_axes(precision)
-            determined = 6.0 * self.links - float(2.0 * by_pairs.sum() - by_pairs[0].sum())
-            energy = float((precision * products).sum())
-            step = _motion_step(energy, determined, float(noise[0]), float(self.prior_std[len(values)]))
-            if abs(step) <= MOTION_SETTLED:
-                break
-            noise = noise + step * OF_ALL
-        return at
+        """Return the point of held values (m,) at the noise of the motion that fits there, searched from one (6,)."""
+        begun = self.at(np.append(values, noise[: self.size - len(values)]), states)
+        return _minimised(self, begun, MOTION_SETTLED, [])[0]
 
     def parted(self, unknowns: Array) -> tuple[Array, Array]:
         """Return values (m,), and the unknowns (6,) of the noise of the motion."""
@@ -367,43 +356,52 @@ def at_answer(problem: Problem, adjustment: Adjustment) -> tuple[MarginalPosteri
     return posterior, posterior.at(unknowns, adjustment.states)
 
 
-def _motion_step(energy: float, determined: float, now: float, std: float) -> float:
-    """Step d of u, the noise of the motion, to where E e^-2d = g + (u + d) / std^2; no longer than allowed."""
+def _minimised(
+    posterior: MarginalPosterior, at: Point, settled: float, secants: list[tuple[Array, Array]]
+) -> tuple[Point, Array, float]:
+    """Minimise the objective from a point; also the step on which that settled, and its length, posterior deviations.
 
-    def excess(step: float) -> float:
-        return float(energy * np.exp(-2.0 * step)) - determined - (now + step) / std**2
-
-    if excess(LONGEST_MOTION) > 0.0:
-        return LONGEST_MOTION
-    return float(brentq(excess, -LONGEST_MOTION, LONGEST_MOTION)) if excess(-LONGEST_MOTION) > 0.0 else -LONGEST_MOTION
-
-
-def _minimised(posterior: MarginalPosterior, at: Point, settled: float) -> tuple[Point, float]:
-    """Minimise the objective from a point; also the length of the last step found, posterior standard deviations."""
-    length, longest, objectives = 0.0, LONGEST_STEP, [at.objective]
+    The step is 0 where the search has ended otherwise. `secants` are steps near an optimum and the changes of the
+    gradient along them, to which those of this search are added.
+    """
+    longest, objectives, is_near = LONGEST_STEP, [at.objective], False
+    step = gradient = np.zeros(posterior.size)
     for number in range(MOST_STEPS):
         within(f"search for the optimum, step {number + 1}")
+        before = gradient
         try:
             root, gradient = posterior.root(at), posterior.gradient(at)
         except LinAlgError:
-            return at, np.inf
-        downhill = -root.T @ gradient
-        length = float(np.linalg.norm(downhill))
+            return at, np.zeros(posterior.size), np.inf
+        if is_near and step @ (gradient - before) > 0.0:
+            secants.append((step, gradient - before))
+        is_near = bool(np.linalg.norm(root.T @ gradient) <= NEAR)
+        downhill = -_bent(root @ root.T, secants if is_near else []) @ gradient
+        length = float(np.sqrt(max(-float(downhill @ gradient), 0.0)))
         if length <= settled:
-            break
+            return at, downhill, length
         taken = min(length, longest)
-        step = taken / length * root @ downhill
+        step = taken / length * downhill
         slope = float(gradient @ step)
         tried = _tried(posterior, at, step)
         found = next(((s, p) for s, p in tried if p.objective <= at.objective + DECREASE * s * slope), None)
         if found is None:
             break
         share, at = found
+        step = share * step
         longest = min((LONGER if share == 1.0 else 1.0) * share * taken, LONGEST_STEP)
         objectives.append(at.objective)
         if len(objectives) > STALLED_STEPS and objectives[-1 - STALLED_STEPS] - at.objective < STALLED:
             break
-    return at, length
+    return at, np.zeros(posterior.size), length
+
+
+def _bent(covariance: Array, secants: list[tuple[Array, Array]]) -> Array:
+    """Covariance (size, size) that explains how the gradient changed along steps, the last of them exactly (BFGS)."""
+    for step, change in secants:
+        across = np.eye(len(step)) - np.outer(step, change) / (step @ change)
+        covariance = across @ covariance @ across.T + np.outer(step, step) / (step @ change)
+    return covariance
 
 
 def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tuple[float, Point]]:

@@ -94,6 +94,8 @@ class VolumeSlopes:
         `more` (n, 2, 3) and `later` (n,) add to those by the derivatives of the pixels and by the times.
         """
         before = self.seen
+        if not before.by_value.shape[2]:  # all values are held
+            return np.zeros_like(linearisation.time_slopes)
         rows, out = self.rows + more, (self.by_time + later)[:, None] * linearisation.time_slopes
         steps = STEP_PX / np.maximum(np.linalg.norm(before.by_point, axis=(1, 2)), LEAST_NORM)
         for r in (0, 1):

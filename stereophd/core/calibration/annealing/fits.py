@@ -10,7 +10,7 @@ from scipy.linalg import LinAlgError
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
-from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, at_answer, marginal_optimum
+from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, marginal_optimum
 from stereophd.core.calibration.adjustment.problem import SQUARED, Loss, Observations, Problem, true_times
 from stereophd.core.calibration.adjustment.solver import KNOTS_NEAR, Adjustment, adjust, settled_knots
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -34,7 +34,6 @@ from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import view_of
 from stereophd.core.calibration.unknowns.scale import enlarged, reduced
-from stereophd.core.numerics.threads import in_threads
 
 # Loss while tracks may still be mixed up (Cauchy at 2 sigma), and once they are fitted: detections beyond 3.7 sigma
 # are rather false ones (at that distance a normal density is down to this part of its peak).
@@ -51,7 +50,7 @@ SETTLED_IN_PASSES = 1.0
 # Times at which the history holds the posterior.
 HISTORY_TIMES = 16
 # Passes in which fitted trajectories choose their detections.
-FITTED_PASSES = 3
+FITTED_PASSES = 2
 # Frames by which a trajectory may go on before its first detection and after its last one, in a pass.
 PADDED_FRAMES = 2.0
 
@@ -136,15 +135,14 @@ def tracked_fit(
     return confirmed_fit(task, problem, values, states, detections, noise)
 
 
-def refitted(task: Task, fit: Fit, tracked: bool = False, still: bool = False) -> Fit | None:
-    """Let fitted trajectories choose their detections anew, among all or those tracked, and adjust again.
+def refitted(task: Task, fit: Fit, still: bool = False) -> Fit | None:
+    """Let fitted trajectories choose their detections anew, among all, and adjust again.
 
     `still`: the cameras stay, and the trajectories follow every detection at the weight of its noise alone
     (`adjustment.noise`).
     """
     cameras = task.parameters.build(fit.adjustment.values)
-    scans = task.tracked_scans(cameras) if tracked else task.all_scans(cameras)
-    seen = fit.observations
+    scans, seen = task.all_scans(cameras), fit.observations
     points = positions(fit.adjustment.states, *interpolation(fit.knots, seen.trajectories, seen.times))
     noise = _length_of_noise(task, seen, points, fit.adjustment.values)
     # over this time the noise of the motion moves an object by its detection's noise; a frame or two are looked at
@@ -176,34 +174,24 @@ def fit_from(task: Task, values: Array) -> Fit | None:
 
 
 def history_of(task: Task, answer: Fit, result: Fit) -> tuple[HistoryRow, ...]:
-    """Return the posterior over time, of the log so far, and the result as the last row."""
-    *times, end = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:].tolist()
+    """Return the posterior over time, of the log so far, and the result as the last row.
 
-    def until(time_s: float) -> HistoryRow | None:
-        begins = task.limit.begin(f"the history of the answer, {times.index(time_s) + 1} of {HISTORY_TIMES}")
-        return stated_until(task, answer, time_s) if begins else None
-
-    last = HistoryRow(end, result.adjustment.values, result.adjustment.covariance)
-    return tuple(row for row in (*in_threads(until, times, task.threads), last) if row is not None)
-
-
-def stated_until(task: Task, answer: Fit, time_s: float) -> HistoryRow | None:
-    """Return the marginal posterior given the detections until a time, with their association; None without any.
-
-    The search begins at the answer and settles within a standard deviation; the values alone take its last step.
+    A row is the marginal posterior given the detections until a time, with the association of the answer. It is
+    searched from the row after it, beside whose optimum that of a little less of the log lies. None is without any
+    detection of an object that two cameras see.
     """
-    part = part_of(task, answer, np.flatnonzero(answer.observations.times <= time_s))
-    if part is None:
-        return None
-    with suppress(LinAlgError):
-        problem, begun = _begun(task, part, part.observations)
-        begun = replace(begun, distances=part.adjustment.distances)
-        found = marginal_optimum(problem, begun, SETTLED_IN_PASSES)
-        posterior, at = at_answer(problem, found)
-        root, size = posterior.root(at), len(found.values)
-        step = root @ (root.T @ posterior.gradient(at))
-        return HistoryRow(time_s, found.values - step[:size], (root @ root.T)[:size, :size])
-    return None
+    *times, end = np.linspace(task.recording.times[0], task.recording.times[-1], HISTORY_TIMES + 1)[1:].tolist()
+    rows = [HistoryRow(end, result.adjustment.values, result.adjustment.covariance)]
+    for time_s in reversed(times):
+        part = part_of(task, answer, np.flatnonzero(answer.observations.times <= time_s))
+        if part is None or not task.limit.begin(f"the history of the answer, {len(rows)} of {HISTORY_TIMES}"):
+            break
+        with suppress(LinAlgError):
+            problem, begun = _begun(task, part, part.observations)
+            begun = replace(begun, distances=part.adjustment.distances)
+            answer = _fit(task, problem, marginal_optimum(problem, begun, SETTLED_IN_PASSES), part.detections)
+            rows.append(HistoryRow(time_s, answer.adjustment.values, answer.adjustment.covariance))
+    return tuple(reversed(rows))
 
 
 def part_of(task: Task, fit: Fit, rows: NDArray[np.intp]) -> Fit | None:
@@ -240,9 +228,10 @@ def adjusted_to(task: Task, fit: Fit, observations: Observations, detections: In
         with suppress(LinAlgError):  # the joint optimum is found with damping
             searched = marginal_optimum(problem, begun, SETTLED_IN_PASSES)
     if searched is None:
-        searched = replace(adjust(problem, begun.values, begun.states), motion_noise=begun.motion_noise)
-    found = _fit(task, problem, searched, detections)
-    return _standing(task, found) or found
+        found = adjust(problem, begun.values, begun.states)
+        searched = replace(found, motion_noise=begun.motion_noise, secants=begun.secants)
+    fitted = _fit(task, problem, searched, detections)
+    return _standing(task, fitted) or fitted
 
 
 def _begun(task: Task, fit: Fit, observations: Observations) -> tuple[Problem, Adjustment]:
@@ -258,7 +247,8 @@ def _begun(task: Task, fit: Fit, observations: Observations) -> tuple[Problem, A
     length = _length_of_noise(task, observations, points, values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), length**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
-    return problem, _at(problem, values, _settled(problem, values, states), noise)
+    begun = _at(problem, values, _settled(problem, values, states), noise)
+    return problem, replace(begun, secants=fit.adjustment.secants)
 
 
 def _standing(task: Task, fit: Fit) -> Fit | None:
@@ -343,10 +333,10 @@ def confirmed_fit(
         first = posterior.with_shown_motion(values, states, noise)
         noise = posterior.parted(first.unknowns)[1]
         last = None
-        with suppress(LinAlgError):
-            last = posterior.with_shown_motion(joint.values, joint.states, noise)
-        is_ruled_out = task.parameters.prior_disagreement(joint.values) is not None
-        if last is None or is_ruled_out or last.objective > first.objective:
+        if task.parameters.prior_disagreement(joint.values) is None:
+            with suppress(LinAlgError):
+                last = posterior.with_shown_motion(joint.values, joint.states, noise)
+        if last is None or last.objective > first.objective:
             begun = replace(begun, states=first.states, motion_noise=noise)
             return _fit(task, problem, marginal_optimum(problem, begun, SETTLED_IN_PASSES), detections)
         noise = posterior.parted(last.unknowns)[1]

@@ -129,7 +129,7 @@ def _judged(task: Task, start: Start) -> Start:
         if not task.limit.begin(f"{_name_of(task, start)}: {step}") and number_of_pass:
             break  # judged as it is
         assert start.fit is not None
-        again = refitted(task, start.fit, tracked=number_of_pass == 0)
+        again = refitted(task, start.fit)
         if again is None:
             return replace(start, outcome="the fitted trajectories are not shared by two cameras")
         start = start.with_pass(again)

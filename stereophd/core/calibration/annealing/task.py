@@ -114,8 +114,10 @@ class Task:
         log hold objects that stay, stretches of it those that are seen briefly. Without `stages` those of
         `stereophd.core.calibration.unknowns.unknown_sets.default_stages` are taken.
         """
-        tried = []
+        tried: list[tuple[float, Recording, Integers, Scans, Scans, tuple[tuple[int, Integers], ...]]] = []
         for part, frames in parts_of(recording, settings, parameters):
+            if tried and len(part.pixels) <= tried[0][0]:
+                continue  # no tracks in it can hold more
             scans = Scans.of(part, parameters.cameras)
             tracking = scans if len(frames) == len(scans.events) else Scans.of(part, parameters.cameras, frames)
             tracks = one_camera_tracks(multi_filter, tracking, settings)

@@ -17,14 +17,16 @@ from stereophd.core.calibration.adjustment.track_moves import TrackMoves
 from stereophd.core.calibration.adjustment.trajectories import OF_ALL
 from stereophd.core.calibration.annealing import fits
 from stereophd.core.calibration.annealing.fits import (
+    HISTORY_TIMES,
     adjusted_to,
     fit_from,
+    history_of,
     marginal_fit,
     paired_fit,
     pairings_of,
+    part_of,
     refitted,
     restated_fit,
-    stated_until,
     tracked_fit,
 )
 from stereophd.core.calibration.annealing.method import (
@@ -185,15 +187,23 @@ def test_trajectories_choose_all_their_detections_and_no_others(made: MadeUp, ta
 
 def test_the_history_ends_at_the_answer_and_is_wider_before(made: MadeUp, task: Task, paired: Fit) -> None:
     answer = marginal_fit(task, paired)
-    half, whole = (stated_until(task, answer, time_s) for time_s in ((FRAMES - 1) / 2, float(FRAMES)))
-    assert half is not None
-    assert whole is not None
-    std = np.sqrt(np.diag(answer.adjustment.covariance))
-    np.testing.assert_allclose(np.diag(whole.covariance), std**2, rtol=0.05)
-    assert (np.abs(whole.mean - answer.adjustment.values) < 0.1 * std).all()
+    *rows, last = history_of(task, answer, answer)
+    np.testing.assert_array_equal(last.mean, answer.adjustment.values)
+    assert np.all(np.diff([row.time_s for row in (*rows, last)]) > 0.0)
+    half, std = rows[HISTORY_TIMES // 2 - 1], np.sqrt(np.diag(answer.adjustment.covariance))
     assert (np.diag(half.covariance)[1:] > 1.2 * std[1:] ** 2).all()  # the first is the scale, which nothing shows
     assert (np.abs(half.mean - made.truth) < 4.0 * np.sqrt(np.diag(half.covariance))).all()
-    assert stated_until(task, answer, -1.0) is None
+
+
+def test_each_row_of_the_history_is_the_optimum_of_the_log_so_far(task: Task, paired: Fit) -> None:
+    answer = marginal_fit(task, paired)
+    for row in history_of(task, answer, answer)[3:-1:4]:
+        part = part_of(task, answer, np.flatnonzero(answer.observations.times <= row.time_s))
+        assert part is not None
+        alone = marginal_fit(task, adjusted_to(task, part, part.observations, part.detections)).adjustment
+        error = row.mean - alone.values
+        assert error @ np.linalg.solve(alone.covariance, error) < 0.1 * len(error)
+    assert part_of(task, answer, np.flatnonzero(answer.observations.times < -1.0)) is None
 
 
 def test_detections_that_share_errors_count_less_and_show_the_noise_at_full_weight(task: Task, paired: Fit) -> None:

@@ -67,8 +67,10 @@ def test_fits_end_near_the_marginal_optimum_where_the_joint_one_runs_away(seed: 
 
 def test_the_noise_of_the_motion_that_shows_is_where_the_marginal_posterior_is_greatest() -> None:
     _, problem, true, states = stated_loosely(0)
-    posterior = MarginalPosterior(Linearisation.of(replace(problem.weighted(np.ones(len(problem.observations))))))
+    still = replace(problem.weighted(np.ones(len(problem.observations))), held=np.ones(len(true), dtype=np.bool_))
+    posterior = MarginalPosterior(Linearisation.of(still))
     shown = posterior.with_shown_motion(true, states, STATED)
+    np.testing.assert_array_equal(shown.unknowns[: len(true)], true)
     assert np.exp(shown.unknowns[len(true)]) == pytest.approx(1.0 / TIMES_STATED, rel=0.2)
     for step in (-0.1, 0.1):
         unknowns = shown.unknowns + step * np.eye(len(shown.unknowns))[len(true)]
