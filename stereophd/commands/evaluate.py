@@ -61,9 +61,13 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
     tracks = read_tracks(inputs["tracks"])
     truth, truth_unit = read_truth(inputs["truth"])
     cameras, cameras_unit = _cameras(inputs.get("cameras"), tracks)
-    unit = _common_unit({"tracks": tracks.length_unit, "truth": truth_unit, "cameras": cameras_unit}, inputs)
+    # an alignment that finds the scale brings tracks of any unit, such as `baseline`, into that of the truth
+    is_scaled = options.align == "similarity" and None not in (tracks.length_unit, truth_unit)
+    units = {"tracks": None if is_scaled else tracks.length_unit, "truth": truth_unit, "cameras": cameras_unit}
+    unit = _common_unit(units, inputs)
     if options.cutoff is None:
-        options = replace(options, cutoff=default_cutoff(options.base, unit, tracks.metadata, inputs["tracks"]))
+        record = tracks.metadata if unit == tracks.length_unit else None
+        options = replace(options, cutoff=default_cutoff(options.base, unit, record, inputs["tracks"]))
     sightings = None if options.seen_by is None else read_sightings(inputs["log"], cameras)
     max_gap_s = DEFAULT_GAP_STEPS * truth.step_s if options.max_gap_s is None else options.max_gap_s
     scored = score_tracks(tracks, truth, sightings, options, max_gap_s, inputs["tracks"])
