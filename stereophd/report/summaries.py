@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from stereophd.pipeline.checks.run_figures import MOST_OUTLIERS
 from stereophd.report.tables import CHECKS, SummaryTable, table_text
+from stereophd.validated import NO_LENGTH
 from stereophd.wording import counted, number, percent, shown_unit
 
 # Tracks that the terminal lists.
@@ -110,6 +111,9 @@ def _scale(report: Mapping[str, Any]) -> Iterator[str]:
     """Yield what the scale is known from."""
     if (scale := report.get("scale")) is not None:
         determined_by = str(scale.get("determined_by"))
+        if determined_by == "prior" and report.get("length_unit") == NO_LENGTH:
+            yield "no length is known, and the distance of two cameras is 1: state one (calibration.scale)"
+            return
         yield f"scale from {SCALES.get(determined_by, f'what is stated: {determined_by}')}"
 
 

@@ -362,13 +362,15 @@
     if (!c) return;
     const p = c.parameters, names = p.map((q) => q.name), mean = p.map((q) => (q.mean === null ? 0 : q.mean) / q.prior);
     const text = p.map((q) => `${q.name}: ${q.mean === null ? "-" : q.mean.toPrecision(3)} +- ${q.std.toPrecision(2)} ${q.unit}, prior std ${q.prior.toPrecision(3)}`);
+    // a line of text for each parameter
+    for (const id of ["forest", "directions"]) by(id).style.height = `${Math.max(420, 110 + 20 * p.length)}px`;
     draw("forest", [
       { type: "scatter", mode: "markers", name: "prior, one std", x: names.map(() => 0), y: names, error_x: { type: "constant", value: 1, thickness: 8, width: 0, color: css("--line") }, marker: { size: 1, color: css("--line") }, hoverinfo: "skip" },
       { type: "scatter", mode: "markers", name: "posterior, one std", x: mean, y: names, text, hoverinfo: "text", error_x: { type: "data", array: p.map((q) => q.std / q.prior), thickness: 2, width: 4, color: css("--accent") },
         marker: { size: 8, color: p.map((q) => (q.determined ? css("--accent") : css("--doubt"))), symbol: p.map((q) => (q.determined ? "circle" : "diamond-open")) } },
-    ], layout("Parameters, in standard deviations of their priors", "offset from the prior mean [prior std]", "", { margin: { l: 150, r: 16, t: 40, b: 44 }, yaxis: axis("", { autorange: "reversed" }) }));
-    draw("directions", [{ type: "bar", orientation: "h", x: c.directions.map((d) => d.ratio), y: c.directions.map((_, k) => k + 1), text: c.directions.map((d) => d.text), textposition: "auto", hoverinfo: "x+text",
-      marker: { color: c.directions.map((d) => (d.ratio <= 0.5 ? css("--accent") : css("--doubt"))) } }],
+    ], layout("Parameters, in standard deviations of their priors", "offset from the prior mean [prior std]", "", { margin: { l: 150, r: 16, t: 40, b: 44 }, yaxis: axis("", { autorange: "reversed", dtick: 1 }) }));
+    draw("directions", [{ type: "bar", orientation: "h", x: c.directions.map((d) => d.ratio), y: c.directions.map((_, k) => k + 1), text: c.directions.map((d) => d.text), textposition: "none", hoverinfo: "x+text",
+      marker: { color: c.directions.map((d) => (d.determined ? css("--accent") : css("--doubt"))) } }],
       layout("Observability: what the data determine", "posterior std / prior std", "direction", { xaxis: axis("posterior std / prior std", LOG), yaxis: axis("direction", { autorange: "reversed", dtick: 1 }) }));
     const k = +by("parameter").value || 0, j = +by("against").value || 0, label = (n) => `${p[n].name} [${p[n].unit}]`;
     if (c.history) {
