@@ -61,9 +61,9 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
     tracks = read_tracks(inputs["tracks"])
     truth, truth_unit = read_truth(inputs["truth"])
     cameras, cameras_unit = _cameras(inputs.get("cameras"), tracks)
-    # an alignment that finds the scale brings tracks of any unit, such as `baseline`, into that of the truth
-    is_scaled = options.align == "similarity" and None not in (tracks.length_unit, truth_unit)
-    units = {"tracks": None if is_scaled else tracks.length_unit, "truth": truth_unit, "cameras": cameras_unit}
+    units = {"tracks": tracks.length_unit, "truth": truth_unit, "cameras": cameras_unit}
+    if options.align == "similarity" and truth_unit is not None:
+        del units["tracks"]  # the scale is found, so that tracks may be in any unit, such as `baseline`
     unit = _common_unit(units, inputs)
     if options.cutoff is None:
         record = tracks.metadata if unit == tracks.length_unit else None

@@ -110,11 +110,10 @@ def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:
 def _scale(report: Mapping[str, Any]) -> Iterator[str]:
     """Yield what the scale is known from."""
     if (scale := report.get("scale")) is not None:
-        determined_by = str(scale.get("determined_by"))
-        if determined_by == "prior" and report.get("length_unit") == NO_LENGTH:
-            yield "no length is known, and the distance of two cameras is 1: state one (calibration.scale)"
-            return
-        yield f"scale from {SCALES.get(determined_by, f'what is stated: {determined_by}')}"
+        known = SCALES.get(by := str(scale.get("determined_by")), f"what is stated: {by}")
+        if by == "prior" and report.get("length_unit") == NO_LENGTH:
+            known = "nothing: the distance of two cameras is 1; state a distance (calibration.scale)"
+        yield f"scale from {known}"
 
 
 def _parameters(report: Mapping[str, Any]) -> SummaryTable:

@@ -259,7 +259,7 @@ def test_the_printed_line_and_the_page_say_what_the_scale_is_known_from() -> Non
     found = {"status": "determined", "cameras": {"left": stds}, "scale": {"determined_by": "prior"}}
     words = "scale from the first guess alone"
     assert words in verdict(found)
-    assert "; no length is known, and the distance of two cameras is 1" in verdict({**found, "length_unit": "baseline"})
+    assert "; scale from nothing: the distance of two cameras is 1" in verdict({**found, "length_unit": "baseline"})
     (poses,) = [
         t
         for t in run_tables({**found, "parameters": [], "provenance": {"config": {}}})
