@@ -36,7 +36,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.cameras.writing import write_cameras
-from stereophd.pipeline.calibration.unknowns import with_quantities
+from stereophd.pipeline.calibration.configured_unknowns import with_quantities
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "configs" / "board_calibration.yaml"

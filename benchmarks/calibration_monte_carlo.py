@@ -40,7 +40,7 @@ from stereophd.core.calibration.unknowns.quantities.registry import quantities
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.numerics.weights import weighted_mean_covariance
 from stereophd.io.cameras.writing import write_cameras
-from stereophd.pipeline.calibration.unknowns import prior_stds, with_quantities
+from stereophd.pipeline.calibration.configured_unknowns import prior_stds, with_quantities
 
 CONFIG = Path(__file__).resolve().parent.parent / "configs" / "paper" / "calibration.yaml"
 # In units of the bound on its root mean square: what counts as success.

@@ -37,7 +37,7 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.errors import InputError
-from stereophd.pipeline.checks.run import check_log
+from stereophd.pipeline.checks.check_log import check_log
 
 # Detections and frames of all cameras of a set-up, at most and about.
 MOST_DETECTIONS, MOST_FRAMES = 6000, 6000

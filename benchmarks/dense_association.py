@@ -64,17 +64,17 @@ def main() -> None:
     parser.add_argument("--tracks", type=int, default=2000)
     options = parser.parse_args()
     warm = problem(5, 3.0, 0)
-    slowest(belief.association_marginals, [warm])
+    slowest(belief.propagate_beliefs, [warm])
     slowest(exact_association.association_marginals, [warm])
     print("| detections a gate | pairs | belief propagation, s | cluster by cluster, s | largest difference |")
     print("|---|---|---|---|---|")
     worst = 0.0
     for neighbours in NEIGHBOURS:
         problems = [problem(options.tracks, neighbours, seed) for seed in range(EVENTS)]
-        plain = slowest(belief.association_marginals, problems)
+        plain = slowest(belief.propagate_beliefs, problems)
         ours = slowest(exact_association.association_marginals, problems)
         worst = max(worst, ours)
-        one = belief.association_marginals(*problems[0])[0]
+        one = belief.propagate_beliefs(*problems[0])[0]
         other = exact_association.association_marginals(*problems[0])[0]
         print(
             f"| {neighbours:g} | {len(problems[0][0])} | {plain:.3f} | {ours:.3f} | {np.abs(one - other).max():.3f} |",

@@ -44,7 +44,7 @@ from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.core.metrics.truth.interpolation import Truth
 from stereophd.core.metrics.truth.registration import Freedom, Registration, TrackedPlaces, register
 from stereophd.io.cameras.writing import write_cameras
-from stereophd.pipeline.calibration.unknowns import with_quantities
+from stereophd.pipeline.calibration.configured_unknowns import with_quantities
 
 ROOT = Path(__file__).resolve().parents[1]
 CONFIG = ROOT / "configs" / "drone_own_clocks.yaml"

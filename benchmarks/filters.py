@@ -40,7 +40,7 @@ from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.run import reported_records
+from stereophd.pipeline.tracking.tracking_run import reported_records
 
 CONFIG = Path(__file__).parents[1] / "configs" / "paper" / "multi_object.yaml"
 DETECTORS = [f"cameras.{name}.detector" for name in ("left", "right")]

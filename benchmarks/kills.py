@@ -39,10 +39,8 @@ MOST_KILLS = 3
 # Seconds between two states that are kept; a whole run of `track` takes some tenths of a second.
 OFTEN_S = 0.02
 
-# Rows of a group of a table, records that are kept together, and bytes of a part: few, so that runs of seconds have
-# several.
+# Rows of a group of a table, and bytes of a part: few, so that runs of seconds have several.
 ROW_GROUP_ROWS = 200
-RECORDS_AT_ONCE = 20
 PART_BYTES = 20_000
 
 # Where the shared memory of worker processes lies.
@@ -181,11 +179,10 @@ def cases(folder: Path) -> dict[str, Case]:
     from stereophd.io.outputs import saved
     from stereophd.io.tables import writing as table_writing
     from stereophd.pipeline.runs import unfinished
-    from stereophd.pipeline.tracking import unfinished as checkpoint
 
     table_writing.ROW_GROUP_ROWS = ROW_GROUP_ROWS
     unfinished.KEEP_EVERY_S, unfinished.MOST_SHARE = OFTEN_S, 1e9
-    checkpoint.RECORDS_AT_ONCE, saved.PART_BYTES = RECORDS_AT_ONCE, PART_BYTES
+    saved.PART_BYTES = PART_BYTES
     loaded = load_config(QUICKSTART, ["simulate.duration_s=5"])
     simulate(loaded, folder / "scenes", runs=3)
     logs = sorted((folder / "scenes").glob("*/detections.parquet"))

@@ -31,8 +31,8 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.errors import InputError
-from stereophd.pipeline.checks.run import check_log
-from stereophd.pipeline.tracking.run import build_tracking
+from stereophd.pipeline.checks.check_log import check_log
+from stereophd.pipeline.tracking.tracking_run import build_tracking
 
 ROOT = Path(__file__).resolve().parent.parent
 QUICKSTART = ROOT / "configs" / "quickstart.yaml"

@@ -18,17 +18,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from stereophd.commands import options as kinds
 from stereophd.commands.init import init as write_config
-from stereophd.commands.options import (
-    AlignOptions,
-    CalibrateOptions,
-    EvaluateCamerasOptions,
-    EvaluateOptions,
-    ExperimentOptions,
-    InitOptions,
-    SimulateOptions,
-    TrackOptions,
-)
 from stereophd.config.loading import LoadedConfig, as_config, load_config
 from stereophd.core.arrays import Array
 from stereophd.core.geometry.camera import Camera
@@ -220,10 +211,10 @@ def _inside(given: Any, name: str) -> Path:
     return path / name if path.is_dir() else path
 
 
-@takes(InitOptions)
+@takes(kinds.InitOptions)
 def init(
     detections: Any = None, cameras: Any = None, *, out: Path | str | None = None, overrides: Sequence[str] = (),
-    options: InitOptions,
+    options: kinds.InitOptions,
 ) -> Outputs:  # fmt: skip
     """Estimate settings from detections; `Outputs.config` holds them.
 
@@ -248,10 +239,10 @@ def check(detections: Any, config: Any = None, cameras: Any = None) -> Outputs:
     return work.outputs(run(work.config(config, cameras, log), log), log)
 
 
-@takes(SimulateOptions)
+@takes(kinds.SimulateOptions)
 def simulate(
     config: Any, cameras: Any = None, *, out: Path | str | None = None, seed: int | None = None,
-    overrides: Sequence[str] = (), options: SimulateOptions,
+    overrides: Sequence[str] = (), options: kinds.SimulateOptions,
 ) -> Outputs:  # fmt: skip
     """Simulate the scene of a configuration: the tables ``detections`` and ``truth``, and `Outputs.cameras`.
 
@@ -263,10 +254,10 @@ def simulate(
     return work.outputs(run(work.config(config, cameras, None, seed, overrides), work.out, options=options))
 
 
-@takes(TrackOptions)
+@takes(kinds.TrackOptions)
 def track(
     detections: Any, config: Any = None, cameras: Any = None, *, out: Path | str | None = None, smooth: bool = False,
-    associations: bool = False, seed: int | None = None, overrides: Sequence[str] = (), options: TrackOptions,
+    associations: bool = False, seed: int | None = None, overrides: Sequence[str] = (), options: kinds.TrackOptions,
 ) -> Outputs:  # fmt: skip
     """Track the objects of a detection log.
 
@@ -310,10 +301,10 @@ def track(
     return work.outputs(run(loaded, log, work.out, options=options), log)
 
 
-@takes(CalibrateOptions)
+@takes(kinds.CalibrateOptions)
 def calibrate(
     detections: Any, config: Any, cameras: Any = None, *, out: Path | str | None = None, seed: int | None = None,
-    overrides: Sequence[str] = (), options: CalibrateOptions,
+    overrides: Sequence[str] = (), options: kinds.CalibrateOptions,
 ) -> Outputs:  # fmt: skip
     """Calibrate cameras from the detections of moving objects: `Outputs.cameras`, and the tables of `track`.
 
@@ -332,8 +323,8 @@ def calibrate(
     return work.outputs(run(loaded, log, work.out, options=options), log)
 
 
-@takes(AlignOptions)
-def align(cameras: Any, to: Path | str, *, out: Path | str | None = None, options: AlignOptions) -> Outputs:
+@takes(kinds.AlignOptions)
+def align(cameras: Any, to: Path | str, *, out: Path | str | None = None, options: kinds.AlignOptions) -> Outputs:
     """Bring cameras (a path, or `Outputs` with their tracks) into a world frame; the report has the similarity.
 
     `to` is a control track, ``floor``, ``gravity`` or the name of a camera.
@@ -344,8 +335,8 @@ def align(cameras: Any, to: Path | str, *, out: Path | str | None = None, option
     return work.outputs(run([_path(cameras)], to, work.out, options=options))
 
 
-@takes(EvaluateOptions)
-def evaluate(tracks: Any, truth: Any, *, out: Path | str | None = None, options: EvaluateOptions) -> Outputs:
+@takes(kinds.EvaluateOptions)
+def evaluate(tracks: Any, truth: Any, *, out: Path | str | None = None, options: kinds.EvaluateOptions) -> Outputs:
     """Score tracks against the truth; the report has the scores, and the table ``per_scan`` those of each time.
 
     Parameters
@@ -376,9 +367,14 @@ def evaluate(tracks: Any, truth: Any, *, out: Path | str | None = None, options:
     return work.outputs(run(*paths, work.out, options=options))
 
 
-@takes(EvaluateCamerasOptions)
+@takes(kinds.EvaluateCamerasOptions)
 def evaluate_cameras(
-    estimated: Any, true: Any, config: Any = None, *, out: Path | str | None = None, options: EvaluateCamerasOptions
+    estimated: Any,
+    true: Any,
+    config: Any = None,
+    *,
+    out: Path | str | None = None,
+    options: kinds.EvaluateCamerasOptions,
 ) -> Outputs:
     """Score cameras (paths or `Outputs`) against true ones; with a configuration also against the Cramer-Rao bound."""
     from stereophd.commands.evaluate_cameras import evaluate_calibration
@@ -389,10 +385,10 @@ def evaluate_cameras(
     return work.outputs(evaluate_calibration(*paths, work.out, loaded, options=options))
 
 
-@takes(ExperimentOptions)
+@takes(kinds.ExperimentOptions)
 def experiment(
     config: Any, *, out: Path | str | None = None, seed: int | None = None, overrides: Sequence[str] = (),
-    options: ExperimentOptions,
+    options: kinds.ExperimentOptions,
 ) -> Outputs:  # fmt: skip
     """Compare methods over many runs of a scenario: the tables ``runs`` and ``summary``; arguments as of `track`."""
     from stereophd.commands.experiment import experiment as run

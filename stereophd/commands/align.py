@@ -24,7 +24,7 @@ from stereophd.io.tables.reading import arrays_of, damaged_is_input_error, open_
 from stereophd.io.tables.schemas import EXTENTS, STD
 from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
-from stereophd.pipeline.calibration.unknowns import with_quantities
+from stereophd.pipeline.calibration.configured_unknowns import with_quantities
 from stereophd.pipeline.cameras_covariance import in_world, rows_of, stated_uncertainty
 from stereophd.pipeline.control import Control, alignment_report, points_report, read_control
 from stereophd.pipeline.evaluation.inputs import read_tracks

@@ -25,7 +25,7 @@ from stereophd.io.outputs.provenance import provenance
 from stereophd.io.tables.schemas import FLOAT, INTEGER, STRING
 from stereophd.options import takes
 from stereophd.pipeline.batch.names import pairs_by_name
-from stereophd.pipeline.batch.run import Batch, Item, log_items, run_batch
+from stereophd.pipeline.batch.run_batch import Batch, Item, log_items, run_batch
 from stereophd.pipeline.checks.finding import count_warnings
 from stereophd.pipeline.evaluation.inputs import is_truth
 from stereophd.pipeline.runs.progress import Progress, ignore

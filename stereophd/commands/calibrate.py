@@ -28,6 +28,7 @@ from stereophd.io.tables.writing import TableWriter
 from stereophd.options import takes
 from stereophd.pipeline.arithmetic import within_arithmetic
 from stereophd.pipeline.calibration.annealed import annealed_outcome
+from stereophd.pipeline.calibration.configured_unknowns import calibration_section, with_quantities
 from stereophd.pipeline.calibration.found_cameras import in_world, with_found_cameras
 from stereophd.pipeline.calibration.problem import (
     CalibrationRun,
@@ -39,18 +40,17 @@ from stereophd.pipeline.calibration.problem import (
 )
 from stereophd.pipeline.calibration.report import build_report
 from stereophd.pipeline.calibration.sampled import sequential_outcome
-from stereophd.pipeline.calibration.unknowns import calibration_section, with_quantities
 from stereophd.pipeline.cameras_covariance import in_world as uncertainty_in_world
 from stereophd.pipeline.cameras_covariance import rows_of
+from stereophd.pipeline.checks.check_log import check_log, report_findings
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.run import check_log, report_findings
-from stereophd.pipeline.checks.run_figures import check_losses, check_noise, check_tracking
+from stereophd.pipeline.checks.run_checks import check_losses, check_noise, check_tracking
 from stereophd.pipeline.control import points_report
 from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.sizes import check_size
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import open_stream
-from stereophd.pipeline.tracking.run import ASSOCIATIONS_FILE, SCANS_FILE, TRACKS_FILE, TrackingRun
+from stereophd.pipeline.tracking.tracking_run import ASSOCIATIONS_FILE, SCANS_FILE, TRACKS_FILE, TrackingRun
 from stereophd.pipeline.workers.places import processes
 from stereophd.report.installed import whether_to_draw
 from stereophd.wording import LOGGER

@@ -8,8 +8,8 @@ from stereophd.config.loading import LoadedConfig
 from stereophd.io.outputs.json_text import REPORT_VERSION
 from stereophd.io.outputs.provenance import provenance
 from stereophd.pipeline.batch.names import expand
+from stereophd.pipeline.checks.check_log import check_log
 from stereophd.pipeline.checks.finding import warnings_of
-from stereophd.pipeline.checks.run import check_log
 
 
 def check(loaded: LoadedConfig, log_path: Path | str) -> dict[str, Any]:
@@ -43,7 +43,7 @@ def check_config(loaded: LoadedConfig, command: str | None = None) -> None:
 def _check_track(loaded: LoadedConfig) -> None:
     from stereophd.config.loading import variant
     from stereophd.core.motion.settings import ESTIMATE
-    from stereophd.pipeline.tracking.run import build_tracking
+    from stereophd.pipeline.tracking.tracking_run import build_tracking
 
     if getattr(loaded.config.motion, "acceleration_std", None) == ESTIMATE:
         loaded = variant(loaded, [("", {"motion.acceleration_std": 1.0})])  # any number: the log will give it
@@ -51,8 +51,8 @@ def _check_track(loaded: LoadedConfig) -> None:
 
 
 def _check_calibrate(loaded: LoadedConfig) -> None:
+    from stereophd.pipeline.calibration.configured_unknowns import build_parameters
     from stereophd.pipeline.calibration.problem import build_scale, pmb_filter
-    from stereophd.pipeline.calibration.unknowns import build_parameters
 
     if any(camera.must_be_found for camera in loaded.cameras.values()):
         from stereophd.pipeline.calibration.found_cameras import refuse_search

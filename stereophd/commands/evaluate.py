@@ -1,6 +1,5 @@
 """Score the tracks of a run against the truth: OSPA, OSPA(2), GOSPA, RMSE, cardinality, identities, NEES."""
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -81,29 +80,11 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
         write_per_scan(out.path(PER_SCAN_NAME), scored.columns, to_metadata(record))
         if draw:
             # Costly to import, and matplotlib is an extra.
-            from stereophd.report.plots.scene_plots import write_plots
-            from stereophd.report.style import Pictures
+            from stereophd.report.plots.scene_plots import Pictures, write_plots
 
-            pictures = Pictures(
-                columns=scored.columns,
-                order=options.order,
-                cutoff=options.known_cutoff,
-                base=options.base,
-                truth=truth,
-                max_gap_s=max_gap_s,
-                estimates=scored.estimates,
-                cameras=cameras or [],
-                length_unit=unit,
-                false_tracks=_mostly_unmatched(report["purity"], "track_id", "estimates"),
-                missed_objects=_mostly_unmatched(report["completeness"], "object_id", "scans"),
-            )
-            write_plots(pictures, {name: out.path(name) for name in PLOT_NAMES})
+            paths = {name: out.path(name) for name in PLOT_NAMES}
+            write_plots(Pictures(report, scored, truth, cameras or ()), paths)
     return report
-
-
-def _mostly_unmatched(part: Mapping[str, Any], identity: str, count: str) -> frozenset[int]:
-    """Return the identities of which less than half of the rows are matched."""
-    return frozenset(int(row[identity]) for row in part["table"] or () if 2 * row["matched"] < row[count])
 
 
 def _input_paths(

@@ -27,7 +27,7 @@ from stereophd.io.outputs.json_text import REPORT_VERSION, finite_or_none, write
 from stereophd.io.outputs.provenance import from_metadata, provenance
 from stereophd.io.tables.reading import open_parquet
 from stereophd.options import takes
-from stereophd.pipeline.calibration.unknowns import build_parameters
+from stereophd.pipeline.calibration.configured_unknowns import build_parameters
 from stereophd.pipeline.evaluation.calibration_bounds import bound_figures
 from stereophd.pipeline.evaluation.gates import gates, raise_if_failed
 from stereophd.validated import NO_LENGTH

@@ -9,17 +9,8 @@ from pathlib import Path
 
 from stereophd.commands.options import ExperimentOptions
 from stereophd.config.loading import LoadedConfig
+from stereophd.experiments.engine import results as result_files
 from stereophd.experiments.engine.execution import execute, read_runs, unfinished_experiment
-from stereophd.experiments.engine.results import (
-    RUNS_FILE,
-    SUMMARY_FILE,
-    TIMING_FILE,
-    Results,
-    gather_results,
-    is_finished,
-    read_results,
-    write_results,
-)
 from stereophd.experiments.engine.summary import check_quantities
 from stereophd.experiments.engine.work import BOUND_METHOD, BOUND_RUN, experiment_section, memory_of, plan_parts
 from stereophd.io.outputs.atomic import OutputFolder
@@ -32,13 +23,13 @@ from stereophd.report.installed import can_draw
 from stereophd.wording import LOGGER
 
 FIGURE_FILES = ("figure.png", "figure.svg")
-FILES = (RUNS_FILE, SUMMARY_FILE, TIMING_FILE, *FIGURE_FILES)
+FILES = (result_files.RUNS_FILE, result_files.SUMMARY_FILE, result_files.TIMING_FILE, *FIGURE_FILES)
 
 
 @takes(ExperimentOptions)
 def experiment(
     loaded: LoadedConfig, out_dir: Path | str, *, options: ExperimentOptions, progress: Progress = ignore
-) -> Results:
+) -> result_files.Results:
     """Run an experiment, and write ``runs.parquet``, ``summary.parquet``, ``timing.json`` and the figure.
 
     Finished runs are kept in the output folder until all are done; `progress` is called with their number and the
@@ -52,16 +43,16 @@ def experiment(
     check_size(size, f"{loaded.path}: experiment", out)
     store = unfinished_experiment(loaded, out)
     with output_lock(out):
-        if is_finished(store, loaded, options.resume, options.force, FILES):
-            return read_results(loaded, settings, out)
+        if result_files.is_finished(store, loaded, options.resume, options.force, FILES):
+            return result_files.read_results(loaded, settings, out)
         with store.held(options.resume, options.force):
             bound_runs = range(BOUND_RUN, BOUND_RUN + 1)
             wanted = [(part, bound_runs if part.method == BOUND_METHOD else range(settings.runs)) for part in parts]
             cells = [(part.method, part.case) for part in parts if part.method != BOUND_METHOD]
             execute(wanted, store, options.jobs, options.dask, progress, check_quantities(loaded, cells))
-            results, runs = gather_results(loaded, settings, parts, read_runs(store))
+            results, runs = result_files.gather_results(loaded, settings, parts, read_runs(store))
             with OutputFolder(out, [*FILES, *UNFINISHED_FILES], force=True) as files:
-                write_results(results, runs, loaded, files)
+                result_files.write_results(results, runs, loaded, files)
                 _draw(results, files)
     return results
 
@@ -71,7 +62,7 @@ def finished_runs(loaded: LoadedConfig, out_dir: Path | str) -> int:
     return sum(result.method != BOUND_METHOD for result in read_runs(unfinished_experiment(loaded, Path(out_dir))))
 
 
-def _draw(results: Results, out: OutputFolder) -> None:
+def _draw(results: result_files.Results, out: OutputFolder) -> None:
     """Draw the figure, if matplotlib is installed."""
     if not can_draw():
         LOGGER.info("no figure: it needs matplotlib (pip install matplotlib)")

@@ -29,11 +29,11 @@ from stereophd.io.outputs.json_text import REPORT_VERSION, write_json
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.tables.schemas import TRUTH
 from stereophd.io.tables.writing import TableWriter
+from stereophd.pipeline.checks.check_log import report_findings
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.log.findings import check_files
+from stereophd.pipeline.checks.log.log_checks import check_files
 from stereophd.pipeline.checks.log.sample import sample_log
-from stereophd.pipeline.checks.run import report_findings
-from stereophd.pipeline.checks.run_figures import check_rows
+from stereophd.pipeline.checks.run_checks import check_rows
 from stereophd.pipeline.inspection.cameras import summarise_cameras
 from stereophd.wording import LOGGER, counted, instant
 
@@ -60,7 +60,7 @@ def import_recording(
     earlier run are replaced with `force` only. `cameras_path` is a native or foreign camera file, for sources that hold
     detections only. Returns the report, as in ``report.json``: counts by camera; ``assumed`` and ``warnings``:
     sentences about what the sources do not state; ``checks``: the findings of
-    `stereophd.pipeline.checks.log.findings`.
+    `stereophd.pipeline.checks.log.log_checks`.
 
     Raises InputError for an unknown format, a source that is not of it, a statement that is missing or of no use for
     it, and an unusable output folder.

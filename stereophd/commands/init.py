@@ -16,8 +16,8 @@ from stereophd.io.outputs.disk import write_error
 from stereophd.io.outputs.json_text import REPORT_VERSION
 from stereophd.options import takes
 from stereophd.pipeline.batch.names import expand
+from stereophd.pipeline.checks.check_log import check_log, report_findings
 from stereophd.pipeline.checks.finding import is_mistake
-from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.initial.draft import STEPS, begin, draft_from_log, loaded_draft
 from stereophd.pipeline.initial.template import MARK, Draft, Kind, config_text, template
 from stereophd.pipeline.inspection.log import summarise_log

@@ -22,23 +22,16 @@ from stereophd.io.outputs.locks import output_lock
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.options import takes
 from stereophd.pipeline.cameras_covariance import stated_uncertainty
+from stereophd.pipeline.checks import run_checks
+from stereophd.pipeline.checks.check_log import check_log, report_findings
 from stereophd.pipeline.checks.finding import Finding, once_mended
-from stereophd.pipeline.checks.run import check_log, report_findings
-from stereophd.pipeline.checks.run_figures import (
-    check_detections,
-    check_errors,
-    check_estimated_detectors,
-    check_knocks,
-    check_losses,
-    check_noise,
-    check_tracking,
-)
 from stereophd.pipeline.initial.acceleration import with_estimated_motion
 from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.unfinished import UNFINISHED_FILES, UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.run import (
+from stereophd.pipeline.tracking.single import SingleTracker
+from stereophd.pipeline.tracking.tracking_run import (
     ASSOCIATIONS_FILE,
     SCANS_FILE,
     TRACKS_FILE,
@@ -46,7 +39,6 @@ from stereophd.pipeline.tracking.run import (
     build_tracking,
     with_detectors,
 )
-from stereophd.pipeline.tracking.single import SingleTracker
 from stereophd.pipeline.tracking.unfinished import UnfinishedTracking
 from stereophd.pipeline.workers.compile_ahead import compiling_ahead
 from stereophd.report.installed import whether_to_draw
@@ -158,19 +150,19 @@ class _Outputs:
         summary = tracking.write(records, out, metadata, kept, uncertainty)
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
-        findings += tuple(check_tracking(summary, counts, tracking.cameras))
-        findings += tuple(once_mended(check_detections(summary, tracking.cameras), findings))
+        findings += tuple(run_checks.check_tracking(summary, counts, tracking.cameras))
+        findings += tuple(once_mended(run_checks.check_detections(summary, tracking.cameras), findings))
         of_many = tracking.motion.moves and not isinstance(tracking.estimator, SingleTracker)
         if not (tracking.boxes or self.stream.has_noise):  # the residuals of bodies are their own, and so is each noise
-            findings += tuple(once_mended(check_errors(summary, of_many and self.motion is None), findings))
+            findings += tuple(once_mended(run_checks.check_errors(summary, of_many and self.motion is None), findings))
         since = functools.partial(check_log, loaded, self.stream.source, False, tracking.cameras)
-        findings += tuple(check_knocks(summary, findings, since))
+        findings += tuple(run_checks.check_knocks(summary, findings, since))
         if not tracking.boxes:
             # the middle of a box is not the image of the middle of a body
-            noise = check_noise(summary, tracking.cameras, self.stream.has_noise, findings)
+            noise = run_checks.check_noise(summary, tracking.cameras, self.stream.has_noise, findings)
             findings += tuple(once_mended(noise, findings, but=("detector.sigma", "tracking.errors")))
-        findings += tuple(check_losses(summary, counts))
-        findings += tuple(check_estimated_detectors(tracking.detectors))
+        findings += tuple(run_checks.check_losses(summary, counts))
+        findings += tuple(run_checks.check_estimated_detectors(tracking.detectors))
         report = {
             "report_version": REPORT_VERSION,
             "length_unit": loaded.config.units.length,

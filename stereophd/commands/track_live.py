@@ -35,11 +35,11 @@ from stereophd.io.streams.sources import Arrivals
 from stereophd.pipeline.build import report_times
 from stereophd.pipeline.live.frames import FrameChecks
 from stereophd.pipeline.live.lagged import LaggedRecords
+from stereophd.pipeline.live.live_run import LiveRun, warm_up_messages, without_collections
 from stereophd.pipeline.live.recording import read_recording, write_log
-from stereophd.pipeline.live.run import LiveRun, warm_up_messages, without_collections
 from stereophd.pipeline.tracking.knocked import Knock
 from stereophd.pipeline.tracking.loop import Record
-from stereophd.pipeline.tracking.run import TrackingRun, build_tracking
+from stereophd.pipeline.tracking.tracking_run import TrackingRun, build_tracking
 from stereophd.pipeline.workers.aside import Aside
 from stereophd.pipeline.workers.worker_process import WorkerProcess
 

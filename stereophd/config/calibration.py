@@ -170,7 +170,7 @@ class CalibrationConfig(Model):
     )
     model: Literal["as_stated", "lenses", "free"] = parameter(
         "what is estimated although it is stated as known, where the data contradict it: nothing; lenses that are "
-        "stated as none, images as makers state them, and clocks that are said to agree; intrinsics, readouts and "
+        "stated as none, images as makers state them, and clocks that are stated to agree; intrinsics, readouts and "
         "rates of clocks too",
         default="lenses",
     )

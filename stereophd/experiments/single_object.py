@@ -13,14 +13,7 @@ from numpy.typing import NDArray
 
 from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
-from stereophd.core.bounds.cramer_rao import (
-    detection_information,
-    localisation_bounds,
-    mean_error_norm,
-    posterior_bounds,
-    prior_information,
-    state_jacobian,
-)
+from stereophd.core.bounds import cramer_rao
 from stereophd.core.disparity.events import Rig, make_rig
 from stereophd.core.disparity.prior import InitialPrior
 from stereophd.core.disparity.space import DisparitySpace
@@ -115,12 +108,12 @@ def localisation_bound(scenario: SingleObjectProblem, with_prior: bool) -> Array
     """
     point = scenario.start[:3]
     cameras = [scenario.rig.cameras[camera].at(0.0) for camera in scenario.cameras.tolist()]
-    information = [detection_information(camera, point[None])[0] for camera in cameras]
+    information = [cramer_rao.detection_information(camera, point[None])[0] for camera in cameras]
     prior = None
     if with_prior:
         space = DisparitySpace(cameras[0], scenario.rig.baseline, scenario.rig.rectification)
-        prior = prior_information(space, point, scenario.prior.disparity_moments(space.packed())[1])
-    return localisation_bounds(information, prior)
+        prior = cramer_rao.prior_information(space, point, scenario.prior.disparity_moments(space.packed())[1])
+    return cramer_rao.localisation_bounds(information, prior)
 
 
 def tracking_bound(scenario: SingleObjectProblem, rng: np.random.Generator, trajectories: int = 100) -> Array:
@@ -136,10 +129,10 @@ def tracking_bound(scenario: SingleObjectProblem, rng: np.random.Generator, traj
         camera = scenario.rig.cameras[index].at(time_s)
         points = states[:, k, :3]
         seen = camera.in_view(points)
-        information[k, seen, :3, :3] = camera.detector.p_detect * detection_information(camera, points[seen])
+        information[k, seen, :3, :3] = camera.detector.p_detect * cramer_rao.detection_information(camera, points[seen])
     steps = scenario.motion.transition(np.diff(scenario.times))
     first = _state_prior_information(scenario) + information[0]
-    bounds = posterior_bounds(first, steps.matrix, steps.noise, information[1:])
+    bounds = cramer_rao.posterior_bounds(first, steps.matrix, steps.noise, information[1:])
     return np.asarray(bounds[last_event_of_each_time(scenario.times)].mean(axis=1))
 
 
@@ -151,7 +144,7 @@ def _state_prior_information(scenario: SingleObjectProblem) -> Array:
     rig, prior = scenario.rig, scenario.prior
     camera = rig.cameras[int(scenario.cameras[0])].at(float(scenario.times[0]))
     space = DisparitySpace(camera, rig.baseline, rig.rectification)
-    to_disparity = state_jacobian(space, scenario.start)
+    to_disparity = cramer_rao.state_jacobian(space, scenario.start)
     precision = np.zeros(6)
     precision[2] = prior.disparity_moments(space.packed())[1] ** -2
     if prior.disparity_velocity_std_px_s is not None:
@@ -218,7 +211,7 @@ def bounds_of(loaded: LoadedConfig, times_s: Array, covariances: Array) -> list[
     """Return the bounds of the mean and of the root mean square of errors whose least covariances are (k, d, d)."""
     series = []
     for name, unit, part in _parts(loaded, moves=covariances.shape[-1] > 3):
-        means = np.array([mean_error_norm(one) for one in covariances[:, part, part]])
+        means = np.array([cramer_rao.mean_error_norm(one) for one in covariances[:, part, part]])
         roots = np.sqrt(np.trace(covariances[:, part, part], axis1=1, axis2=2))
         series += [Series(f"{name}_error", unit, means, times_s), Series(f"{name}_rmse", unit, roots, times_s)]
     return series

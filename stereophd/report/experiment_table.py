@@ -26,7 +26,7 @@ def _table(results: Results, quantity: str) -> SummaryTable:
     if not rows:
         return SummaryTable(quantity, (), ())
     with_bound = any(row[-1] for row in rows)
-    unit = next(each.unit for cell in results.cells for each in cell.summaries if each.quantity == quantity)
+    unit = next(each.unit for each in results.summaries if each.quantity == quantity)
     title = f"{quantity} [{unit}]" if unit != "1" else quantity
     header = ("case", "method", "rms" if is_rms(quantity) else "mean", "95 % interval", "std", "bound", "ratio")
     columns = len(header) if with_bound else 5
@@ -36,17 +36,14 @@ def _table(results: Results, quantity: str) -> SummaryTable:
 def _quantities(results: Results) -> list[str]:
     if results.config.table is not None:
         return list(results.config.table)
-    names = [summary.quantity for cell in results.cells for summary in cell.summaries if summary.times_s is None]
-    return list(dict.fromkeys(names))
+    return list(dict.fromkeys(summary.quantity for summary in results.summaries if summary.times_s is None))
 
 
 def _rows(results: Results, quantity: str) -> Iterator[tuple[str, ...]]:
-    cases = dict.fromkeys(cell.case for cell in results.cells)
-    for case in cases:
-        for cell in results.cells:
-            for summary in cell.summaries:
-                if cell.case == case and summary.quantity == quantity and summary.times_s is None:
-                    yield (case, cell.method, *_values(summary))
+    chosen = [each for each in results.summaries if each.quantity == quantity and each.times_s is None]
+    order = list(dict.fromkeys(each.case for each in results.summaries))
+    for summary in sorted(chosen, key=lambda each: order.index(each.case)):
+        yield (summary.case, summary.method, *_values(summary))
 
 
 def _values(summary: Summary) -> tuple[str, ...]:

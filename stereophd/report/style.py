@@ -1,7 +1,6 @@
-"""Shared parts of the plots: the data, colours, legends, labels."""
+"""Shared parts of the plots: colours, legends, labels."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,10 +8,6 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.transforms import Bbox
-
-from stereophd.core.geometry.camera import Camera
-from stereophd.core.metrics.scans import PointSets
-from stereophd.core.metrics.truth.interpolation import Truth
 
 INK, GREY, BLUE, ORANGE = "#1f2328", "#8c959f", "#0969da", "#d1600a"
 # Colours that stay apart for colour-blind readers (Okabe and Ito), without the black of the truth.
@@ -95,26 +90,6 @@ def dash_of(number: int) -> Any:
     return TRACK_DASHES[number // len(TRACK_COLOURS) % len(TRACK_DASHES)]
 
 
-@dataclass(frozen=True)
-class Pictures:
-    """What is drawn."""
-
-    columns: Mapping[str, Any]  # Columns of ``per_scan.parquet``, arrays over the scored scans
-    # `order`, `cutoff`, `base`: Parameters of OSPA.
-    order: float
-    cutoff: float
-    base: str
-    truth: Truth  # All rows of the truth; those at scored times are drawn
-    max_gap_s: float  # Longest interval over which a true path is drawn as a line
-    estimates: PointSets  # Estimates of the scored scans
-    cameras: Sequence[Camera]  # May be empty
-    length_unit: str | None  # For the labels
-    # `false_tracks`, `missed_objects`: Tracks most of whose estimates match no object, and objects that no track
-    # matches most of the time.
-    false_tracks: frozenset[int] = frozenset()
-    missed_objects: frozenset[int] = frozenset()
-
-
 def legend_right(axes: Axes, order: Sequence[str] = ()) -> None:
     """Put the legend beside the axes, outside of the data; labels that start as in `order` come first."""
     handles, labels = axes.get_legend_handles_labels()
@@ -127,11 +102,6 @@ def legend_right(axes: Axes, order: Sequence[str] = ()) -> None:
         bbox_to_anchor=(1.01, 1.0),
         borderaxespad=0.0,
     )
-
-
-def unit_text(pictures: Pictures) -> str:
-    """Return the unit of length as it follows a number, empty if it is not known."""
-    return f" {pictures.length_unit}" if pictures.length_unit else ""
 
 
 def bracketed(unit: str) -> str:

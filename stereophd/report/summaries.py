@@ -9,7 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from statistics import median
 from typing import Any, NamedTuple
 
-from stereophd.pipeline.checks.run_figures import MOST_OUTLIERS
+from stereophd.pipeline.checks.run_checks import MOST_OUTLIERS
 from stereophd.report.tables import CHECKS, SummaryTable, table_text
 from stereophd.validated import NO_LENGTH
 from stereophd.wording import counted, number, percent, shown_unit

@@ -29,7 +29,7 @@ from stereophd.pipeline.checks.finding import is_mistake
 from stereophd.pipeline.initial.bodies import measure_bodies, refine_bodies
 from stereophd.pipeline.initial.draft import _strangers
 from stereophd.pipeline.stream import open_stream
-from stereophd.pipeline.tracking.run import build_tracking
+from stereophd.pipeline.tracking.tracking_run import build_tracking
 
 CONFIG = "configs/crowd.yaml"
 SMALL = ["simulate.duration_s=6", "simulate.walkers.count=4"]

@@ -14,7 +14,7 @@ from stereophd.commands.evaluate_cameras import evaluate_calibration
 from stereophd.config.loading import load_cameras, load_config
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.cameras.writing import write_cameras
-from stereophd.pipeline.calibration.unknowns import with_quantities
+from stereophd.pipeline.calibration.configured_unknowns import with_quantities
 from tests.shared_data import shared_data
 
 CONFIG = Path(__file__).resolve().parents[2] / "configs" / "drone_calibration.yaml"

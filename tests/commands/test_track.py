@@ -211,7 +211,6 @@ def test_same_bytes_again_and_with_two_threads(
     track(loaded, log, tmp_path / "one")
     # a thread takes part from that many sample trips on: low, so that it does so here
     monkeypatch.setattr(moments, "TRIPS_PER_THREAD", 100)
-    assert moments._parts(10, 64, 2) == 2
     track(loaded, log, tmp_path / "two", threads=2)
     assert digests(tmp_path / "one") == digests(tmp_path / "two")
 

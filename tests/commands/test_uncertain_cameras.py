@@ -17,7 +17,7 @@ from stereophd.config.loading import load_cameras
 from stereophd.core.alignment.frames import moved_camera
 from stereophd.core.calibration.unknowns.considered import CameraUncertainty, CommonPart
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import view_of
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.core.metrics.truth.registration import Registration
@@ -49,7 +49,7 @@ def pixels_of(cameras: tuple[Camera, ...], state: np.ndarray, times: np.ndarray)
     for camera, log_time in zip(cameras, times, strict=True):
         true = np.array([camera.clock.to_true(float(log_time))])
         place = state[:3] + state[3:] * true
-        out.append(look(camera, place[None], state[None, 3:], true, true, np.zeros(1)).pixels[0])
+        out.append(view_of(camera, place[None], state[None, 3:], true, true, np.zeros(1)).pixels[0])
     return np.concatenate(out)
 
 
@@ -74,7 +74,9 @@ def test_positions_move_as_their_rays_meet_elsewhere(uncertainty: CameraUncertai
     ]
     covariance = np.zeros((1, 6, 6))
     covariance[0] = 1e-2 * np.eye(6)
-    views = [look(c, state[None, :3], state[None, 3:], times[:1], times[:1], np.zeros(1)).by_world[0] for c in cameras]
+    views = [
+        view_of(c, state[None, :3], state[None, 3:], times[:1], times[:1], np.zeros(1)).by_world[0] for c in cameras
+    ]
     covariance[0, :3, :3] = 0.2 * np.linalg.inv(sum(view.T @ view for view in views))
     found = uncertainty.moves(np.zeros(1), state[None], covariance)[0]
     np.testing.assert_allclose(found, np.transpose(expected), rtol=0.05, atol=0.02 * np.abs(expected).max())

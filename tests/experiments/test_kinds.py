@@ -53,7 +53,7 @@ def by_name(series: list[Series]) -> dict[str, Array]:
 def test_experiments_of_the_paper_run_small(name: str, tmp_path: Path) -> None:
     results = experiment(load_config(PAPER / f"{name}.yaml", SMALL[name]), tmp_path / "out")
     assert results.config.table is None or {quantity.rsplit("_at_", 1)[0] for quantity in results.config.table} & {
-        one.quantity for cell in results.cells for one in cell.summaries
+        one.quantity for one in results.summaries
     }
     assert (tmp_path / "out" / "figure.png").stat().st_size > 10_000
     rows = pq.read_table(tmp_path / "out" / "runs.parquet")

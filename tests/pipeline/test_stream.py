@@ -20,7 +20,7 @@ from stereophd.io.logs.reading import Frame
 from stereophd.io.outputs.saved import decoder, encode
 from stereophd.pipeline.stream import EventStream, open_stream
 from stereophd.pipeline.tracking.loop import Record, ReportTimes, RunState, run_estimator
-from stereophd.pipeline.tracking.run import build_tracking
+from stereophd.pipeline.tracking.tracking_run import build_tracking
 from stereophd.pipeline.tracking.unfinished import state_type
 from tests.commands.test_track import SCENE
 from tests.core.disparity.cases import LENSES, make_camera

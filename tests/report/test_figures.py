@@ -82,7 +82,8 @@ def test_field_of_view_of_a_lens_that_reaches_the_middle_of_the_image_alone():
 
 def pictures(scans: int):
     pytest.importorskip("matplotlib")
-    from stereophd.report.style import Pictures
+    from stereophd.pipeline.evaluation.scoring import Scored
+    from stereophd.report.plots.scene_plots import Pictures
 
     time = np.arange(scans, dtype=float)
     position = np.stack([time, np.sin(time), 100 + 0 * time], axis=1)
@@ -92,7 +93,9 @@ def pictures(scans: int):
     truth = Truth(time, np.zeros(scans, dtype=np.int64), position)
     estimates = PointSets(np.arange(scans + 1), position, 0 * position, np.arange(scans) // 10)
     cameras = [camera(FORWARD_ALONG_Z)]
-    return Pictures(columns, 2.0, 20.0, "euclidean", truth, 1.5, estimates, cameras, "cm")
+    report = {"length_unit": "cm", "max_gap_s": 1.5, "purity": {"table": []}, "completeness": {"table": []}}
+    report["ospa"] = {"order": 2.0, "cutoff": 20.0, "base": "euclidean"}
+    return Pictures(report, Scored({}, {}, columns, estimates), truth, cameras)
 
 
 @pytest.mark.parametrize("scans", [1, 50, 4000])
@@ -114,9 +117,9 @@ def test_what_is_drawn():
     from stereophd.report.plots.scene_plots import draw_cardinality, draw_ospa, draw_views
 
     whole, parts = draw_ospa(data).axes
-    assert whole.lines[0].get_ydata() == pytest.approx(data.columns["ospa"])
+    assert whole.lines[0].get_ydata() == pytest.approx(data.scored.columns["ospa"])
     assert [line.get_label() for line in parts.lines] == ["cardinality part", "localisation part"]
-    assert draw_cardinality(data).axes[0].lines[1].get_ydata() == pytest.approx(data.columns["n_estimates"])
+    assert draw_cardinality(data).axes[0].lines[1].get_ydata() == pytest.approx(data.scored.columns["n_estimates"])
     top, side = draw_views(data)["top"].axes[0], draw_views(data)["side"].axes[0]
     assert (top.get_xlabel(), top.get_ylabel()) == ("x [cm]", "z [cm]")
     assert side.get_ylabel() == "y [cm] (down)"
@@ -132,10 +135,10 @@ def test_lines_break_where_nothing_was_scored():
     from stereophd.report.plots.scene_plots import draw_ospa
 
     data = pictures(60)
-    columns = {**data.columns, "time_s": data.columns["time_s"] + np.where(np.arange(60) < 20, 0, 100)}
-    x, y = draw_ospa(replace(data, columns=columns)).axes[0].lines[0].get_xydata().T
+    columns = {**data.scored.columns, "time_s": data.scored.columns["time_s"] + np.where(np.arange(60) < 20, 0, 100)}
+    x, y = draw_ospa(replace(data, scored=replace(data.scored, columns=columns))).axes[0].lines[0].get_xydata().T
     assert np.flatnonzero(np.isnan(x)).tolist() == np.flatnonzero(np.isnan(y)).tolist() == [20]
-    assert np.delete(y, 20) == pytest.approx(data.columns["ospa"])
+    assert np.delete(y, 20) == pytest.approx(data.scored.columns["ospa"])
 
 
 def test_long_runs_are_drawn_as_means_and_ranges():
@@ -144,7 +147,7 @@ def test_long_runs_are_drawn_as_means_and_ranges():
     data = pictures(10 * MOST_SCANS_DRAWN)
     whole = draw_ospa(data).axes[0]
     assert len(whole.lines[0].get_xdata()) == MOST_SCANS_DRAWN
-    assert whole.lines[0].get_ydata().mean() == pytest.approx(data.columns["ospa"].mean())
+    assert whole.lines[0].get_ydata().mean() == pytest.approx(data.scored.columns["ospa"].mean())
 
 
 def report(**changes) -> dict:
@@ -243,7 +246,9 @@ def test_spikes_do_not_hide_the_rest():
     data = pictures(60)
     flat = np.full(60, 0.2)
     for ospa, scale in ((flat, "linear"), (np.where(np.arange(60) == 7, 20.0, flat), "log")):
-        found = draw_ospa(replace(data, columns={**data.columns, "ospa": ospa})).axes[0]
+        found = draw_ospa(
+            replace(data, scored=replace(data.scored, columns={**data.scored.columns, "ospa": ospa}))
+        ).axes[0]
         assert found.get_yscale() == scale
     assert 0.1 < found.get_ylim()[0] < 0.2
 
@@ -258,8 +263,12 @@ def test_false_and_missed_tracks_are_marked_and_colours_have_marks():
     labels = [line.get_label() for line in draw_views(data)["top"].axes[0].lines]
     assert "false tracks" not in labels
     assert "missed objects" not in labels
-    false, missed = int(data.estimates.label.max()), int(data.truth.object_id.max())
-    wrong = replace(data, false_tracks=frozenset({false}), missed_objects=frozenset({missed}))
+    false, missed = int(data.scored.estimates.label.max()), int(data.truth.object_id.max())
+    tables = {
+        "purity": {"table": [{"track_id": false, "matched": 1, "estimates": 3}]},
+        "completeness": {"table": [{"object_id": missed, "matched": 1, "scans": 3}]},
+    }
+    wrong = replace(data, report={**data.report, **tables})
     labels = [line.get_label() for line in draw_views(wrong)["top"].axes[0].lines]
     assert {"false tracks", "missed objects"} <= set(labels)
     looks = {(TRACK_COLOURS[k % 7], marker_of(k), str(dash_of(k))) for k in range(56)}

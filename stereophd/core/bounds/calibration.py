@@ -13,10 +13,10 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation
 from stereophd.core.calibration.adjustment.problem import SQUARED, Observations, Problem
-from stereophd.core.calibration.adjustment.solver import posterior_covariance
+from stereophd.core.calibration.adjustment.solver import gauss_newton_covariance
 from stereophd.core.calibration.adjustment.trajectories import fit_states, interpolation, knot_spacing, place_knots
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import view_of
 from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 from stereophd.core.motion.base import Motion
 
@@ -51,7 +51,7 @@ def calibration_bound(
         part = np.flatnonzero(cameras == number)
         log_times[part] = camera.clock.to_log(times[part])
         # objects that are seen move little during the readout
-        view = look(camera, positions[part], np.zeros((len(part), 3)), times[part], log_times[part], heights[part])
+        view = view_of(camera, positions[part], np.zeros((len(part), 3)), times[part], log_times[part], heights[part])
         inside = camera.contains(np.where(view.visible[:, None], view.pixels, np.nan))
         heights[part] = view.pixels[:, 1] / camera.height
         seen[part] = inside
@@ -72,4 +72,4 @@ def calibration_bound(
         knots, *interpolation(knots, numbers, times[seen]), positions[seen], np.full(int(seen.sum()), noise**-2)
     )
     problem = Problem(parameters, reference, knots, observations, SQUARED, scale)
-    return posterior_covariance(Linearisation.of(problem).at(values, states), parameters.prior_std)
+    return gauss_newton_covariance(Linearisation.of(problem).at(values, states), parameters.prior_std)

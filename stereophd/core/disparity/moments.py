@@ -7,7 +7,6 @@ destination's space describes it badly beyond the field of view and behind the c
 module is rank-deficient.
 """
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 
 import numpy as np
@@ -16,10 +15,11 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.disparity.moved import IN_VIEW, Moved, Sources, room_for_moved
 from stereophd.core.disparity.rule_move import STEP, rule_components
-from stereophd.core.disparity.sample_move import Look, Looks, carry_components, noise_axes
+from stereophd.core.disparity.sample_move import Draws, EventDraws, carry_components, noise_axes
 from stereophd.core.disparity.world_moments import world_components
 from stereophd.core.motion.base import Motion
 from stereophd.core.numerics.samples import SampleSets, cubature_points
+from stereophd.core.numerics.threads import in_threads
 
 # A Gaussian refitted from fewer samples than this is rank-deficient or soon overconfident.
 FEWEST_SAMPLES = 24
@@ -55,7 +55,7 @@ def move(
     count as a new one. Objects can be in the `region` (r,) only (`stereophd.core.geometry.region`).
     Components are shared out over the threads; the result does not depend on their number.
     """
-    looks, moved = looks_at(sets, turn), room_for_moved(*sources.means.shape)
+    draws, moved = draws_of_event(sets, turn), room_for_moved(*sources.means.shape)
     region = NO_REGION if region is None else region
     important = np.zeros(len(sources.means), dtype=bool) if important is None else important
     which = np.arange(len(sources.means))
@@ -63,13 +63,10 @@ def move(
         which = _low_order(sources, destination, sets, region, moved)
 
     def run(part: Integers) -> None:
-        carry_components(part, sources, important, looks, destination, p_detect, region, moved)
+        carry_components(part, sources, important, draws, destination, p_detect, region, moved)
 
-    parts = _parts(len(which), sets.size, threads)
-    if parts == 1:
-        run(which)
-    else:
-        list(_pool(threads).map(run, np.array_split(which, parts)))
+    parts = max(1, min(threads, len(which) * sets.size // TRIPS_PER_THREAD))
+    in_threads(run, [which] if parts == 1 else np.array_split(which, parts), parts)
     return moved
 
 
@@ -90,11 +87,11 @@ def world_moments(
     return out_means, out_covariances
 
 
-def looks_at(sets: SampleSets, turn: int) -> Looks:
-    """Return the samples of an event number `turn`."""
-    return Looks(
-        Look(sets.turn(turn), _equal_weights(sets.size), minimum_in_view(sets.size)),
-        Look(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES),
+def draws_of_event(sets: SampleSets, turn: int) -> EventDraws:
+    """Return the samples of event number `turn`."""
+    return EventDraws(
+        Draws(sets.turn(turn), _equal_weights(sets.size), minimum_in_view(sets.size)),
+        Draws(sets.reserve, sets.reserve_weights, FEWEST_SAMPLES),
     )
 
 
@@ -121,12 +118,3 @@ def _low_order(sources: Sources, destination: Array, sets: SampleSets, region: A
         kept = near.status == IN_VIEW
         moved.means[kept], moved.covariances[kept] = near.means[kept], near.covariances[kept] / STEP**2
     return todo
-
-
-def _parts(count: int, samples: int, threads: int) -> int:
-    return max(1, min(threads, count * samples // TRIPS_PER_THREAD))
-
-
-@cache
-def _pool(threads: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(threads)

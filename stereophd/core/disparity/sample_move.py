@@ -28,19 +28,19 @@ from stereophd.core.numerics.sorting import copy_gaussian
 WIDE_DISPARITY = 0.05
 
 
-class Look(NamedTuple):
-    """Samples to look at components with."""
+class Draws(NamedTuple):
+    """Standard-normal samples with weights, for the moments of a component."""
 
-    samples: Array  # (rows, n): Standard-normal samples
-    weights: Array  # (n,): Weights of the samples
+    samples: Array  # (rows, n)
+    weights: Array  # (n,)
     minimum: int  # Fewest (effective) samples in view from which a Gaussian is fitted
 
 
-class Looks(NamedTuple):
-    """Samples of an event, shared by all components: a first look, and a second one at corners of what is important."""
+class EventDraws(NamedTuple):
+    """Samples of an event, shared by all components: those of all, and others for corners of what is important."""
 
-    first: Look
-    second: Look
+    first: Draws
+    second: Draws
 
 
 @compiled
@@ -48,7 +48,7 @@ def carry_components(
     which: Integers,
     sources: Sources,
     important: Booleans,
-    looks: Looks,
+    draws: EventDraws,
     destination: Array,
     p_detect: float,
     region: Array,
@@ -60,7 +60,7 @@ def carry_components(
     components are shared out over threads. Parameters as in `stereophd.core.disparity.moments.move`;
     `region` is packed as for `region_mask`, or empty; `moved` is filled in place.
     """
-    move_components(which, sources, looks.first, destination, p_detect, region, moved)
+    move_components(which, sources, draws.first, destination, p_detect, region, moved)
     means, covariances, fraction, status = sources.means, sources.covariances, moved.fraction, moved.status
     corners = np.empty(len(which), dtype=np.int64)
     n_corners = 0
@@ -70,7 +70,7 @@ def carry_components(
             corners[n_corners] = k
             n_corners += 1
     if n_corners > 0:
-        move_components(corners[:n_corners], sources, looks.second, destination, p_detect, region, moved)
+        move_components(corners[:n_corners], sources, draws.second, destination, p_detect, region, moved)
     for k in which:
         if status[k] == OUT_OF_VIEW:
             fraction[k] = 0.0
@@ -88,14 +88,14 @@ def noise_axes(destination: Array, noise_std: Array) -> Array:
 
 @compiled
 def move_components(
-    which: Integers, sources: Sources, look: Look, destination: Array, p_detect: float, region: Array, moved: Moved
+    which: Integers, sources: Sources, draws: Draws, destination: Array, p_detect: float, region: Array, moved: Moved
 ) -> None:
     """Move the components `which` into the destination's space and split them by the field of view.
 
     Component by component, with no state shared between them; parameters as in `carry_components`.
     """
     means, covariances, homes, motion = sources
-    samples, sample_weights, minimum = look
+    samples, sample_weights, minimum = draws
     out_means, out_covariances, fraction, status, missed_means, missed_covariances, inside = moved
     size = means.shape[1]
     count = samples.shape[1]

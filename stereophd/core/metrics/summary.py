@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
+from stereophd.core.metrics import identities
 from stereophd.core.metrics.distances.hota import Hota, hota
 from stereophd.core.metrics.distances.ospa import Gospa, Ospa, ScanScores
 from stereophd.core.metrics.distances.ospa2 import ospa2_of_windows
@@ -20,13 +21,6 @@ from stereophd.core.metrics.errors import (
     root_mean_square,
     root_mean_square_per_group,
     whitened,
-)
-from stereophd.core.metrics.identities import (
-    clear_mot_figures,
-    has_identities,
-    identity_figures,
-    identity_score,
-    identity_switches,
 )
 from stereophd.core.metrics.matching.near_pairs import NearPairs
 from stereophd.core.metrics.scans import UNLABELLED, PointSets
@@ -71,7 +65,7 @@ def pair_errors(estimates: PointSets, truth: PointSets, scores: ScanScores) -> P
         position,
         estimates.velocity[x] - truth.velocity[y],
         normalised,
-        identity_switches(scores.pairs.scan, truth.label[y], estimates.label[x]),
+        identities.identity_switches(scores.pairs.scan, truth.label[y], estimates.label[x]),
         None if estimates.cameras_part is None else alone,
     )
 
@@ -80,7 +74,7 @@ def track_ospa(
     estimates: PointSets, truth: PointSets, near: NearPairs, window: int, order: float, cutoff: float
 ) -> Ospa:
     """Return OSPA(2) of each window of scans, as `ospa2_of_windows`; NaN for estimates without identities."""
-    if has_identities(estimates):
+    if identities.has_identities(estimates):
         return ospa2_of_windows(estimates, truth, near, window, order, cutoff)
     unknown = np.full(estimates.scans, np.nan)
     return Ospa(unknown, unknown, unknown)
@@ -153,12 +147,12 @@ def figures(
         },
         # Without labels there are no identities to switch.
         "identity_switches": int(errors.switched.sum()) if labels.size or matched == 0 else None,
-        "clear_mot": clear_mot_figures(
+        "clear_mot": identities.clear_mot_figures(
             estimates, truth, scores, errors.switched, np.linalg.norm(errors.position, axis=1)
         ),
         **_identity_scores(estimates, truth, scores.near, matchable),
         "tracks": len(np.unique(labels)),
-        **identity_figures(estimates, truth, scores, errors.switched),
+        **identities.identity_figures(estimates, truth, scores, errors.switched),
         "confirmation": confirmation,
         "nees": {
             "position": mean_of(normalised),
@@ -179,10 +173,10 @@ def _means(distances: Ospa | Gospa | Hota) -> dict[str, float]:
 
 def _identity_scores(estimates: PointSets, truth: PointSets, near: NearPairs, matchable: NearPairs) -> dict[str, Any]:
     """Return IDF1 and HOTA; NaN for estimates without identities."""
-    if not has_identities(estimates):
+    if not identities.has_identities(estimates):
         unknown = float("nan")
         return {
             **dict.fromkeys(("idf1", "id_precision", "id_recall"), unknown),
             "hota": dict.fromkeys(("mean", "detection", "association", "localisation"), unknown),
         }
-    return {**identity_score(estimates, truth, matchable), "hota": _means(hota(estimates, truth, near))}
+    return {**identities.identity_score(estimates, truth, matchable), "hota": _means(hota(estimates, truth, near))}

@@ -16,7 +16,7 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event, Rig
 from stereophd.core.disparity.initial import FirstSight
-from stereophd.core.disparity.moments import NO_REGION, RULES, looks_at, move
+from stereophd.core.disparity.moments import NO_REGION, RULES, draws_of_event, move
 from stereophd.core.disparity.moved import Moved, Sources, room_for_moved
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT
@@ -30,7 +30,7 @@ from stereophd.core.multi.births.undetected import (
 )
 from stereophd.core.multi.extract import Report, select_objects
 from stereophd.core.multi.filter_settings.common import FilterSettings
-from stereophd.core.multi.prediction import Bare, predict_event
+from stereophd.core.multi.prediction import Fields, predict_event
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.inputs import Detections, EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture, empty_mixture
@@ -136,7 +136,7 @@ class DisparityFilter(ABC):
         """Return the state before the first event: no objects."""
         return FilterState(empty_mixture(self.state_size), None, 0, 0, 0)
 
-    def prediction(self, state: FilterState, event: Event) -> Bare:
+    def prediction(self, state: FilterState, event: Event) -> Fields:
         """Return how the components of a state come to an event, as `predict_event` takes it."""
         mixture, rig, numbers = state.mixture, self.rig, self.event_numbers(state.time_s, event, state.next_label)
         intervals = np.zeros(mixture.size + 1)
@@ -152,14 +152,14 @@ class DisparityFilter(ABC):
             )  # fmt: skip
         return (
             tuple(numbers), tuple(carried), *rig.numbered_spaces(mixture.cameras, mixture.times), tuple(motion),
-            destination, rig.views(event.time_s), region, self._looks[state.n_events % len(self._looks)],
+            destination, rig.views(event.time_s), region, self._draws[state.n_events % len(self._draws)],
             tuple(state.undetected or undetected), self._birth_rates, self._remaining_shares[event.camera],
         )  # fmt: skip
 
     @cached_property
-    def _looks(self) -> list[Bare]:
-        looks = [looks_at(self.sets, turn) for turn in range(len(self.sets.sets))]
-        return [(tuple(first), tuple(second)) for first, second in looks]
+    def _draws(self) -> list[Fields]:
+        draws = [draws_of_event(self.sets, turn) for turn in range(len(self.sets.sets))]
+        return [(tuple(first), tuple(second)) for first, second in draws]
 
     @cached_property
     def _at_start(self) -> tuple[Moved, Undetected]:

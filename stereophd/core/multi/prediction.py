@@ -6,7 +6,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import Moved, Sources, allocate_moved
-from stereophd.core.disparity.sample_move import Look, Looks, carry_components
+from stereophd.core.disparity.sample_move import Draws, EventDraws, carry_components
 from stereophd.core.disparity.space import PACKED_SIZE
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.births.survival import IMPORTANT_WEIGHT, keep_surviving_weights
@@ -15,8 +15,8 @@ from stereophd.core.multi.state.inputs import EventNumbers
 from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.core.numerics.compilation.compiled import compiled
 
-# A named tuple as a plain one: to find the form of a kernel takes 0.6 us less for each.
-Bare = tuple[Any, ...]
+# Fields of a named tuple, which the kernel names again: to find its form takes 0.6 us less for each.
+Fields = tuple[Any, ...]
 
 
 @compiled
@@ -39,7 +39,7 @@ def predict_components(
     motion: MotionArrays,
     views: Array,
     region: Array,
-    looks: Looks,
+    draws: EventDraws,
     which: Integers,
     moved: Moved,
 ) -> tuple[Array, float]:
@@ -51,30 +51,30 @@ def predict_components(
     weights = mixture.weights * numbers.survival
     sources = Sources(mixture.means, mixture.covariances, homes, motion)
     carry_components(
-        which, sources, weights >= IMPORTANT_WEIGHT, looks, homes[-1], numbers.shape_p_detect, region, moved
+        which, sources, weights >= IMPORTANT_WEIGHT, draws, homes[-1], numbers.shape_p_detect, region, moved
     )  # fmt: skip
     return weights, keep_surviving_weights(weights, mixture, moved, homes, motion, views, numbers)
 
 
 @compiled
-def predict_event(mixture: Bare, given: Bare) -> tuple[Array, Moved, Array, float, Undetected, int]:
+def predict_event(mixture: Fields, given: Fields) -> tuple[Array, Moved, Array, float, Undetected, int]:
     """Predict the components of a mixture, and what is born.
 
     What is given is, in this order, the numbers of the event; all components in its space (or none, where they are
     still to be carried); packed spaces, and which of them each component is at home in; the motion over the interval of
-    each, and over none; the spaces of the event and of all cameras; the region; the looks; and parameters of
+    each, and over none; the spaces of the event and of all cameras; the region; the `EventDraws`; and parameters of
     `expected_births`: what was undetected, the rates and what remains. Returns the weights (n,) of
     `predict_components`, all components in the event's space, `homes_of` them, and what `expected_births` returns.
     """
-    numbers, carried, spaces, space_of, motion, destination, views, region, looks, before, rates, remaining = given
+    numbers, carried, spaces, space_of, motion, destination, views, region, draws, before, rates, remaining = given
     components, event, moved = GaussianMixture(*mixture), EventNumbers(*numbers), Moved(*carried)
-    first, second = looks
+    both = EventDraws(Draws(*draws[0]), Draws(*draws[1]))
     count, which = len(components.weights), np.empty(0, dtype=np.int64)
     if len(moved.status) < count:
         moved, which = allocate_moved(count, components.means.shape[1]), np.arange(count)
     homes = homes_of(spaces, space_of, destination)
     weights, total = predict_components(
-        components, event, homes, MotionArrays(*motion), views, region, Looks(Look(*first), Look(*second)), which, moved
+        components, event, homes, MotionArrays(*motion), views, region, both, which, moved
     )  # fmt: skip
     births, undetected, burst = expected_births(
         Undetected(*before), rates, remaining, event, event.p_detect * total

@@ -18,49 +18,41 @@ import numpy as np
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.events import Event
+from stereophd.core.single import gaussian
 from stereophd.core.single.base import SingleEstimate
-from stereophd.core.single.gaussian import (
-    Gaussian,
-    GaussianEstimator,
-    GaussianState,
-    Observation,
-    center,
-    first_gaussian,
-    place,
-    project,
-    rotation,
-)
 
 
 @dataclass(frozen=True)
-class InverseDepthEstimator(GaussianEstimator):
+class InverseDepthEstimator(gaussian.GaussianEstimator):
     """The filter; the home of a state, a Gaussian on (a, b, rho) or (a, b, rho, vx, vy, vz), is its anchor."""
 
-    def _home(self, state: GaussianState | None, space: Array) -> Array:
+    def _home(self, state: gaussian.GaussianState | None, space: Array) -> Array:
         return space if state is None else state.home
 
-    def _first(self, event: Event, space: Array) -> Gaussian:
-        return first_gaussian(self.prior, space, event, self.state_size)
+    def _first(self, event: Event, space: Array) -> gaussian.Gaussian:
+        return gaussian.first_gaussian(self.prior, space, event, self.state_size)
 
-    def _observed(self, state: GaussianState, predicted: Gaussian, event: Event, space: Array) -> Observation:
+    def _observed(
+        self, state: gaussian.GaussianState, predicted: gaussian.Gaussian, event: Event, space: Array
+    ) -> gaussian.Observation:
         """Observe to first order."""
-        mean, back = predicted[0], rotation(state.home).T
+        mean, back = predicted[0], gaussian.rotation(state.home).T
         # d (rho times the point in the camera's axes) / d (a, b, rho)
-        in_world = np.column_stack([back[:, :2], center(state.home) - center(space)])
+        in_world = np.column_stack([back[:, :2], gaussian.center(state.home) - gaussian.center(space)])
         scaled = in_world @ mean[:3] + back[:, 2]
-        pixel, jacobian = project(space, rotation(space) @ scaled)
+        pixel, jacobian = gaussian.project(space, gaussian.rotation(space) @ scaled)
         matrix = np.zeros((2, len(mean)))
-        matrix[:, :3] = jacobian @ rotation(space) @ in_world
+        matrix[:, :3] = jacobian @ gaussian.rotation(space) @ in_world
         return pixel, matrix, event.covariances[0]
 
-    def _predicted(self, state: GaussianState, space: Array, time_s: float) -> Gaussian:
+    def _predicted(self, state: gaussian.GaussianState, space: Array, time_s: float) -> gaussian.Gaussian:
         """Return the prediction to first order."""
         dt = time_s - state.home_s
         if self.state_size == 3 or dt == 0.0:
             return state.mean, state.covariance
         moved, noise, drift = self.motion.transition(dt)
         reach, keep = moved[0, 3], moved[3, 3]
-        axes = rotation(state.home)
+        axes = gaussian.rotation(state.home)
         rho, velocity = state.mean[2], state.mean[3:]
         h = np.array([state.mean[0], state.mean[1], 1.0]) + rho * reach * axes @ velocity + rho * axes @ drift[:3]
         mean = state.mean.copy()
@@ -82,12 +74,12 @@ class InverseDepthEstimator(GaussianEstimator):
         into[:3, :3] = jacobian[:, 6:]
         return mean, transition @ state.covariance @ transition.T + into @ noise @ into.T
 
-    def _estimate(self, state: GaussianState) -> SingleEstimate:
+    def _estimate(self, state: gaussian.GaussianState) -> SingleEstimate:
         """Return the mean mapped to the world, with its covariance to first order."""
         mean, covariance = self._predicted(state, state.home, state.time_s)
         if not mean[2] > 0.0:
             return SingleEstimate(np.full(6, np.nan), np.full(6, np.nan), np.full((6, 6), np.nan))
         out, jacobian = np.zeros(6), np.eye(6, len(mean))
-        out[:3], jacobian[:3, :3] = place(state.home, mean)
+        out[:3], jacobian[:3, :3] = gaussian.place(state.home, mean)
         out[3 : len(mean)] = mean[3:]
         return SingleEstimate(out, out, jacobian @ covariance @ jacobian.T)

@@ -79,7 +79,7 @@ class WholeRun:
         clutter = [c.detector.expected_clutter / (c.width * c.height) for c in self.cameras]
         return np.log(np.maximum(p_detect, LEAST_RATE)) - missed - np.log(clutter), missed
 
-    def look(self, events: Integers, states: Array, detections: Integers) -> tuple[Array, Array]:
+    def project(self, events: Integers, states: Array, detections: Integers) -> tuple[Array, Array]:
         """Pixels (n, 2) of states (n, 6) when detections (n,) of events (n,) were made, and derivatives (n, 2, 6)."""
         delays = self.delays[detections]
         positions = states[:, :3] + delays[:, None] * states[:, 3:] - self.travels[detections]
@@ -106,7 +106,7 @@ class WholeRun:
         if not len(seen):
             return out
         who, what = np.repeat(seen, count), np.tile(detections, len(seen))
-        points, jacobians = self.look(np.full(len(who), event), states[who], what)
+        points, jacobians = self.project(np.full(len(who), event), states[who], what)
         spread = jacobians @ covariances[who] @ np.swapaxes(jacobians, 1, 2) + self.noises[what]
         with np.errstate(invalid="ignore"):
             distances, log_determinants = squared_distances(self.points[what] - points, spread)
@@ -118,7 +118,7 @@ class WholeRun:
 
     def squared_residuals(self, events: Integers, states: Array, detections: Integers) -> Array:
         """Squared residuals (n,) of detections (n,) of events (n,) from states (n, 6), in units of their noise."""
-        points, _ = self.look(events, states, detections)
+        points, _ = self.project(events, states, detections)
         return squared_distances(self.points[detections] - points, self.noises[detections])[0]
 
     def log_odds(self, events: Integers, detections: Integers, states: Array) -> float:
@@ -287,7 +287,7 @@ class Chain:
             count = len(known)
             return Measured(known, np.zeros((count, 2)), np.zeros((count, 2, 6)), np.zeros((count, 2, 2)))
         at = np.where(known, self.detections, 0)
-        points, jacobians = run.look(track.events, track.states, at)
+        points, jacobians = run.project(track.events, track.states, at)
         known = known & np.isfinite(points).all(axis=1) & np.isfinite(jacobians).all(axis=(1, 2))
         pixels = run.points[at] - points + np.einsum("nij,nj->ni", jacobians, track.states)
         return Measured(known, pixels, np.ascontiguousarray(jacobians), run.noises[at])

@@ -29,22 +29,12 @@ RUNS_FILE, SUMMARY_FILE, TIMING_FILE = "runs.parquet", "summary.parquet", "timin
 
 
 @dataclass(frozen=True)
-class Cell:
-    """One method in one case, over all runs."""
-
-    method: str
-    case: str
-    settings: tuple[str, ...]
-    summaries: tuple[Summary, ...]
-
-
-@dataclass(frozen=True)
 class Results:
     """The results of an experiment."""
 
     name: str
     config: ExperimentConfig
-    cells: tuple[Cell, ...]  # In the order of the methods and, within a method, of the cases
+    summaries: tuple[Summary, ...]  # In the order of the methods and, within a method, of the cases
     timing: dict[str, Any]  # As in ``timing.json``: it differs from call to call, and so is in no other file
 
 
@@ -61,17 +51,17 @@ def gather_results(
         if part.method == BOUND_METHOD
     }
     names = {case: points for case, points, _ in cases_of(settings)}
-    cells, runs, cpu = [], [], dict[str, list[float]]()
+    summaries, runs, cpu = list[Summary](), [], dict[str, list[float]]()
     for part in parts:
         if part.method == BOUND_METHOD:
             continue
         done = [by_part[part.method, part.case][run] for run in range(settings.runs)]
         series = [with_windows(result.series, settings.windows) for result in done]
-        summaries = summarise(series, bounds[part.case])
-        cells.append(Cell(part.method, part.case, names[part.case], tuple(summaries)))
+        of_part: dict[str, Any] = {"method": part.method, "case": part.case, "settings": names[part.case]}
+        summaries += [replace(each, **of_part) for each in summarise(series, bounds[part.case])]
         runs += [replace(result, series=tuple(of_run)) for result, of_run in zip(done, series, strict=True)]
         cpu.setdefault(part.method, []).extend(result.cpu_s for result in done)
-    return Results(experiment_name(loaded), settings, tuple(cells), _timing(cpu)), runs
+    return Results(experiment_name(loaded), settings, tuple(summaries), _timing(cpu)), runs
 
 
 def experiment_name(loaded: LoadedConfig) -> str:
@@ -83,15 +73,14 @@ def report_of(results: Results) -> dict[str, Any]:
     """Return the figures of an experiment as plain data: what does not vary with time, and the timing."""
     rows = [
         {
-            "method": cell.method,
-            "case": cell.case,
+            "method": summary.method,
+            "case": summary.case,
             "quantity": summary.quantity,
             "unit": summary.unit,
             "runs": int(summary.runs[0]),
             **{name: float(getattr(summary, name)[0]) for name in STATISTICS},
         }
-        for cell in results.cells
-        for summary in cell.summaries
+        for summary in results.summaries
         if summary.times_s is None
     ]
     return {"experiment": results.name, "runs": results.config.runs, "summary": rows, "timing": results.timing}
@@ -116,12 +105,11 @@ def write_results(results: Results, runs: Sequence[RunResult], loaded: LoadedCon
                 values = {"run": run.run, "seed": run.seed, "value": series.values}
                 table.append(_columns(results.name, run.method, run.case, series, values))
     with TableWriter(out.path(SUMMARY_FILE), SUMMARY, metadata) as table:
-        for cell in results.cells:
-            for summary in cell.summaries:
-                # what is not defined is null
-                statistics = {name: np.ma.masked_invalid(getattr(summary, name)) for name in STATISTICS}
-                values = {"runs": summary.runs, **statistics}
-                table.append(_columns(results.name, cell.method, cell.case, summary, values))
+        for summary in results.summaries:
+            # what is not defined is null
+            statistics = {name: np.ma.masked_invalid(getattr(summary, name)) for name in STATISTICS}
+            values = {"runs": summary.runs, **statistics}
+            table.append(_columns(results.name, summary.method, summary.case, summary, values))
     write_json(out.path(TIMING_FILE), results.timing)
 
 
@@ -133,18 +121,17 @@ def read_results(loaded: LoadedConfig, settings: ExperimentConfig, out: Path) ->
     optional = dict.fromkeys(("time_s", *STATISTICS), FLOAT)
     columns = arrays_of(read_table(out / SUMMARY_FILE, required, optional, what="summary of an experiment"))
     keys = list(zip(*(columns[name].tolist() for name in texts), np.isnan(columns["time_s"]).tolist(), strict=True))
-    by_cell: dict[tuple[str, str], list[Summary]] = {}
+    summaries = []
     for (method, case, quantity, unit, is_whole), numbers in groupby(range(len(keys)), keys.__getitem__):
         rows = list(numbers)
         times_s = None if is_whole else columns["time_s"][rows]
         values = {name: columns[name][rows] for name in ("runs", *STATISTICS)}
-        by_cell.setdefault((method, case), []).append(Summary(quantity, unit, times_s, **values))
-    cells = tuple(Cell(*key, names[key[1]], tuple(summaries)) for key, summaries in by_cell.items())
+        summaries.append(Summary(quantity, unit, times_s, **values, method=method, case=case, settings=names[case]))
     try:
         timing = json.loads((out / TIMING_FILE).read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(f"{out / TIMING_FILE}: cannot be read ({error}); use `force=True` to start anew") from error
-    return Results(experiment_name(loaded), settings, cells, timing)
+    return Results(experiment_name(loaded), settings, tuple(summaries), timing)
 
 
 def is_finished(store: UnfinishedRun, loaded: LoadedConfig, resume: bool, force: bool, files: Sequence[str]) -> bool:

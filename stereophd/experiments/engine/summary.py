@@ -36,6 +36,10 @@ class Summary:
     ci_low: Array
     ci_high: Array
     bound: Array
+    # Whose it is, and the name of the value along each axis of the cases.
+    method: str = ""
+    case: str = ""
+    settings: tuple[str, ...] = ()
 
 
 def with_windows(series: Sequence[Series], windows: Windows, squares: bool = True) -> list[Series]:

@@ -28,6 +28,7 @@ from stereophd.core.simulation.detections import Scene, simulate_frames
 from stereophd.experiments.engine.base import Kind, Series, frames_in_order, method_clock, scenario_of
 from stereophd.pipeline.build import build_motion
 from stereophd.pipeline.calibration.annealed import annealed_outcome
+from stereophd.pipeline.calibration.configured_unknowns import build_parameters, calibration_section, draw_guess
 from stereophd.pipeline.calibration.problem import (
     CalibrationProblem,
     CalibrationRun,
@@ -37,7 +38,6 @@ from stereophd.pipeline.calibration.problem import (
 )
 from stereophd.pipeline.calibration.report import status_of
 from stereophd.pipeline.calibration.sampled import sequential_outcome
-from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section, draw_guess
 from stereophd.pipeline.evaluation.calibration_bounds import scene_positions
 from stereophd.pipeline.runs.sizes import counts_of_scene
 from stereophd.pipeline.runs.unfinished import UnfinishedRun

@@ -7,21 +7,13 @@ from stereophd.config.loading import LoadedConfig
 from stereophd.core.arrays import Array
 from stereophd.core.motion.static import Static
 from stereophd.errors import InputError, unknown_camera
+from stereophd.experiments import single_object
 from stereophd.experiments.engine.base import Kind, Series, scenario_of
-from stereophd.experiments.single_object import (
-    OBSERVATION_BYTES,
-    SingleObjectProblem,
-    bounds_of,
-    localisation_bound,
-    rig_of,
-    series_of_errors,
-    single_config,
-)
 
 
 def check(loaded: LoadedConfig) -> None:
     """Raise `InputError` unless the object is in view of the cameras that observe it, and there is an estimator."""
-    single_config(loaded)
+    single_object.single_config(loaded)
     scenario, once = _scenario(loaded), len(scenario_of(loaded.config, LocalisationScenario).sequence)
     for index in dict.fromkeys(scenario.cameras[:once].tolist()):
         camera, position = scenario.rig.cameras[index], scenario.start[:3]
@@ -34,14 +26,14 @@ def check(loaded: LoadedConfig) -> None:
 
 def run(loaded: LoadedConfig, number: int) -> list[Series]:
     """Return the error of the position after each observation, and after the last one."""
-    return _with_last(series_of_errors(loaded, number, _scenario(loaded), _times(loaded)))
+    return _with_last(single_object.series_of_errors(loaded, number, _scenario(loaded), _times(loaded)))
 
 
 def bounds(loaded: LoadedConfig) -> list[Series]:
     """Return the Cramer-Rao bound after each observation."""
     settings = scenario_of(loaded.config, LocalisationScenario)
-    covariances = localisation_bound(_scenario(loaded), settings.bound_with_prior)
-    return _with_last(bounds_of(loaded, _times(loaded), covariances))
+    covariances = single_object.localisation_bound(_scenario(loaded), settings.bound_with_prior)
+    return _with_last(single_object.bounds_of(loaded, _times(loaded), covariances))
 
 
 def _with_last(series: list[Series]) -> list[Series]:
@@ -54,22 +46,24 @@ def _times(loaded: LoadedConfig) -> Array:
     return settings.interval_s * np.arange(len(settings.sequence) * settings.rounds, dtype=np.float64)
 
 
-def _scenario(loaded: LoadedConfig) -> SingleObjectProblem:
+def _scenario(loaded: LoadedConfig) -> single_object.SingleObjectProblem:
     settings = scenario_of(loaded.config, LocalisationScenario)
-    rig = rig_of(loaded)
+    rig = single_object.rig_of(loaded)
     names = [camera.name for camera in rig.cameras]
     for name in settings.sequence:
         if name not in names:
             raise InputError(f"{loaded.path}: experiment.scenario.sequence: {unknown_camera(name, names)}")
     cameras = np.tile([names.index(name) for name in settings.sequence], settings.rounds)
     start = np.array([*settings.position, 0.0, 0.0, 0.0])
-    return SingleObjectProblem(rig, start, Static(), single_config(loaded).prior, np.zeros(len(cameras)), cameras)
+    return single_object.SingleObjectProblem(
+        rig, start, Static(), single_object.single_config(loaded).prior, np.zeros(len(cameras)), cameras
+    )
 
 
 def memory(loaded: LoadedConfig) -> float:
     """Estimate the memory of the observations."""
     settings = scenario_of(loaded.config, LocalisationScenario)
-    return len(settings.sequence) * settings.rounds * OBSERVATION_BYTES
+    return len(settings.sequence) * settings.rounds * single_object.OBSERVATION_BYTES
 
 
 KIND = Kind(run, bounds, check, memory)

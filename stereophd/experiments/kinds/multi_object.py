@@ -28,7 +28,7 @@ from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.simulation import build_scene, scene_motion, simulate_section
 from stereophd.pipeline.stream import EventStream
-from stereophd.pipeline.tracking.run import reported_records
+from stereophd.pipeline.tracking.tracking_run import reported_records
 
 
 def check(loaded: LoadedConfig) -> None:

@@ -12,15 +12,7 @@ from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import ExportOptions
 from stereophd.io.outputs.provenance import length_unit as unit_of
-from stereophd.io.tables.reading import (
-    arrays_of,
-    cast_column,
-    check_columns,
-    finite_column,
-    open_parquet,
-    read_metadata,
-    read_pieces,
-)
+from stereophd.io.tables import reading
 from stereophd.io.tables.schemas import CONFIRMED, EXTENTS, STD, STRING, TRACKS
 
 # Columns that a table of tracks may lack.
@@ -34,7 +26,7 @@ MOST_TIMES = 50_000_000
 
 def optional_columns(path: Path) -> list[str]:
     """Return the names of the columns that a table of tracks has beside `COLUMNS`: status, standard deviations."""
-    with open_parquet(path, "table of tracks") as parquet:
+    with reading.open_parquet(path, "table of tracks") as parquet:
         return [name for name in OPTIONAL if name in parquet.schema_arrow.names]
 
 
@@ -46,20 +38,20 @@ def batches(path: Path, options: ExportOptions) -> Iterator[dict[str, NDArray[An
     kinds = {name: TRACKS.field(name).type for name in COLUMNS}
     wanted = None if options.tracks is None else [track for track in options.tracks if abs(track) < 1 << 63]
     seen: set[int] = set()
-    with open_parquet(path, "table of tracks") as parquet:
-        present = check_columns(parquet.schema_arrow, kinds, OPTIONAL, path)
+    with reading.open_parquet(path, "table of tracks") as parquet:
+        present = reading.check_columns(parquet.schema_arrow, kinds, OPTIONAL, path)
     kinds |= {name: OPTIONAL[name] for name in present}
     start = 0
-    for batch in read_pieces(path, list(kinds), "table of tracks"):
-        finite_column(batch, "time_s", path, start)
+    for batch in reading.read_pieces(path, list(kinds), "table of tracks"):
+        reading.finite_column(batch, "time_s", path, start)
         start += len(batch)
         if "status" in kinds and not options.tentative:
             batch = batch.filter(compute.equal(batch.column("status"), CONFIRMED))
-        columns = [cast_column(batch.column(name), name, kinds[name], path) for name in kinds]
+        columns = [reading.cast_column(batch.column(name), name, kinds[name], path) for name in kinds]
         for name, column in zip(kinds, columns, strict=True):
             if column.null_count and name == "track_id":
                 raise InputError(f"{path}: column {name}: expected a value in every row, found a row without")
-        rows = arrays_of(RecordBatch.from_arrays(columns, list(kinds)))
+        rows = reading.arrays_of(RecordBatch.from_arrays(columns, list(kinds)))
         if wanted is not None:
             keep = np.isin(rows["track_id"], wanted)
             rows = {name: values[keep] for name, values in rows.items()}
@@ -146,4 +138,4 @@ def _regular(every: Array, path: Path) -> tuple[float, Array]:
 
 def length_unit(path: Path) -> str:
     """Return the unit of length of a table of tracks; metres where it names none."""
-    return unit_of(read_metadata(path, "table of tracks")) or "m"
+    return unit_of(reading.read_metadata(path, "table of tracks")) or "m"

@@ -22,17 +22,7 @@ from stereophd.core.numerics.times import TIME_DECIMALS
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.documents import check_instant
 from stereophd.io.file_kinds import LOG
-from stereophd.io.logs.checks import (
-    KINDS,
-    Fault,
-    bad_rows,
-    duplicate_fault,
-    frame_fault,
-    frame_starts,
-    point_faults,
-    raise_first,
-    time_fault,
-)
+from stereophd.io.logs import checks
 from stereophd.io.logs.order import LogOrder, order_of
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
 from stereophd.io.tables.reading import check_columns, damaged_is_input_error, open_parquet
@@ -130,7 +120,7 @@ class LogReader:
         return order_of(self.path)
 
     def __iter__(self) -> Iterator[Frame]:
-        self.counts = dict.fromkeys(("rows", "frames", "empty_frames", "detections", *KINDS), 0)
+        self.counts = dict.fromkeys(("rows", "frames", "empty_frames", "detections", *checks.KINDS), 0)
         self.counts["cameras_without_frames"] = len(self._cameras)
         seen: set[int] = set()
         exact = all(c.clock.offset_s == 0 and c.clock.rate == 1 for c in self._cameras)
@@ -151,7 +141,7 @@ class LogReader:
                 counts["cameras_without_frames"] -= 1
             yield frame
         if not seen:
-            _, why = bad_rows(counts)
+            _, why = checks.bad_rows(counts)
             raise InputError(f"{self.path}: expected usable rows, found that all {self.num_rows} rows are bad ({why})")
 
     def _frames(self, only: int | None) -> Iterator[Frame]:
@@ -188,19 +178,19 @@ class LogReader:
             if only is not None:
                 counted = (rows.camera == only) | ((rows.camera < 0) & (only == 0))
             self.counts["rows"] += int(counted.sum())
-            faults = list(point_faults(piece, list(self._index), self._sizes, self._margin))
+            faults = list(checks.point_faults(piece, list(self._index), self._sizes, self._margin))
             good = rows.take(self._accept(faults, rows, counted))
             if only is not None and self.order.by_camera:
                 # rows of other cameras in between do not matter for the order of these
                 good = good.take(good.camera == only)
-            late = time_fault(good, self.order)
+            late = checks.time_fault(good, self.order)
             good = good.take(self._accept([late], good, None if only is None else good.camera == only))
             yield good
 
-    def _accept(self, faults: list[Fault], rows: Rows, counted: Booleans | None = None) -> Booleans:
+    def _accept(self, faults: list[checks.Fault], rows: Rows, counted: Booleans | None = None) -> Booleans:
         """Return the mask of good rows; count the bad ones, each once, or raise for the first."""
         if not self._drop:
-            raise_first(faults, rows, self.path)
+            checks.raise_first(faults, rows, self.path)
         good = np.ones(len(rows), dtype=bool)
         for fault in faults:
             new = fault.bad & good
@@ -237,10 +227,10 @@ class LogReader:
         """Check the rows against those around them, and yield their frames in order."""
         if not len(rows):
             return
-        rows = rows.take(self._accept([frame_fault(rows, last_frames)], rows))
+        rows = rows.take(self._accept([checks.frame_fault(rows, last_frames)], rows))
         rows = rows.take(np.lexsort((rows.row, rows.frame, rows.camera, rows.time_s)))
-        rows = rows.take(self._accept([duplicate_fault(rows)], rows))
-        starts = frame_starts(rows)
+        rows = rows.take(self._accept([checks.duplicate_fault(rows)], rows))
+        starts = checks.frame_starts(rows)
         ends = np.append(starts[1:], len(rows)).tolist()
         # Plain Python numbers: indexing arrays one element at a time is slow.
         frames = rows.frame[starts].tolist()

@@ -18,23 +18,14 @@ from pathlib import Path
 from types import TracebackType
 
 from stereophd.errors import InputError
+from stereophd.io.outputs import disk
 from stereophd.io.outputs.commit import MOVING_IN, NEW, OLD, beside_of, commit, files_below, is_folder, settle
-from stereophd.io.outputs.disk import (
-    TEMPORARY_PREFIX,
-    UNFINISHED_PREFIX,
-    USER_ERRNOS,
-    current_umask,
-    signals_deferred,
-    sync,
-    sync_names,
-    write_error,
-)
 from stereophd.io.outputs.locks import LOCK_NAME, lock_file, output_lock
 
 
 def temporary_beside(path: Path) -> Path:
     """Return the temporary name under which `atomic_write` writes a file."""
-    return path.with_name(f"{TEMPORARY_PREFIX}{path.name}.tmp")
+    return path.with_name(f"{disk.TEMPORARY_PREFIX}{path.name}.tmp")
 
 
 @contextlib.contextmanager
@@ -63,14 +54,14 @@ def atomic_write(path: Path | str, replace: bool = True) -> Iterator[Path]:
         temporary = name
         os.truncate(descriptor, 0)
         yield temporary
-        sync(temporary)
-        with signals_deferred():
-            temporary.chmod(0o666 & ~current_umask())
+        disk.sync(temporary)
+        with disk.signals_deferred():
+            temporary.chmod(0o666 & ~disk.current_umask())
             (os.replace if replace else _put)(temporary, target)
-            sync_names(target.parent)
+            disk.sync_names(target.parent)
     except OSError as error:
-        if temporary is None or error.errno in USER_ERRNOS:
-            raise write_error(error, target) from error
+        if temporary is None or error.errno in disk.USER_ERRNOS:
+            raise disk.write_error(error, target) from error
         raise
     finally:
         if temporary is not None:
@@ -147,13 +138,13 @@ def output_folder(path: Path | str, force: bool, names: Iterable[str]) -> list[P
 
 
 def _is_temporary(relative: Path) -> bool:
-    return any(part.startswith(TEMPORARY_PREFIX) for part in relative.parts)
+    return any(part.startswith(disk.TEMPORARY_PREFIX) for part in relative.parts)
 
 
 def _remove_leftovers(folder: Path) -> None:
     """Remove what killed runs left in a folder, and beside it; the folder is locked, so none of them is alive."""
     shutil.rmtree(beside_of(folder.resolve()), ignore_errors=True)
-    for path in folder.glob(f"{TEMPORARY_PREFIX}*"):
+    for path in folder.glob(f"{disk.TEMPORARY_PREFIX}*"):
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path, ignore_errors=True)
         elif path.name != LOCK_NAME:
@@ -168,7 +159,7 @@ def tidy(path: Path | str) -> None:
     folder = Path(path)
     if not folder.is_dir():
         return
-    if any(folder.glob(f"{TEMPORARY_PREFIX}*")) or beside_of(folder.resolve()).exists():
+    if any(folder.glob(f"{disk.TEMPORARY_PREFIX}*")) or beside_of(folder.resolve()).exists():
         with output_lock(folder):
             settle(folder)
             _remove_leftovers(folder)
@@ -206,12 +197,12 @@ class OutputFolder:
                 held.enter_context(output_lock(self.folder))
                 output_folder(self.folder, self._force, self._names)
                 _remove_leftovers(self.folder)
-                self._staged = Path(tempfile.mkdtemp(prefix=TEMPORARY_PREFIX, dir=self.folder))
+                self._staged = Path(tempfile.mkdtemp(prefix=disk.TEMPORARY_PREFIX, dir=self.folder))
                 held.callback(self._discard)
                 (self._staged / NEW).mkdir()
                 (self._staged / OLD).mkdir()
             except OSError as error:
-                raise write_error(error, self.folder) from error
+                raise disk.write_error(error, self.folder) from error
             self._held = held.pop_all()
         return self
 
@@ -237,7 +228,7 @@ class OutputFolder:
                     self._commit()
                 except OSError as failure:
                     raise self._explain(failure) from failure
-            elif isinstance(error, OSError) and error.errno in USER_ERRNOS and self._is_ours(error):
+            elif isinstance(error, OSError) and error.errno in disk.USER_ERRNOS and self._is_ours(error):
                 raise self._explain(error) from error
 
     def _is_ours(self, error: OSError) -> bool:
@@ -249,7 +240,7 @@ class OutputFolder:
             return True
         # Tables of an unfinished run lie beside the staged folder; other files of the output folder may be inputs.
         inside = path.relative_to(self.folder).parts if self.folder in path.parents else ("",)
-        return inside[0].startswith(UNFINISHED_PREFIX)
+        return inside[0].startswith(disk.UNFINISHED_PREFIX)
 
     def _explain(self, error: OSError) -> InputError:
         """Name the final file, not the temporary one."""
@@ -259,7 +250,7 @@ class OutputFolder:
             for inside in (self._staged / NEW, self.folder / MOVING_IN / NEW):
                 if inside in written.parents:
                     path = self.folder / written.relative_to(inside)
-        return write_error(error, path)
+        return disk.write_error(error, path)
 
     def _commit(self) -> None:
         """Flush, then put everything into place."""
@@ -267,8 +258,8 @@ class OutputFolder:
         assert staged is not None
         for root, _, files in os.walk(staged / NEW):
             for name in (*files, ""):
-                sync(Path(root) / name)
-        with signals_deferred():
+                disk.sync(Path(root) / name)
+        with disk.signals_deferred():
             commit(staged, self.folder, lambda path: _matches(path, self._names))
             self._staged = None
 

@@ -30,8 +30,8 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_to_vector
 from stereophd.core.numerics.random_streams import CAMERA_DISCOVERY
 from stereophd.errors import InputError
+from stereophd.pipeline.calibration.configured_unknowns import calibration_section
 from stereophd.pipeline.calibration.problem import CalibrationProblem, Outcome, pmb_filter
-from stereophd.pipeline.calibration.unknowns import calibration_section
 from stereophd.pipeline.control import alignment_report
 from stereophd.pipeline.stream import covered, open_stream
 from stereophd.validated import NO_LENGTH

@@ -31,7 +31,7 @@ from stereophd.core.multi.pmb.filter import PmbFilter
 from stereophd.core.numerics.samples import MomentsSettings
 from stereophd.errors import InputError, unknown_camera
 from stereophd.pipeline.build import build_filter, with_filter
-from stereophd.pipeline.calibration.unknowns import build_parameters, calibration_section
+from stereophd.pipeline.calibration.configured_unknowns import build_parameters, calibration_section
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.control import read_control
 from stereophd.pipeline.runs.progress import Progress, ignore

@@ -23,10 +23,10 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import rotation_from_vector
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, ERRORS_LAST, LASTING_REMEDY, Finding
 from stereophd.pipeline.checks.geometry.alternatives import posed
-from stereophd.pipeline.checks.geometry.causes import clock_change, shift_remedy
-from stereophd.pipeline.checks.geometry.findings import CHANCE_SCORE
 from stereophd.pipeline.checks.geometry.partners import FARTHEST, Partners, partners, track_motion
+from stereophd.pipeline.checks.geometry.ray_checks import CHANCE_SCORE
 from stereophd.pipeline.checks.geometry.rays import TOLERANCES, Geometry, signed_distances
+from stereophd.pipeline.checks.geometry.trials import clock_change, shift_remedy
 from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.wording import percent
 

@@ -14,15 +14,7 @@ from stereophd.core.bodies.shapes.ellipsoid import EllipsoidSettings
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import BOX_NOISE, Camera, Detector
 from stereophd.core.multi.state.estimates import Info
-from stereophd.pipeline.detectors.statistics import (
-    DECIDED_SHARE,
-    LIKELY,
-    USUAL_P_DETECT,
-    DetectorSums,
-    NoisePrior,
-    Sighting,
-    of_labels,
-)
+from stereophd.pipeline.detectors import statistics
 
 # Spread of the logarithm of the noise of boxes between detectors, and the clutter of an unknown one.
 SPREAD, USUAL_CLUTTER = 0.5, 1.0
@@ -30,25 +22,25 @@ SPREAD, USUAL_CLUTTER = 0.5, 1.0
 
 def starting_box_detectors(
     cameras: Sequence[Camera], estimated: Collection[str]
-) -> tuple[tuple[Camera, ...], dict[str, NoisePrior]]:
+) -> tuple[tuple[Camera, ...], dict[str, statistics.NoisePrior]]:
     """Return cameras with detectors to begin with where they are `estimated`, and what is known of their noise."""
-    usual = [Detector(camera.detector.sigma, USUAL_P_DETECT, USUAL_CLUTTER, BOX_NOISE) for camera in cameras]
+    usual = [Detector(camera.detector.sigma, statistics.USUAL_P_DETECT, USUAL_CLUTTER, BOX_NOISE) for camera in cameras]
     started = tuple(
         replace(camera, detector=detector) if camera.name in estimated else camera
         for camera, detector in zip(cameras, usual, strict=True)
     )
-    return started, {name: NoisePrior(np.array(BOX_NOISE), SPREAD) for name in estimated}
+    return started, {name: statistics.NoisePrior(np.array(BOX_NOISE), SPREAD) for name in estimated}
 
 
 def observe_bodies(
-    sums: DetectorSums,
+    sums: statistics.DetectorSums,
     before: BodyState,
     info: Info,
     event: Event,
     camera: Camera,
     shape: EllipsoidSettings,
     settled: Integers,
-) -> Sighting:
+) -> statistics.Sighting:
     """Add the residuals of the boxes of a frame to the sums of its camera; return which bodies it detected.
 
     Only bodies of `settled` labels count that are whole in the image, that nothing hides and that one Gaussian
@@ -60,15 +52,15 @@ def observe_bodies(
     existence = hypotheses.existence(len(before.labels))
     projected, slopes = outline_boxes(means, camera, shape.direction)
     hidden = hidden_shares(projected, means, covariances, existence, camera)
-    chosen = np.isin(before.labels, settled) & (hypotheses.weights[first] > DECIDED_SHARE * existence)
+    chosen = np.isin(before.labels, settled) & (hypotheses.weights[first] > statistics.DECIDED_SHARE * existence)
     chosen &= (hypotheses.views[first] < 0) & (hidden < LEAST_HIDDEN) & (share_in_image(projected, camera) == 1.0)
     rows = np.flatnonzero(chosen)
     if not len(rows):
-        return Sighting(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
-    owners, columns, shares = of_labels(info.claims, before.labels)
+        return statistics.Sighting(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
+    owners, columns, shares = statistics.of_labels(info.claims, before.labels)
     total = np.bincount(owners, shares, len(before.labels))[rows]
     boxes = boxes_of(event, camera)
-    known = chosen[owners] & (shares > LIKELY) & ~boxes.hidden[columns].any(axis=1)
+    known = chosen[owners] & (shares > statistics.LIKELY) & ~boxes.hidden[columns].any(axis=1)
     owners, columns, shares = owners[known], columns[known], shares[known]
     if len(owners):
         heights = projected[owners, BOTTOM] - projected[owners, TOP]
@@ -77,4 +69,4 @@ def observe_bodies(
         residuals = boxes.values[columns] - projected[owners]
         sums.add(residuals, spread + noise, noise, shares, before.labels[owners])
     detected = np.minimum(total, existence[rows]).astype(np.float64)
-    return Sighting(before.labels[rows], detected, existence[rows] - detected)
+    return statistics.Sighting(before.labels[rows], detected, existence[rows] - detected)

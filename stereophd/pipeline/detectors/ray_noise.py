@@ -29,15 +29,7 @@ from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera, Detector
 from stereophd.core.numerics.random_streams import RAY_NOISE_SEED
 from stereophd.core.two_views.epipolar import nearest_depths
-from stereophd.pipeline.checks.geometry.rays import (
-    Reading,
-    candidates,
-    distances,
-    pairs_of,
-    pixels_along,
-    rays_of,
-    signed_of_rays,
-)
+from stereophd.pipeline.checks.geometry import rays
 from stereophd.pipeline.checks.log.sample import CameraSample
 from stereophd.pipeline.detectors.displacements import PRIOR, likelihoods_of_displacements
 from stereophd.pipeline.detectors.mixture import MOST_EVIDENCE, NOISES, DistanceKind, classes, unmix
@@ -84,7 +76,7 @@ def noise_from_rays(samples: Sequence[CameraSample], are_placed: bool = True) ->
     are not used. Rays of cameras that are not placed right (`are_placed`) tell nothing.
     """
     unit = [sample.with_camera(sample.camera.with_noise(1.0)) for sample in samples]
-    pairs = pairs_of(len(unit)) if are_placed else []
+    pairs = rays.pairs_of(len(unit)) if are_placed else []
     most = min(MOST_DISTANCES, MOST_OF_ALL // max(len(pairs), 1))
     evidence = {(a, b): pair for a, b in pairs if (pair := _evidence(unit, a, b, most)) is not None}
     # pairs share detections: an object that n cameras see has 2 n - 3 independent distances, and n (n - 1) / 2 pairs
@@ -118,7 +110,7 @@ def _draws(likelihoods: dict[tuple[int, int], Array], links: Sequence[Array]) ->
     count, turn = len(links), int(PRIOR.argmax())
     rng, logs, usual = np.random.default_rng(RAY_NOISE_SEED), np.log(NOISES), float(np.log(USUAL_NOISE_PX))
     of_either = likelihoods | {(b, a): table.T for (a, b), table in likelihoods.items()}
-    state, draws, pairs = [int(np.abs(logs - usual).argmin())] * count, [], pairs_of(count)
+    state, draws, pairs = [int(np.abs(logs - usual).argmin())] * count, [], rays.pairs_of(count)
     precision = NOISE_SPREAD**-2 + (count - 2) * BETWEEN_CAMERAS**-2
     inverse = np.linalg.inv(np.full((2, 2), 1.0 / precision) + BETWEEN_CAMERAS**2 * np.eye(2))
 
@@ -231,19 +223,19 @@ def _read(
         return None
 
     def places(sample: CameraSample, times: Array) -> Array:
-        return pixels_along(sample, times, _frames(sample, times, steps, farther), steps)
+        return rays.pixels_along(sample, times, _frames(sample, times, steps, farther), steps)
 
     shifts = SHIFTS if samples[b].detections_per_frame < CROWD else FEW_SHIFTS
-    pair = candidates(samples, a, b, MOST_DETECTIONS, shifts, most, places)
+    pair = rays.candidates(samples, a, b, MOST_DETECTIONS, shifts, most, places)
     if pair is None:
         return None
-    first, second = Reading(samples[a].camera), Reading(samples[b].camera)
-    known = rays_of(pair, first, second)
-    missed = distances(pair, first, second, known)[0][0]
-    by_chance = distances(pair.elsewhere(first.camera), first, second, (None, known[1]))[0][1:]
+    first, second = rays.Reading(samples[a].camera), rays.Reading(samples[b].camera)
+    known = rays.rays_of(pair, first, second)
+    missed = rays.distances(pair, first, second, known)[0][0]
+    by_chance = rays.distances(pair.elsewhere(first.camera), first, second, (None, known[1]))[0][1:]
     neighbours = _neighbours(first.camera, second.camera, known[0], known[1][0], np.isfinite(missed))
     with np.errstate(invalid="ignore", divide="ignore"):
-        by_a = distances(pair, first, Reading(second.camera.with_noise(1e-6)), known)[0][0]
+        by_a = rays.distances(pair, first, rays.Reading(second.camera.with_noise(1e-6)), known)[0][0]
         shares = (missed / by_a) ** 2
     usable = np.isfinite(missed) & np.isfinite(shares)
     if not usable.any():
@@ -281,7 +273,7 @@ def _neighbours(first: Camera, second: Camera, rays_a: Array, rays_b: Array, met
         direction = rays_b[rows, owner] @ pose_b.rotation
         depth = nearest_depths(rays_a[rows] @ pose_a.rotation, direction, pose_b.center - pose_a.center)[1]
         seen = (pose_b.center + depth[:, None] * direction - pose_a.center) @ pose_a.rotation.T
-        apart = signed_of_rays(first, second, (seen / seen[:, 2:])[:, None], rays_b[rows])
+        apart = rays.signed_of_rays(first, second, (seen / seen[:, 2:])[:, None], rays_b[rows])
         apart[~met[rows]] = np.nan
         apart[np.arange(len(rows)), owner] = np.nan
         found += classes(apart)

@@ -9,9 +9,9 @@ from stereophd.core.bounds.calibration import TruePositions, calibration_bound
 from stereophd.core.numerics.random_streams import RUN_OBJECTS
 from stereophd.core.simulation.detections import Scene
 from stereophd.errors import InputError
+from stereophd.pipeline.calibration.configured_unknowns import build_parameters
 from stereophd.pipeline.calibration.problem import build_scale
 from stereophd.pipeline.calibration.report import pose_stds
-from stereophd.pipeline.calibration.unknowns import build_parameters
 from stereophd.pipeline.simulation import build_scene
 
 

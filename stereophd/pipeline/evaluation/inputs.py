@@ -12,27 +12,15 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.geometry.camera import Camera
-from stereophd.core.metrics.truth.events import EventKeys, event_keys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import Events, Truth
 from stereophd.core.metrics.truth.registration import TrackedPlaces
 from stereophd.core.metrics.truth.scored import Sightings
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
 from stereophd.io.outputs.provenance import from_metadata, length_unit
+from stereophd.io.tables import schemas
 from stereophd.io.tables.native_tables import read_native_table
 from stereophd.io.tables.reading import check_columns, finite_column, open_parquet, read_pieces, read_table
-from stereophd.io.tables.schemas import (
-    CAMERAS_PART,
-    CONFIRMED,
-    COVARIANCE,
-    FLOAT,
-    INTEGER,
-    KEY,
-    POSITION,
-    STRING,
-    TENTATIVE,
-    VELOCITY,
-)
 from stereophd.wording import instant
 
 # The table of events that `track` writes into the folder of its tracks.
@@ -76,24 +64,23 @@ def read_tracks(path: Path) -> Tracks:
     Raises InputError when a file is not what it should be: columns, types, values that are not finite, times out of
     order, an event in two pieces, or tracks of events that the scans do not have.
     """
-    required = {**KEY, "track_id": INTEGER, **POSITION, **VELOCITY}
-    table = read_table(path, required, {"status": STRING}, "table of tracks")
-    position, velocity = _vectors(table, POSITION, path), _vectors(table, VELOCITY, path)
+    required = {**schemas.KEY, "track_id": schemas.INTEGER, **schemas.POSITION, **schemas.VELOCITY}
+    table = read_table(path, required, {"status": schemas.STRING}, "table of tracks")
+    position, velocity = _vectors(table, schemas.POSITION, path), _vectors(table, schemas.VELOCITY, path)
     cameras: dict[str, int] = {}
     rows = _keys(table, path, cameras)
-    starts = first_rows_of_events(rows)
+    starts = np.flatnonzero(np.append(True, rows[1:] != rows[:-1])[: len(rows)]).astype(np.int64)
     ends = np.append(starts[1:], table.num_rows).astype(np.int64)[: len(starts)]
     keys = rows[starts]
     all_events = path.with_name(SCANS_NAME).exists()
     if all_events:
         events = _events_of_scans(keys, starts, ends, path, cameras)
     else:
-        repeated = first_repeated(keys)
-        if repeated is not None:
+        if (repeated := _first_repeated(keys)) is not None:
             raise _split_event(path, int(starts[repeated]))
         events = Events(keys["time_s"].copy(), starts, ends)
     with open_parquet(path) as parquet:
-        has_part = CAMERAS_PART.name in parquet.schema_arrow.names
+        has_part = schemas.CAMERAS_PART.name in parquet.schema_arrow.names
     return Tracks(
         events=events,
         all_events=all_events,
@@ -104,7 +91,7 @@ def read_tracks(path: Path) -> Tracks:
         confirmed=_confirmed(table, path),
         metadata=from_metadata(table.schema.metadata),
         length_unit=length_unit(table.schema.metadata),
-        cameras_part=_position_covariances(path, CAMERAS_PART.name) if has_part else None,
+        cameras_part=_position_covariances(path, schemas.CAMERAS_PART.name) if has_part else None,
     )
 
 
@@ -114,16 +101,16 @@ def read_truth(path: Path) -> tuple[Truth, str | None]:
     Raises InputError when it is not a table of truth, has no rows, values that are not finite, an object twice at one
     time, or only some of vx, vy, vz.
     """
-    required = {"time_s": FLOAT, "object_id": INTEGER, **POSITION}
-    table = read_native_table(path, required, VELOCITY, "table of true positions")
+    required = {"time_s": schemas.FLOAT, "object_id": schemas.INTEGER, **schemas.POSITION}
+    table = read_native_table(path, required, schemas.VELOCITY, "table of true positions")
     if table.num_rows == 0:
         raise InputError(f"{path}: expected a table of true positions, found one without rows")
-    given = [name for name in VELOCITY if name in table.column_names]
-    if given and len(given) < len(VELOCITY):
+    given = [name for name in schemas.VELOCITY if name in table.column_names]
+    if given and len(given) < len(schemas.VELOCITY):
         raise InputError(f"{path}: expected all or none of the columns vx, vy, vz, found {', '.join(given)}")
     time_s, object_id = finite_column(table, "time_s", path), _integers(table, "object_id")
-    position = _vectors(table, POSITION, path)
-    velocity = _vectors(table, VELOCITY, path) if given else None
+    position = _vectors(table, schemas.POSITION, path)
+    velocity = _vectors(table, schemas.VELOCITY, path) if given else None
     order = np.lexsort((time_s, object_id))
     time_s, object_id = time_s[order], object_id[order]
     twice = np.flatnonzero((np.diff(time_s) == 0) & (np.diff(object_id) == 0))
@@ -139,7 +126,7 @@ def is_truth(path: Path) -> bool:
     """Whether a file may be a truth: a table with its columns, or one that cannot be read."""
     try:
         with open_parquet(path) as parquet:
-            return {"time_s", "object_id", *POSITION} <= set(parquet.schema_arrow.names)
+            return {"time_s", "object_id", *schemas.POSITION} <= set(parquet.schema_arrow.names)
     except InputError:
         return True
 
@@ -151,8 +138,8 @@ def read_sightings(path: Path, cameras: Sequence[Camera] | None) -> Sightings:
     into true times; without cameras the log is on true time. Raises InputError when it is not a detection log, times
     are not finite, or a camera is not among the cameras.
     """
-    optional = {"u_px": FLOAT, "object_id": INTEGER}
-    table = read_table(path, {"time_s": FLOAT, "camera": STRING}, optional, LOG)
+    optional = {"u_px": schemas.FLOAT, "object_id": schemas.INTEGER}
+    table = read_table(path, {"time_s": schemas.FLOAT, "camera": schemas.STRING}, optional, LOG)
     if "u_px" not in table.column_names:
         raise InputError(f"{path}: missing column u_px; expected a detection log")
     # A null pixel is an empty frame, which is not a sighting.
@@ -187,8 +174,8 @@ def cameras_of_record(record: Mapping[str, Any] | None) -> list[Camera] | None:
         return None
 
 
-def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> EventKeys:
-    """Return the keys of the rows; `cameras` numbers the names, and grows by new ones."""
+def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> NDArray[Any]:
+    """Return time, camera and frame of the rows (n,), compared as a whole; `cameras` numbers the names, and grows."""
     time_s = finite_column(table, "time_s", path)
     backwards = np.flatnonzero(np.diff(time_s) < 0)
     if backwards.size:
@@ -198,17 +185,27 @@ def _keys(table: pa.Table, path: Path, cameras: dict[str, int]) -> EventKeys:
         )
     camera, names = _names(table)
     number = np.array([cameras.setdefault(name, len(cameras)) for name in names], dtype=np.int64)
-    return event_keys(time_s, number[camera], _integers(table, "frame"))
+    columns = time_s, number[camera], _integers(table, "frame")
+    kinds = [("time_s", np.float64), ("camera", np.int64), ("frame", np.int64)]
+    return np.asarray(np.rec.fromarrays(columns, dtype=kinds))
 
 
-def _events_of_scans(keys: EventKeys, starts: Integers, ends: Integers, path: Path, cameras: dict[str, int]) -> Events:
+def _first_repeated(keys: NDArray[Any]) -> int | None:
+    """Return the first row whose key is that of an earlier row, None if all keys differ."""
+    first: dict[Any, int] = {}
+    return next((row for row, key in enumerate(keys.tolist()) if first.setdefault(key, row) != row), None)
+
+
+def _events_of_scans(
+    keys: NDArray[Any], starts: Integers, ends: Integers, path: Path, cameras: dict[str, int]
+) -> Events:
     """Return the events of ``scans.parquet`` and the rows of tracks that belong to each."""
     scans_path = path.with_name(SCANS_NAME)
-    scans = _keys(read_table(scans_path, KEY, what="table of scans"), scans_path, cameras)
-    twice = first_repeated(scans)
-    if twice is not None:
+    scans = _keys(read_table(scans_path, schemas.KEY, what="table of scans"), scans_path, cameras)
+    if (twice := _first_repeated(scans)) is not None:
         raise InputError(f"{scans_path}: row {twice}: this event (time_s, camera, frame) is there already")
-    event = find_events(keys, scans)
+    rows = {key: row for row, key in enumerate(scans.tolist())}
+    event = np.array([rows.get(key, -1) for key in keys.tolist()], dtype=np.int64)
     unknown = np.flatnonzero(event < 0)
     if unknown.size:
         event_text = "its event (time_s, camera, frame)"
@@ -234,17 +231,19 @@ def _confirmed(table: pa.Table, path: Path) -> NDArray[np.bool_]:
     if "status" not in table.column_names:
         return np.ones(table.num_rows, dtype=bool)
     status = table["status"]
-    confirmed = np.asarray(pc.equal(status, CONFIRMED), dtype=bool)
-    unknown = np.flatnonzero(~confirmed & ~np.asarray(pc.equal(status, TENTATIVE), dtype=bool))
+    confirmed = np.asarray(pc.equal(status, schemas.CONFIRMED), dtype=bool)
+    unknown = np.flatnonzero(~confirmed & ~np.asarray(pc.equal(status, schemas.TENTATIVE), dtype=bool))
     if unknown.size:
         found = status[int(unknown[0])].as_py()
-        raise InputError(f"{path}: row {unknown[0]}: column status: expected {CONFIRMED} or {TENTATIVE}, found {found}")
+        expected = f"{schemas.CONFIRMED} or {schemas.TENTATIVE}"
+        raise InputError(f"{path}: row {unknown[0]}: column status: expected {expected}, found {found}")
     return confirmed
 
 
 def _names(table: pa.Table) -> tuple[Integers, list[str]]:
     """Return the camera of each row as an index into a list of names."""
-    encoded = pa.concat_arrays(table["camera"].chunks or [pa.array([], STRING)]).dictionary_encode()
+    chunks = table["camera"].chunks or [pa.array([], schemas.STRING)]
+    encoded = pa.concat_arrays(chunks).dictionary_encode()
     return np.asarray(encoded.indices, dtype=np.int64), encoded.dictionary.to_pylist()
 
 
@@ -256,7 +255,7 @@ def _position_covariances(path: Path, name: str) -> Array:
     """Read the position part (n, 3, 3) of a column of covariances, piece by piece."""
     pieces = [np.zeros((0, 3, 3))]
     with open_parquet(path, "table of tracks") as parquet:
-        check_columns(parquet.schema_arrow, {name: COVARIANCE}, {}, path)
+        check_columns(parquet.schema_arrow, {name: schemas.COVARIANCE}, {}, path)
     for batch in read_pieces(path, [name]):
         column = batch.column(0)
         if column.null_count or column.flatten().null_count:

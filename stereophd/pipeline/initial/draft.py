@@ -19,11 +19,11 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.io.cameras.models import DetectorConfig
 from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding, is_mistake
-from stereophd.pipeline.checks.geometry.findings import check_geometry
+from stereophd.pipeline.checks.geometry.ray_checks import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
-from stereophd.pipeline.checks.log.findings import check_files
+from stereophd.pipeline.checks.log.log_checks import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
-from stereophd.pipeline.checks.run_figures import check_estimated_detectors
+from stereophd.pipeline.checks.run_checks import check_estimated_detectors
 from stereophd.pipeline.checks.settings import expected_depths, measure_scene
 from stereophd.pipeline.detectors.displacements import usual_turn
 from stereophd.pipeline.detectors.passes import MOST_BOXES, estimate_detectors, stretches
@@ -33,7 +33,7 @@ from stereophd.pipeline.initial.acceleration import LEAST_GAIN, estimate_acceler
 from stereophd.pipeline.initial.measured import SceneFigures, measure_with_filter, shared_depths
 from stereophd.pipeline.initial.template import Choice, Draft, rounded
 from stereophd.pipeline.stream import EventStream, open_log, open_stream
-from stereophd.pipeline.tracking.run import with_detectors
+from stereophd.pipeline.tracking.tracking_run import with_detectors
 from stereophd.wording import PROGRESS, counted, number
 
 # Score from which rays of two cameras meet. It is lower than in a check, because the filter runs afterwards.

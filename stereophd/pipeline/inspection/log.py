@@ -1,4 +1,4 @@
-"""Summary of a detection log, in one pass and bounded memory."""
+"""Summary of a detection log, in one pass; memory holds a few numbers for each frame."""
 
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -6,99 +6,67 @@ from typing import Any
 
 import numpy as np
 
-from stereophd.core.arrays import Array
+from stereophd.core.arrays import Array, Integers
 from stereophd.errors import InputError
 from stereophd.io.file_kinds import LOG
 from stereophd.io.logs.rows import OPTIONAL, REQUIRED, Rows, decode
 from stereophd.io.tables.reading import check_columns, open_parquet, read_pieces
 
-# Intervals of a camera of which the median is taken.
-INTERVALS_KEPT = 1_000_000
 # Intervals longer than this many median ones are gaps.
 GAP_INTERVALS = 1.5
 
 
 @dataclass
-class _CameraState:
-    """Counts of one camera."""
+class _CameraRows:
+    """What successive rows of one camera hold: a number for each frame, as far as they reach, and their extent."""
 
-    rows: int = 0
-    frames: int = 0
-    empty_frames: int = 0
-    detections: int = 0
-    most_detections: int = 0
-    first_s: float = np.inf
-    last_s: float = -np.inf
-    first_frame: int = 0
-    last_frame: int | None = None
-    missing_frames: int = 0
-    frames_backwards: int = 0
-    current: int = 0
-    lowest: Array = field(default_factory=lambda: np.full(2, np.inf))
-    highest: Array = field(default_factory=lambda: np.full(2, -np.inf))
-    intervals: list[Array] = field(default_factory=list)
-    kept: int = 0
+    frames: list[Integers] = field(default_factory=list)
+    times: list[Array] = field(default_factory=list)
+    detections: list[Integers] = field(default_factory=list)
+    empty: int = 0
+    # Least and greatest time, u and v.
+    lowest: Array = field(default_factory=lambda: np.full(3, np.nan))
+    highest: Array = field(default_factory=lambda: np.full(3, np.nan))
 
     def add(self, rows: Rows) -> None:
-        """Count some rows of this camera."""
-        seen = ~rows.empty
-        self.rows += len(rows)
-        self.empty_frames += int(rows.empty.sum())
-        self.detections += int(seen.sum())
-        pixels = rows.pixels[seen & np.isfinite(rows.pixels).all(axis=1)]
-        if len(pixels):
-            self.lowest = np.minimum(self.lowest, pixels.min(axis=0))
-            self.highest = np.maximum(self.highest, pixels.max(axis=0))
-        previous = rows.frame[0] - 1 if self.last_frame is None else self.last_frame
-        steps = np.diff(rows.frame, prepend=previous)
-        starts = np.flatnonzero(steps != 0)
-        if self.last_frame is None:
-            self.first_frame = int(rows.frame[0])
-        self.frames += len(starts)
-        self.missing_frames += int(np.maximum(steps[starts] - 1, 0).sum())
-        self.frames_backwards += int((steps[starts] < 0).sum())
-        self._count_detections(seen, starts)
-        times = rows.time_s[starts]
-        if self.kept < INTERVALS_KEPT:
-            before = times if self.last_frame is None else np.append(self.last_s, times)
-            self.intervals.append(np.diff(before))
-            self.kept += len(self.intervals[-1])
-        self.first_s = min(self.first_s, float(rows.time_s.min()))
-        self.last_s = max(self.last_s, float(rows.time_s.max()))
-        self.last_frame = int(rows.frame[-1])
-
-    def _count_detections(self, seen: Any, starts: Any) -> None:
-        """Keep the largest number of detections of a frame; the first rows may belong to the frame before."""
-        bounds = np.concatenate([[0], starts, [len(seen)]]).astype(int)
-        sums = np.add.reduceat(np.append(seen, False), bounds[:-1]) * (np.diff(bounds) > 0)
-        sums[0] += self.current
-        self.most_detections = max(self.most_detections, int(sums.max()))
-        self.current = int(sums[-1])
+        """Take in some rows of this camera; a frame may go on in the next ones."""
+        starts = np.flatnonzero(np.diff(rows.frame, prepend=rows.frame[0] - 1))
+        self.frames.append(rows.frame[starts])
+        self.times.append(rows.time_s[starts])
+        self.detections.append(np.add.reduceat(~rows.empty, starts, dtype=np.int64))
+        self.empty += int(rows.empty.sum())
+        values = np.column_stack([rows.time_s, rows.pixels])
+        values[~np.isfinite(values).all(axis=1), 1:] = np.nan
+        self.lowest = np.fmin(self.lowest, np.fmin.reduce(values))
+        self.highest = np.fmax(self.highest, np.fmax.reduce(values))
 
     def summary(self) -> dict[str, Any]:
         """Return the counts."""
-        intervals = np.concatenate(self.intervals) if self.intervals else np.empty(0)
+        frames, times, detections = (np.concatenate(each) for each in (self.frames, self.times, self.detections))
+        starts = np.flatnonzero(np.diff(frames, prepend=frames[0] - 1))
+        counts, steps, intervals = np.add.reduceat(detections, starts), np.diff(frames[starts]), np.diff(times[starts])
         intervals = intervals[intervals > 0]
         median = float(np.median(intervals)) if len(intervals) else None
-        has_pixels = bool(np.isfinite(self.lowest).all())
+        first_s, last_s = float(self.lowest[0]), float(self.highest[0])
+        has_pixels = not np.isnan(self.lowest[1])
         return {
-            "frames": self.frames,
-            "empty_frames": self.empty_frames,
-            "detections": self.detections,
-            "detections_per_frame": self.detections / self.frames if self.frames else None,
-            "most_detections_in_a_frame": self.most_detections,
-            "first_s": self.first_s,
-            "last_s": self.last_s,
+            "frames": len(starts),
+            "empty_frames": self.empty,
+            "detections": int(counts.sum()),
+            "detections_per_frame": float(counts.mean()),
+            "most_detections_in_a_frame": int(counts.max()),
+            "first_s": first_s,
+            "last_s": last_s,
             "rate_hz": None if median is None else 1.0 / median,
-            "mean_rate_hz": (self.frames - 1) / (self.last_s - self.first_s) if self.last_s > self.first_s else None,
+            "mean_rate_hz": (len(starts) - 1) / (last_s - first_s) if last_s > first_s else None,
             "gaps": 0 if median is None else int((intervals > GAP_INTERVALS * median).sum()),
             "longest_interval_s": float(intervals.max()) if len(intervals) else None,
-            "first_frame": self.first_frame,
-            "last_frame": self.last_frame,
-            "missing_frame_numbers": self.missing_frames,
-            "frames_backwards": self.frames_backwards,
-            "lowest_px": self.lowest.tolist() if has_pixels else None,
-            "highest_px": self.highest.tolist() if has_pixels else None,
+            "first_frame": int(frames[0]),
+            "last_frame": int(frames[-1]),
+            "missing_frame_numbers": int(np.maximum(steps - 1, 0).sum()),
+            "frames_backwards": int((steps < 0).sum()),
+            "lowest_px": self.lowest[1:].tolist() if has_pixels else None,
+            "highest_px": self.highest[1:].tolist() if has_pixels else None,
         }
 
 
@@ -114,14 +82,14 @@ def summarise_log(path: Path) -> dict[str, Any]:
     if not rows_of_file:
         raise InputError(f"{path}: expected a detection log, found one without rows")
     names: dict[str, int] = {}
-    states: list[_CameraState] = []
+    states: list[_CameraRows] = []
     latest, backwards = -np.inf, 0
     start = 0
     for batch in read_pieces(path, [*REQUIRED, *present], LOG):
         for name in batch.column("camera").unique().to_pylist():
             if name is not None and name not in names:
                 names[name] = len(names)
-                states.append(_CameraState())
+                states.append(_CameraRows())
         rows = decode(batch, start, names, path).rows
         start += len(batch)
         rows = rows.take((rows.camera >= 0) & np.isfinite(rows.time_s))
@@ -129,9 +97,9 @@ def summarise_log(path: Path) -> dict[str, Any]:
         latest = float(rows.time_s[-1]) if len(rows) else latest
         for k in np.unique(rows.camera).tolist():
             states[k].add(rows.take(rows.camera == k))
-    if not any(state.rows for state in states):
+    if not any(state.frames for state in states):
         raise InputError(f"{path}: expected rows with a camera and a finite time, found none in {rows_of_file} rows")
-    cameras = {name: states[k].summary() for name, k in sorted(names.items())}
+    cameras = {name: states[k].summary() for name, k in sorted(names.items()) if states[k].frames}
     first = [camera["first_s"] for camera in cameras.values()]
     last = [camera["last_s"] for camera in cameras.values()]
     return {

@@ -14,10 +14,10 @@ from stereophd.io.logs.checks import KINDS, duplicate_fault, point_faults, raise
 from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import Decoded, Rows
 from stereophd.io.streams.messages import Message
+from stereophd.pipeline.checks.check_log import report_findings
 from stereophd.pipeline.checks.finding import is_mistake
-from stereophd.pipeline.checks.log.findings import check_times
+from stereophd.pipeline.checks.log.log_checks import check_times
 from stereophd.pipeline.checks.log.sample import sample_log
-from stereophd.pipeline.checks.run import report_findings
 
 # Kinds of frames that a running recording cannot use, beside the kinds of bad rows.
 FRAME_KINDS = ("too_late", "repeated_frame")

@@ -12,18 +12,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 from stereophd.core.disparity.events import Event
+from stereophd.pipeline.tracking import loop
 from stereophd.pipeline.tracking.associations import Associations
 from stereophd.pipeline.tracking.knocked import KnockTest
-from stereophd.pipeline.tracking.loop import (
-    Attribution,
-    Estimator,
-    Record,
-    ReportTimes,
-    RunState,
-    finish,
-    forecasts,
-    work_event,
-)
 
 # The state is kept before every such event: what is given up at once leaves its memory to the next while it is cached.
 KEPT_EVERY = 4
@@ -34,16 +25,18 @@ class Step(NamedTuple):
 
     key: tuple[float, int, int]  # True time, camera and frame: the order of a run
     event: Event
-    before: RunState[Any] | None  # None where it is not kept; of the first step it is
-    records: tuple[Record, ...]
+    before: loop.RunState[Any] | None  # None where it is not kept; of the first step it is
+    records: tuple[loop.Record, ...]
 
 
 class RewindingRun:
     """An estimator's run, reported at `times`, that events up to `span_s` of true time before the newest can join."""
 
-    def __init__(self, estimator: Estimator[Any], times: ReportTimes, span_s: float, keep_records: bool) -> None:
+    def __init__(
+        self, estimator: loop.Estimator[Any], times: loop.ReportTimes, span_s: float, keep_records: bool
+    ) -> None:
         self._estimator, self._times, self._span_s, self._keep_records = estimator, times, span_s, keep_records
-        self._run: RunState[Any] = RunState(estimator.init())
+        self._run: loop.RunState[Any] = loop.RunState(estimator.init())
         self._steps: list[Step] = []
         self._settled: tuple[float, int, int] | None = None
         #: Until when `forecasts` has predicted, s.
@@ -70,7 +63,7 @@ class RewindingRun:
         return new
 
     @property
-    def records(self) -> list[Record]:
+    def records(self) -> list[loop.Record]:
         """With `keep_records`, those of the events that are kept, in order, those of late ones in their places."""
         return [record for step in self._steps for record in step.records]
 
@@ -79,30 +72,30 @@ class RewindingRun:
         """The test for cameras that were knocked, after the last event."""
         return self._run.knocks
 
-    def go_on(self, estimator: Estimator[Any]) -> None:
+    def go_on(self, estimator: loop.Estimator[Any]) -> None:
         """Go on with an estimator whose cameras have other poses; cameras may be knocked again."""
         self._estimator = estimator
         self._run.knocks = KnockTest()
 
-    def forecasts(self, until_s: float) -> Iterator[Record]:
+    def forecasts(self, until_s: float) -> Iterator[loop.Record]:
         """Yield predictions to the times of the grid before `until_s`; they come again, exact, with the next event."""
         grid_s, from_s = self._times.grid_s, max(self.forecast_s, self._run.forecast_from_s)
         if grid_s is None or self._run.last is None or math.floor(until_s / grid_s) <= math.floor(from_s / grid_s):
             return
         run, self.forecast_s = copy_of(self._run), until_s
         run.forecast_from_s = from_s
-        yield from forecasts(self._estimator, run, self._times, until_s)
+        yield from loop.forecasts(self._estimator, run, self._times, until_s)
 
-    def finish(self) -> Iterator[Record]:
+    def finish(self) -> Iterator[loop.Record]:
         """Yield what is reported after the last event."""
-        yield from finish(self._estimator, self._run, self._times)
+        yield from loop.finish(self._estimator, self._run, self._times)
 
     def _step(self, event: Event) -> Step:
         before = copy_of(self._run) if not self._steps or self._run.events % KEPT_EVERY == 0 else None
-        records = tuple(work_event(self._estimator, self._run, event, self._times))
+        records = tuple(loop.work_event(self._estimator, self._run, event, self._times))
         return Step(_key(event), event, before, records)
 
-    def _kept_state(self, place: int) -> tuple[int, RunState[Any]]:
+    def _kept_state(self, place: int) -> tuple[int, loop.RunState[Any]]:
         """Return the place of the last step, up to that at a place, before which the state is kept, and that state."""
         while (before := self._steps[place].before) is None:
             place -= 1
@@ -123,7 +116,7 @@ def _key(event: Event) -> tuple[float, int, int]:
     return event.time_s, event.camera, event.frame
 
 
-def copy_of(run: RunState[Any]) -> RunState[Any]:
+def copy_of(run: loop.RunState[Any]) -> loop.RunState[Any]:
     """Return a copy of a run that does not change when the run continues; states and records are frozen already."""
-    attribution, known = Attribution(dict(run.attribution.pending)), run.associations
+    attribution, known = loop.Attribution(dict(run.attribution.pending)), run.associations
     return replace(run, attribution=attribution, associations=Associations(dict(known.known), list(known.waiting)))

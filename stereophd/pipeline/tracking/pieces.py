@@ -26,10 +26,10 @@ from stereophd.pipeline.runs.progress import Progress, ignore
 from stereophd.pipeline.runs.unfinished import UnfinishedRun
 from stereophd.pipeline.stream import EventStream, open_log
 from stereophd.pipeline.tracking.loop import Record, RunState
-from stereophd.pipeline.tracking.run import build_tracking
 from stereophd.pipeline.tracking.run_figures import LastingTracks
 from stereophd.pipeline.tracking.single import SingleTrackerState
 from stereophd.pipeline.tracking.smoothed import trajectories_of
+from stereophd.pipeline.tracking.tracking_run import build_tracking
 from stereophd.pipeline.tracking.unfinished import keep_record, read_records
 from stereophd.pipeline.workers.places import ATTEMPTS, complete, open_workers
 from stereophd.wording import instant

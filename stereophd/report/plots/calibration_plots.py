@@ -14,18 +14,7 @@ from matplotlib.gridspec import GridSpec
 
 from stereophd.core.calibration.unknowns.parameters import ParameterSet
 from stereophd.pipeline.calibration.problem import Outcome
-from stereophd.report.style import (
-    BLUE,
-    GREY,
-    INK,
-    ORANGE,
-    STYLE,
-    colour_of,
-    marker_of,
-    new_figure,
-    plots_named,
-    save_figures,
-)
+from stereophd.report import style
 from stereophd.wording import shown_unit
 
 # Half-width of a 90 % band in standard deviations.
@@ -41,8 +30,8 @@ MOST_PAIRS = 6
 def write_calibration_plots(outcome: Outcome, length_unit: str, paths: Mapping[str, Path]) -> None:
     """Draw the plots ``history``, ``posterior`` and ``residuals`` that `paths` names (as png or svg)."""
     makers = {"history": _draw_history, "posterior": _draw_posterior, "residuals": _draw_residuals}
-    with mpl.rc_context({**STYLE, "xtick.labelsize": 8.0, "ytick.labelsize": 8.0}):  # they fit the fixed room
-        save_figures({plot: makers[plot](outcome, length_unit) for plot in plots_named(paths)}, paths)
+    with mpl.rc_context({**style.STYLE, "xtick.labelsize": 8.0, "ytick.labelsize": 8.0}):  # they fit the fixed room
+        style.save_figures({plot: makers[plot](outcome, length_unit) for plot in style.plots_named(paths)}, paths)
 
 
 def _drawn(parameters: ParameterSet, length_unit: str) -> list[tuple[float, str]]:
@@ -53,7 +42,7 @@ def _drawn(parameters: ParameterSet, length_unit: str) -> list[tuple[float, str]
 
 def _grid(rows: int, columns: int, width: float, height: float, title: str) -> tuple[Figure, GridSpec]:
     """Return a figure and its panels, which have fixed room: to find out what labels need takes as long as a file."""
-    figure, inner = new_figure(width * columns, height * rows), (width - LEFT_IN, height - BELOW_IN)
+    figure, inner = style.new_figure(width * columns, height * rows), (width - LEFT_IN, height - BELOW_IN)
     figure.set_layout_engine(None)
     figure.suptitle(title, y=1.0 + BELOW_IN / (height * rows), verticalalignment="bottom")
     room = {"left": LEFT_IN / (width * columns), "bottom": BELOW_IN / (height * rows), "right": 1.0, "top": 1.0}
@@ -75,10 +64,10 @@ def _draw_history(outcome: Outcome, length_unit: str) -> Figure:
         mean = factor * np.array([row.mean[index] for row in outcome.history])
         std = factor * np.sqrt(np.array([row.covariance[index, index] for row in outcome.history]))
         prior = NINETY * factor * parameters.prior_std[index]
-        panel.fill_between(times, mean - NINETY * std, mean + NINETY * std, color=BLUE, alpha=0.2, linewidth=0)
-        panel.plot(times, mean, color=BLUE, linewidth=1.4)
+        panel.fill_between(times, mean - NINETY * std, mean + NINETY * std, color=style.BLUE, alpha=0.2, linewidth=0)
+        panel.plot(times, mean, color=style.BLUE, linewidth=1.4)
         for bound in (-prior, prior):
-            panel.axhline(bound, color=GREY, linewidth=0.8, linestyle=(0, (4, 3)))
+            panel.axhline(bound, color=style.GREY, linewidth=0.8, linestyle=(0, (4, 3)))
         panel.set_title(label, fontsize=9)
         if index + columns >= count:
             panel.tick_params(labelbottom=True)
@@ -100,11 +89,11 @@ def _draw_posterior(outcome: Outcome, length_unit: str) -> Figure:
             panel.tick_params(labelsize=6, labelbottom=i == count - 1, labelleft=j == 0)
             x = drawn[j][0] * particles[:, j]
             if i == j:
-                panel.hist(x, bins=40, weights=np.exp(outcome.log_weights), color=BLUE, alpha=0.7)
+                panel.hist(x, bins=40, weights=np.exp(outcome.log_weights), color=style.BLUE, alpha=0.7)
                 panel.set_yticks([])
             else:
                 y = factor * particles[:, i]
-                panel.scatter(x[rows], y[rows], s=2, color=INK, alpha=0.25, linewidths=0, rasterized=True)
+                panel.scatter(x[rows], y[rows], s=2, color=style.INK, alpha=0.25, linewidths=0, rasterized=True)
             if i == count - 1:
                 panel.set_xlabel(drawn[j][1], fontsize=7, labelpad=12)  # below a common exponent
             if j == 0 and i > 0:
@@ -114,7 +103,7 @@ def _draw_posterior(outcome: Outcome, length_unit: str) -> Figure:
 
 def _draw_residuals(outcome: Outcome, length_unit: str) -> Figure:
     """Draw reprojection residuals over time, in sigmas, and their distribution compared with normal noise."""
-    figure = new_figure(10.0, 3.0)
+    figure = style.new_figure(10.0, 3.0)
     over_time, distribution = figure.subplots(1, 2)
     assert outcome.fit is not None
     observations, residuals = outcome.fit.observations, np.sqrt(outcome.fit.adjustment.distances)
@@ -122,16 +111,16 @@ def _draw_residuals(outcome: Outcome, length_unit: str) -> Figure:
         rows = np.flatnonzero(observations.cameras == number)
         rows = rows[:: max(len(rows) // MOST_POINTS, 1)]
         over_time.scatter(
-            observations.times[rows], residuals[rows], s=4, color=colour_of(number), linewidths=0, label=camera.name,
-            marker=marker_of(number),
+            observations.times[rows], residuals[rows], s=4, color=style.colour_of(number), linewidths=0,
+            label=camera.name, marker=style.marker_of(number),
         )  # fmt: skip
     over_time.set_xlabel("time [s]")
     over_time.set_ylabel("residual [sigma]")
     over_time.legend(loc="upper right", markerscale=3, fontsize=8)
     limit = 5.0
-    distribution.hist(residuals, bins=60, range=(0.0, limit), density=True, color=BLUE, alpha=0.6)
+    distribution.hist(residuals, bins=60, range=(0.0, limit), density=True, color=style.BLUE, alpha=0.6)
     grid = np.linspace(0.0, limit, 200)
-    distribution.plot(grid, grid * np.exp(-0.5 * grid**2), color=ORANGE, linewidth=1.6, label="normal noise")
+    distribution.plot(grid, grid * np.exp(-0.5 * grid**2), color=style.ORANGE, linewidth=1.6, label="normal noise")
     distribution.set_xlabel("residual [sigma]")
     distribution.legend(loc="upper right", fontsize=8)
     figure.suptitle("Reprojection residuals")

@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
 from stereophd.core.arrays import Array
-from stereophd.experiments.engine.results import STATISTICS, Cell, Results
+from stereophd.experiments.engine.results import STATISTICS, Results
 from stereophd.experiments.engine.summary import Summary
 from stereophd.report.style import INK, STYLE, colour_of, dash_of, legend_right, new_figure, plots_named, save_figures
 from stereophd.wording import counted
@@ -72,8 +72,7 @@ def write_figure(results: Results, paths: Mapping[str, Path]) -> None:
 def _draw(results: Results) -> Figure:
     settings = results.config.figure
     quantities = _quantities(results)
-    shown = [summary for cell in results.cells for summary in cell.summaries if summary.quantity in quantities]
-    varies = any(summary.times_s is not None for summary in shown)
+    varies = any(each.times_s is not None for each in results.summaries if each.quantity in quantities)
     over = settings.over or (None if varies else next(iter(results.config.cases), None))
     unit_of_axis = "" if over is None else results.config.cases[over].unit
     groups = _groups(results, over)
@@ -83,9 +82,9 @@ def _draw(results: Results) -> Figure:
     figure = new_figure(width, 0.9 + 2.3 * shape[0])
     grid = figure.subplots(*shape, sharex="col", sharey="row", squeeze=False)
     for row, (quantity, ratio) in enumerate(panels):
-        for column, (group, cells) in enumerate(groups.items()):
+        for column, (group, summaries) in enumerate(groups.items()):
             axes = grid[row, column]
-            unit = _panel(axes, results, quantity, cells, over, ratio)
+            unit = _panel(axes, results, [each for each in summaries if each.quantity == quantity], over, ratio)
             if column == 0:
                 bracketed = f" [{unit}]" if unit not in ("", "1") else ""
                 words = re.sub(r"_([pc])(?=\d)", r", \1 ", quantity).replace("_", " ").replace("center", "centre")
@@ -104,18 +103,17 @@ def _draw(results: Results) -> Figure:
 def _quantities(results: Results) -> list[str]:
     if results.config.figure.quantities is not None:
         return list(results.config.figure.quantities)
-    summaries = [summary for cell in results.cells for summary in cell.summaries]
-    varying = [summary.quantity for summary in summaries if summary.times_s is not None]
-    return list(dict.fromkeys(varying or [summary.quantity for summary in summaries]))
+    varying = [summary.quantity for summary in results.summaries if summary.times_s is not None]
+    return list(dict.fromkeys(varying or [summary.quantity for summary in results.summaries]))
 
 
-def _groups(results: Results, over: str | None) -> dict[str, list[Cell]]:
-    """Return the cells of every column of panels: cases that differ along an axis which the figure does not show."""
+def _groups(results: Results, over: str | None) -> dict[str, list[Summary]]:
+    """Return the summaries of every column of panels: cases that differ along an axis that the figure does not show."""
     axes = list(results.config.cases)
-    groups: dict[str, list[Cell]] = {}
-    for cell in results.cells:
-        others = [f"{axis} {name}" for axis, name in zip(axes, cell.settings, strict=True) if axis != over]
-        groups.setdefault(", ".join(others), []).append(cell)
+    groups: dict[str, list[Summary]] = {}
+    for summary in results.summaries:
+        others = [f"{axis} {name}" for axis, name in zip(axes, summary.settings, strict=True) if axis != over]
+        groups.setdefault(", ".join(others), []).append(summary)
     return groups
 
 
@@ -123,8 +121,8 @@ def _kinds_of_panel(results: Results, quantity: str, over: str | None) -> tuple[
     """Return whether panels of a quantity show it, or its ratio to the bound: both in a sweep with a bound."""
     if over is None or _numbers(results, over) is None:
         return (False,)
-    summaries = [summary for cell in results.cells for summary in cell.summaries if summary.quantity == quantity]
-    known = any(summary.times_s is None and np.isfinite(summary.bound).any() for summary in summaries)
+    summaries = [each for each in results.summaries if each.quantity == quantity and each.times_s is None]
+    known = any(np.isfinite(summary.bound).any() for summary in summaries)
     return (False, True) if known else (False,)
 
 
@@ -145,22 +143,15 @@ def _set_logarithmic(axes: Axes) -> None:
     axes.yaxis.set_minor_formatter(_PlainNumbers(minor_thresholds=MINOR_LABELS))
 
 
-def _panel(
-    axes: Axes, results: Results, quantity: str, cells: Sequence[Cell], over: str | None, ratio: bool = False
-) -> str:
+def _panel(axes: Axes, results: Results, summaries: Sequence[Summary], over: str | None, ratio: bool = False) -> str:
     """Draw one panel, of a quantity or of its ratio to the bound, and return the unit of the quantity."""
-    unit = next((summary.unit for cell in cells for summary in cell.summaries if summary.quantity == quantity), "")
+    unit = summaries[0].unit if summaries else ""
     if over is None:
-        lines: Lines = {
-            cell.method: (summary.times_s, summary)
-            for cell in cells
-            for summary in cell.summaries
-            if summary.quantity == quantity and summary.times_s is not None
-        }
+        lines: Lines = {each.method: (each.times_s, each) for each in summaries if each.times_s is not None}
         _draw_curves(axes, lines)
     else:
         numbers = _numbers(results, over)
-        lines = _lines_over(results, quantity, cells, over)
+        lines = _lines_over(results, summaries, over)
         if ratio:
             _draw_ratios(axes, lines)
             return unit
@@ -186,22 +177,21 @@ def _numbers(results: Results, over: str) -> Array | None:
     return np.array(values, dtype=float)
 
 
-def _lines_over(results: Results, quantity: str, cells: Sequence[Cell], over: str) -> Lines:
+def _lines_over(results: Results, summaries: Sequence[Summary], over: str) -> Lines:
     """Return one line per method along an axis of the cases."""
     position = list(results.config.cases).index(over)
     places = {name: i for i, (name, _) in enumerate(results.config.cases[over].points())}
     numbers = _numbers(results, over)
     by_method: dict[str, list[tuple[float, Summary]]] = {}
-    for cell in cells:
-        place = places[cell.settings[position]]
-        x = float(place) if numbers is None else float(numbers[place])
-        for summary in cell.summaries:
-            if summary.quantity == quantity and summary.times_s is None:
-                by_method.setdefault(cell.method, []).append((x, summary))
+    for summary in summaries:
+        place = places[summary.settings[position]]
+        if summary.times_s is None:
+            x = float(place) if numbers is None else float(numbers[place])
+            by_method.setdefault(summary.method, []).append((x, summary))
     lines = {}
     for method, points in by_method.items():
-        values = {name: np.array([getattr(of, name)[0] for _, of in points]) for name in ("runs", *STATISTICS)}
-        lines[method] = np.array([x for x, _ in points]), Summary(quantity, points[0][1].unit, None, **values)
+        values: dict[str, Any] = {name: np.array([getattr(of, name)[0] for _, of in points]) for name in STATISTICS}
+        lines[method] = np.array([x for x, _ in points]), replace(points[0][1], **values)
     return lines
 
 
@@ -242,17 +232,21 @@ def _draw_points(axes: Axes, lines: Lines, names: Sequence[str]) -> None:
 
 def _draw_moves(results: Results) -> Figure:
     """Draw the Gaussian of each method (its moments' means over the runs) in two planes, one row per case."""
-    cases = list(dict.fromkeys(cell.case for cell in results.cells))
+    cases = list(dict.fromkeys(summary.case for summary in results.summaries))
     figure = new_figure(10.5, 0.9 + 3.2 * len(cases))
     grid = figure.subplots(len(cases), len(PLANES), squeeze=False)
     for row, case in enumerate(cases):
-        cells = [cell for cell in results.cells if cell.case == case]
+        methods: dict[str, dict[str, Summary]] = {}
+        for summary in results.summaries:
+            if summary.case == case:
+                methods.setdefault(summary.method, {})[summary.quantity] = summary
         for axes, plane in zip(grid[row], PLANES, strict=True):
-            for number, cell in enumerate(cells):
+            for number, (method, found) in enumerate(methods.items()):
                 colour = colour_of(number)
-                label = f"{cell.method} ({_value_of(cell, 'divergence', 'mean'):.2g} nat)"
-                axes.plot(*_ellipse(cell, plane, "mean"), color=colour, linewidth=1.4, label=label)
-            axes.plot(*_ellipse(cells[0], plane, "bound"), color=INK, linewidth=1.8, linestyle=":", label="reference")
+                label = f"{method} ({found['divergence'].mean[0]:.2g} nat)"
+                axes.plot(*_ellipse(found, plane, "mean"), color=colour, linewidth=1.4, label=label)
+            reference = _ellipse(next(iter(methods.values())), plane, "bound")
+            axes.plot(*reference, color=INK, linewidth=1.8, linestyle=":", label="reference")
             axes.set_xlabel(f"{plane[0]} [px]")
             axes.set_ylabel(f"{plane[1]} [px]")
             if len(cases) > 1:
@@ -261,17 +255,12 @@ def _draw_moves(results: Results) -> Figure:
     return figure
 
 
-def _value_of(cell: Cell, quantity: str, statistic: str) -> float:
-    summary = next(summary for summary in cell.summaries if summary.quantity == quantity)
-    return float(getattr(summary, statistic)[0])
-
-
-def _ellipse(cell: Cell, plane: tuple[str, str], statistic: str) -> Array:
+def _ellipse(summaries: Mapping[str, Summary], plane: tuple[str, str], statistic: str) -> Array:
     """Return the points (2, n) of the ellipse at `SIGMAS` in a plane."""
     first, second = plane
-    mean = np.array([_value_of(cell, f"mean_{axis}", statistic) for axis in plane])
+    mean = np.array([getattr(summaries[f"mean_{axis}"], statistic)[0] for axis in plane])
     pairs = (first + first, first + second, second + second)
-    xx, xy, yy = (_value_of(cell, f"covariance_{pair}", statistic) for pair in pairs)
+    xx, xy, yy = (getattr(summaries[f"covariance_{pair}"], statistic)[0] for pair in pairs)
     covariance = np.array([[xx, xy], [xy, yy]])
     values, vectors = np.linalg.eigh(covariance)
     angle = np.linspace(0.0, 2.0 * np.pi, POINTS)

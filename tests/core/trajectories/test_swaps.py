@@ -328,7 +328,7 @@ def test_the_log_likelihood_is_that_of_all_detections_at_once() -> None:
     for k, event in enumerate(track.events.tolist()):
         if event in own[0]:
             detection = chain.detections[k : k + 1]
-            points, jacobians = run.look(np.array([event]), track.states[k][None], detection)
+            points, jacobians = run.project(np.array([event]), track.states[k][None], detection)
             row = np.zeros((2, 6 * count))
             row[:, 6 * k : 6 * k + 6] = jacobians[0]
             rows.append(row)

@@ -11,9 +11,9 @@ import pytest
 from stereophd.commands.simulate import simulate
 from stereophd.config.loading import LoadedConfig, load_config
 from stereophd.errors import InputError
+from stereophd.pipeline.calibration.configured_unknowns import build_parameters, draw_guess
 from stereophd.pipeline.calibration.problem import Outcome, annealed_task, part_used, read_problem
 from stereophd.pipeline.calibration.report import build_report
-from stereophd.pipeline.calibration.unknowns import build_parameters, draw_guess
 from stereophd.report.summaries import verdict
 
 CONFIG = Path(__file__).parents[3] / "configs" / "paper" / "calibration.yaml"

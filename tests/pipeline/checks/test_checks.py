@@ -17,16 +17,10 @@ from stereophd.core.geometry.lens import Lens
 from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import LogWriter
+from stereophd.pipeline.checks.check_log import _of_files, check_log
 from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake, once_mended, warnings_of
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL, alternatives
-from stereophd.pipeline.checks.geometry.causes import (
-    LEAST_CLOCK_FRAMES,
-    Trial,
-    _best_shift,
-    _pose_trial,
-    _trial,
-)
-from stereophd.pipeline.checks.geometry.findings import check_geometry, left_out
+from stereophd.pipeline.checks.geometry.ray_checks import check_geometry, left_out
 from stereophd.pipeline.checks.geometry.rays import (
     MOST_PAIRS,
     SHARP,
@@ -36,11 +30,17 @@ from stereophd.pipeline.checks.geometry.rays import (
     measure,
     pairs_of,
 )
+from stereophd.pipeline.checks.geometry.trials import (
+    LEAST_CLOCK_FRAMES,
+    Trial,
+    _best_shift,
+    _pose_trial,
+    _trial,
+)
 from stereophd.pipeline.checks.log import sample as sampling
-from stereophd.pipeline.checks.log.findings import check_files
+from stereophd.pipeline.checks.log.log_checks import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
-from stereophd.pipeline.checks.run import _of_files, check_log
-from stereophd.pipeline.checks.run_figures import (
+from stereophd.pipeline.checks.run_checks import (
     check_detections,
     check_estimated_detectors,
     check_losses,
@@ -635,7 +635,7 @@ def test_pairs_and_clocks_that_are_left_out_are_stated(count: int, few_frames: i
 
 
 def test_a_small_promise_is_not_called_a_small_overlap(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("stereophd.pipeline.checks.geometry.findings.best_explanation", lambda *_, **__: None)
+    monkeypatch.setattr("stereophd.pipeline.checks.geometry.ray_checks.best_explanation", lambda *_, **__: None)
     little = replace(
         _many(2), given=(Meeting(0.3, 0.28, 0.02, 1.0, 3.0, 0.02, np.ones(100, dtype=bool)),), expected=(0.05,)
     )
@@ -841,7 +841,7 @@ def test_causes_of_rays_that_do_not_meet_are_looked_for_once(tmp_path: Path, mon
         for frame in _frames(CAMERAS, count=300):
             table.write(frame.time_s, CAMERAS[frame.camera].name, frame.frame, frame.pixels)
     asked = list[Geometry]()
-    monkeypatch.setattr("stereophd.pipeline.checks.geometry.findings.best_explanation", asked.append)
+    monkeypatch.setattr("stereophd.pipeline.checks.geometry.ray_checks.best_explanation", asked.append)
     turned = _turned(CAMERAS[1], rotation_from_vector([0.0, 0.0, np.deg2rad(5.0)]) @ CAMERAS[1].pose.rotation)
     found = check_log(loaded, tmp_path / "log.parquet", cameras=(CAMERAS[0], turned))
     assert DO_NOT_MEET in {one.cause for one in found}

@@ -21,7 +21,7 @@ from stereophd.core.two_views.responses import find_change
 from stereophd.core.two_views.turns import all_turns
 from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.checks.finding import Finding
-from stereophd.pipeline.checks.run_figures import check_knocks
+from stereophd.pipeline.checks.run_checks import check_knocks
 from stereophd.pipeline.simulation import build_scene
 from stereophd.pipeline.tracking import knocked as test_of_knocks
 from stereophd.pipeline.tracking.knocked import BLOCKS, LOOKS_A_QUESTION, Knock, _added, _threshold

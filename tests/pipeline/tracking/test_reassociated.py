@@ -13,7 +13,7 @@ from stereophd.commands.track import track
 from stereophd.config.loading import load_config
 from stereophd.errors import InputError
 from stereophd.pipeline.tracking import smoothed
-from stereophd.pipeline.tracking.run import build_tracking
+from stereophd.pipeline.tracking.tracking_run import build_tracking
 from tests.conftest import leave_out_checks
 
 pytestmark = pytest.mark.usefixtures("without_checks")

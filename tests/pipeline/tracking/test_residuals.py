@@ -8,7 +8,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.core.motion.constant_velocity import ConstantVelocity
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.pipeline.checks.finding import Finding, once_mended
-from stereophd.pipeline.checks.run_figures import check_errors
+from stereophd.pipeline.checks.run_checks import check_errors
 from stereophd.pipeline.tracking.associations import Associated
 from stereophd.pipeline.tracking.loop import Record
 from stereophd.pipeline.tracking.residuals import SeenTrack, TrackErrors, residuals_of

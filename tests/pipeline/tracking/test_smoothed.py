@@ -18,8 +18,8 @@ from stereophd.pipeline.build import build_filter
 from stereophd.pipeline.stream import EventStream
 from stereophd.pipeline.tracking.loop import run_estimator
 from stereophd.pipeline.tracking.residuals import TrackErrors
-from stereophd.pipeline.tracking.run import reported_records
 from stereophd.pipeline.tracking.smoothed import _is_worse, _smoothed, _trajectories, claims_of_run
+from stereophd.pipeline.tracking.tracking_run import reported_records
 from tests.commands.test_track import SCENE
 
 

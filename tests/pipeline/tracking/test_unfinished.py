@@ -18,7 +18,7 @@ from stereophd.commands.track import track
 from stereophd.config.loading import LoadedConfig, load_cameras, load_config
 from stereophd.errors import InputError
 from stereophd.io.cameras.writing import write_cameras
-from stereophd.io.outputs import atomic, saved
+from stereophd.io.outputs import disk, saved
 from stereophd.io.outputs.disk import TEMPORARY_PREFIX
 from stereophd.io.outputs.saved import decoder, encode
 from stereophd.io.tables import writing
@@ -213,7 +213,7 @@ def test_killed_between_the_tables_and_the_end_continues(
         raise Killed
 
     with monkeypatch.context() as patch:
-        patch.setattr("stereophd.commands.track.check_losses", raise_killed)
+        patch.setattr("stereophd.pipeline.checks.run_checks.check_losses", raise_killed)
         with pytest.raises(Killed):
             track(*scene, out)
     with monkeypatch.context() as patch:
@@ -284,7 +284,7 @@ def test_a_full_disk_is_an_error_that_names_the_folder(
     out = tmp_path / "out"
     killed_after(monkeypatch, 20, lambda: track(*scene, out))
     with monkeypatch.context() as patch:
-        patch.setattr(atomic, "sync", full)
+        patch.setattr(disk, "sync", full)
         with pytest.raises(InputError, match=r"cannot write .*tracks\.parquet-\d+\.part: No space left"):
             track(*scene, out, resume=True)
     track(*scene, out, resume=True)

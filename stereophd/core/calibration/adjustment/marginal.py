@@ -48,7 +48,7 @@ the gradient from other bends of the valley, and took four times as many steps.
 **Covariance.** The normal equations lack second derivatives of the residuals, too. Where objects turn within the time
 in which they move by some noises of their detections, other velocities compensate for a later clock: by residuals
 times the change of the knots' weights with time. The normal equations believe the velocities that the noise has bent,
-and state clocks up to four times too sure. `exact_covariance` differentiates the gradient of the objective instead.
+and state clocks up to four times too sure. `curvature_covariance` differentiates the gradient of the objective instead.
 Beside the optimum the knots take one step by the second derivatives of the cost there, and the gradient removes what is
 left of their pull to first order. It is then wrong by the square of an error of second order, so that steps may be so
 small that a difference to one side does, and no valley is left.
@@ -131,7 +131,7 @@ def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTL
     return Adjustment(values, at.states, covariance, cost, distances, left <= LONGEST_LEFT, noise)
 
 
-def exact_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1) -> Array:
+def curvature_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1) -> Array:
     """Covariance (m, m) of the values by the second derivatives of the objective at its minimum.
 
     They are differences of the gradient along each column of a root of the covariance by the normal equations. Raises

@@ -211,7 +211,7 @@ def adjust(
             break
         if current.cost < lowest - CONVERGED * max(lowest, 1.0):
             lowest, lowered = current.cost, iteration
-    covariance = posterior_covariance(current, problem.parameters.prior_std)
+    covariance = gauss_newton_covariance(current, problem.parameters.prior_std)
     return Adjustment(values, states, covariance, current.cost, current.distances, converged)
 
 
@@ -235,7 +235,7 @@ def _followed(
     return values, states, linearisation.at(values, states)
 
 
-def posterior_covariance(equations: NormalEquations, prior_std: Array) -> Array:
+def gauss_newton_covariance(equations: NormalEquations, prior_std: Array) -> Array:
     """Covariance (m, m) of the values, the trajectories integrated out: the inverse Schur complement."""
     return within_prior(Eliminated.of(equations, factor_knots(equations.bands)).schur, prior_std)
 

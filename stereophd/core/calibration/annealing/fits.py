@@ -32,7 +32,7 @@ from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.pairing.refinement import meeting_points
 from stereophd.core.calibration.pairing.search import DRAWS, distinct_pairings, paired_objects
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import view_of
 from stereophd.core.calibration.unknowns.scale import enlarged, reduced
 from stereophd.core.numerics.threads import in_threads
 
@@ -267,7 +267,7 @@ def _standing(task: Task, fit: Fit) -> Fit | None:
     points = positions(fit.adjustment.states, *interpolation(fit.knots, seen.trajectories, seen.times))
     still = np.zeros_like(points)
     distances = [
-        np.linalg.norm(look(camera, points, still, seen.times, seen.log_times, seen.rows).points, axis=1)
+        np.linalg.norm(view_of(camera, points, still, seen.times, seen.log_times, seen.rows).points, axis=1)
         for camera in task.parameters.build(fit.adjustment.values)
     ]
     gone = collapsed(seen.trajectories, seen.times, seen.cameras, np.stack(distances, axis=1))

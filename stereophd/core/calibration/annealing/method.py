@@ -17,7 +17,7 @@ import numpy as np
 from scipy.linalg import LinAlgError
 
 from stereophd.core.arrays import Array, Booleans
-from stereophd.core.calibration.adjustment.marginal import exact_covariance
+from stereophd.core.calibration.adjustment.marginal import curvature_covariance
 from stereophd.core.calibration.adjustment.noise import estimate_noise
 from stereophd.core.calibration.adjustment.stretches import disagreement_of_stretches
 from stereophd.core.calibration.adjustment.suspicions import Suspicion, quadratic_posterior, suspect
@@ -230,9 +230,11 @@ def chosen_anew(task: Task, fit: Fit, still: bool = False) -> Fit:
 def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     """State the answer, and state it anew with the noise of the residuals and without what the data contradict.
 
-    Trajectories of an answer choose their detections and show the noise, and the search goes on from the answer. Once
-    the noise stays, what is held is tested: first with errors that are independent, then with those that detections
-    share. What is freed begins as it was stated, and a search that did not end at the joint optimum again.
+    Each round: (1) the answer, where there is none, is the marginal optimum of the fit. (2) Its trajectories choose
+    detections anew, whose residuals show the noise. (3) Where that is another, the search goes on from the answer, or
+    begins at the joint optimum where it had not converged or residuals hide the noise; the next round follows. (4) Once
+    the noise stays, what is held is tested; what is contradicted is freed, beginning as stated, for the next round. (5)
+    The errors of detections are independent at first, and shared within a radius once nothing is contradicted.
     """
     count = len(task.parameters.cameras)
     noise, shared = np.ones(count), np.zeros(count)
@@ -315,7 +317,7 @@ def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, float, tuple
     task.limit.begin("the covariance of the answer is computed")
     if adjustment.converged:
         try:
-            exact = exact_covariance(problem, adjustment, task.threads)
+            exact = curvature_covariance(problem, adjustment, task.threads)
             adjustment = replace(adjustment, covariance=exact)
         except LinAlgError:
             adjustment = replace(adjustment, converged=False)

@@ -22,7 +22,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.unknowns.parameters import Parameter, ParameterSet, taken
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import look
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import view_of
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.rotations import cross_matrices
 from stereophd.core.numerics.compilation.compiled import compiled
@@ -63,7 +63,7 @@ class CameraUncertainty:
         information, pulls = [], []
         for camera in self.parameters.cameras:
             log_times = (times - camera.clock.offset_s) / camera.clock.rate
-            view = look(camera, states[:, :3], states[:, 3:], times, log_times, np.zeros(count))
+            view = view_of(camera, states[:, :3], states[:, 3:], times, log_times, np.zeros(count))
             view = replace(view, rows=view.pixels[:, 1] / camera.height)
             inside = view.visible & ((view.pixels >= 0.0) & (view.pixels < [camera.width, camera.height])).all(axis=1)
             weighted = np.swapaxes(view.by_world, 1, 2) * (inside[:, None] / camera.detector.sigma**2)[:, None, :]

@@ -14,7 +14,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
-from stereophd.core.disparity.moments import NO_REGION, looks_at
+from stereophd.core.disparity.moments import NO_REGION, draws_of_event
 from stereophd.core.multi.base import DisparityFilter
 from stereophd.core.multi.births.undetected import Undetected, prune_weight_for_births
 from stereophd.core.multi.state.inputs import with_births, with_newborns
@@ -96,14 +96,14 @@ class FilterBatch:
         settings: Any = template.reduction
         weight = prune_weight_for_births(settings.prune_weight, births, bare.p_detect, bare.clutter)
         numbers, reduction = with_births(bare, births, burst), settings._replace(prune_weight=weight)
-        looks = looks_at(template.sets, state.n_events)
+        draws = draws_of_event(template.sets, state.n_events)
         motion = template.motion.arrays(event.time_s - mixture.times)
         region = NO_REGION if template.rig.region is None else template.rig.region
 
         def run(first: int) -> tuple[Integers, GaussianMixture, Array]:
             part = slice(first, first + CHUNK)
             return template.update_hypotheses(
-                state.begins[part], state.ends[part], mixture, spaces[part], motion, looks, region, arrays, numbers,
+                state.begins[part], state.ends[part], mixture, spaces[part], motion, draws, region, arrays, numbers,
                 reduction,
             )  # fmt: skip
 

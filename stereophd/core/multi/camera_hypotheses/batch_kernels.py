@@ -8,7 +8,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.moved import Moved, allocate_moved
-from stereophd.core.disparity.sample_move import Looks
+from stereophd.core.disparity.sample_move import EventDraws
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.phd.update import PhdReduction, reduce_intensity, update_intensity
 from stereophd.core.multi.pmb.hypotheses import PmbReduction, choose_hypotheses
@@ -41,7 +41,7 @@ def update_batch(
     mixture: GaussianMixture,
     spaces: Array,
     motion: MotionArrays,
-    looks: Looks,
+    draws: EventDraws,
     region: Array,
     event: EventArrays,
     numbers: EventNumbers,
@@ -62,7 +62,7 @@ def update_batch(
     found = 0
     for h in range(len(begins)):
         components, travel = slice_components(mixture, begins[h], ends[h]), slice_motion(motion, begins[h], ends[h])
-        before, seen = _predicted(components, travel, spaces[h], looks, region, numbers)
+        before, seen = _predicted(components, travel, spaces[h], draws, region, numbers)
         # the compiler keeps the branch of the settings that are not None
         if intensity is not None:
             updated, log_likelihoods[h], _, shares = update_intensity(before, seen, event, numbers, intensity)
@@ -79,13 +79,18 @@ def update_batch(
 
 @compiled
 def _predicted(
-    components: GaussianMixture, motion: MotionArrays, spaces: Array, looks: Looks, region: Array, numbers: EventNumbers
+    components: GaussianMixture,
+    motion: MotionArrays,
+    spaces: Array,
+    draws: EventDraws,
+    region: Array,
+    numbers: EventNumbers,
 ) -> tuple[GaussianMixture, Moved]:
     """One hypothesis' components as predicted, and the same in the event's space."""
     count, size = components.means.shape
     moved, homes = allocate_moved(count, size), homes_of(spaces, components.cameras, spaces[numbers.camera])
     weights, _ = predict_components(
-        components, numbers, homes, motion, spaces, region, looks, np.arange(count), moved
+        components, numbers, homes, motion, spaces, region, draws, np.arange(count), moved
     )  # fmt: skip
     return GaussianMixture(weights, *components[1:]), moved
 

@@ -35,7 +35,7 @@ from stereophd.core.multi.filter_settings.pmb import PmbSettings
 from stereophd.core.multi.pmb.hypotheses import BY_DETECTIONS, Existences, PmbReduction, choose_hypotheses
 from stereophd.core.multi.pmb.reduction import reduce_tracks
 from stereophd.core.multi.pmb.update import associate_tracks
-from stereophd.core.multi.prediction import Bare, predict_event
+from stereophd.core.multi.prediction import Fields, predict_event
 from stereophd.core.multi.state.estimates import Estimates, Info
 from stereophd.core.multi.state.inputs import Detections, EventNumbers, with_births, with_newborns
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture, empty_mixture
@@ -157,14 +157,14 @@ class PmbFilter(DisparityFilter):
 
 @compiled
 def _step(
-    mixture: Bare,
-    given: Bare,
-    detected: Bare,
-    prior: Bare,
-    reduction: Bare,
+    mixture: Fields,
+    given: Fields,
+    detected: Fields,
+    prior: Fields,
+    reduction: Fields,
     with_claims: bool,
-    search: Bare,
-    report: Bare,
+    search: Fields,
+    report: Fields,
     samples: Array,
 ) -> tuple[Selection, Integers, Undetected, int, float, float, float, Integers, Integers, Claims | None, int, float]:
     """`predict_event`, `_update`, `swap_candidates` and `select_objects`.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.initial import FirstSight, initial_moments
 from stereophd.core.disparity.moved import OUT_OF_VIEW, Moved, Sources, allocate_moved
-from stereophd.core.disparity.sample_move import Look, move_components
+from stereophd.core.disparity.sample_move import Draws, move_components
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.multi.association.likelihoods import ALL_PAIRS, kalman_updates, pair_likelihoods
 from stereophd.core.multi.swaps.epipolar_pairs import NewObjects
@@ -84,7 +84,7 @@ def explain_rows(
     prior: NewObjects,
     paths: DetectionPaths,
     motion: MotionArrays,
-    look: Look,
+    draws: Draws,
     most_behind: float,
     out: ExplainedRows,
 ) -> None:
@@ -116,7 +116,7 @@ def explain_rows(
                 homes[k, a] = spaces[before, a]
             which[going] = k
             going += 1
-        move_components(which[:going], sources, look, spaces[row], 0.0, nowhere, moved)
+        move_components(which[:going], sources, draws, spaces[row], 0.0, nowhere, moved)
         for i in range(going):
             k = which[i]
             h = k // count

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Rig
 from stereophd.core.disparity.rolling import NO_READINGS
-from stereophd.core.disparity.sample_move import Look
+from stereophd.core.disparity.sample_move import Draws
 from stereophd.core.disparity.world_moments import place_in_world
 from stereophd.core.motion.base import Motion
 from stereophd.core.multi.filter_settings.common import BirthPrior
@@ -72,8 +72,8 @@ class SwapTest:
         return float(self.motion.noise_std.max())
 
     @cached_property
-    def _look(self) -> Look:
-        return Look(self.samples, np.ones(self.samples.shape[1]), FEWEST)
+    def _draws(self) -> Draws:
+        return Draws(self.samples, np.ones(self.samples.shape[1]), FEWEST)
 
     @cached_property
     def _prior_at_rest(self) -> NewObjects:
@@ -189,7 +189,7 @@ class SwapTest:
         motion = self.motion.arrays(paths.intervals)
         out = room_for_explained(len(owners), owners.shape[1], self.motion.state_size)
         spaces = self.rig.spaces(rows.cameras, rows.times)
-        explain_rows(rows, spaces, prior, paths, motion, self._look, LATEST, out)
+        explain_rows(rows, spaces, prior, paths, motion, self._draws, LATEST, out)
         return out
 
 

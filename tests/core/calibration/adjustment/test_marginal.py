@@ -13,7 +13,7 @@ from stereophd.core.calibration.adjustment.marginal import (
     MarginalPosterior,
     Point,
     at_answer,
-    exact_covariance,
+    curvature_covariance,
     marginal_optimum,
 )
 from stereophd.core.calibration.adjustment.problem import SQUARED, Problem
@@ -96,14 +96,14 @@ def test_the_exact_covariance_is_that_of_the_objective_where_velocities_follow_t
     problem, states = problem_of(true, observations, points)
     found = marginal_optimum(problem, adjust(problem, np.zeros(true.size), states))
     assert found.converged
-    covariance = exact_covariance(problem, found)
+    covariance = curvature_covariance(problem, found)
     posterior, at = at_answer(problem, found)
     step = covariance[-1] / np.sqrt(covariance[-1, -1])
     precision = np.linalg.inv(posterior.covariance(at))
     step = np.append(step, -np.linalg.solve(precision[-6:, -6:], precision[-6:, :-6] @ step))
     ahead, behind = (posterior.at(at.unknowns + sign * step, at.states).objective for sign in (1.0, -1.0))
     assert ahead + behind - 2.0 * at.objective == pytest.approx(1.0, abs=0.02)
-    in_threads = exact_covariance(problem, found, threads=2)
+    in_threads = curvature_covariance(problem, found, threads=2)
     np.testing.assert_array_equal(in_threads, covariance)
 
 
@@ -127,7 +127,7 @@ def test_the_exact_covariance_is_that_of_the_floor_of_a_valley_that_bends(monkey
     stds = []
     for step in (10.0 * marginal.DIFFERENCE, marginal.DIFFERENCE, 0.1 * marginal.DIFFERENCE):
         monkeypatch.setattr(marginal, "DIFFERENCE", step)
-        stds.append(np.sqrt(np.diag(exact_covariance(problem, found))))
+        stds.append(np.sqrt(np.diag(curvature_covariance(problem, found))))
     np.testing.assert_allclose(stds[0][1:] / stds[2][1:], 1.0, atol=0.03)
     np.testing.assert_allclose(stds[1][1:] / stds[2][1:], 1.0, atol=0.003)
 

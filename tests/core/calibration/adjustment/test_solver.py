@@ -16,7 +16,7 @@ from stereophd.core.calibration.adjustment.solver import (
     Eliminated,
     adjust,
     factor_knots,
-    posterior_covariance,
+    gauss_newton_covariance,
     within_prior,
 )
 from stereophd.core.calibration.adjustment.trajectories import (
@@ -146,7 +146,7 @@ def test_an_adjustment_of_a_pass_ends_after_a_step_that_hardly_moves_the_values(
     begin = np.zeros(problem.parameters.size), found.states
     equations = Linearisation.of(problem).at(*begin)
     values, _, length = solver.solve(equations, 0.0)
-    precision = np.linalg.inv(posterior_covariance(equations, problem.parameters.prior_std))
+    precision = np.linalg.inv(gauss_newton_covariance(equations, problem.parameters.prior_std))
     assert length == pytest.approx(np.sqrt(values @ precision @ values), rel=1e-6)
 
     lengths, step = list[float](), solver.solve
@@ -268,7 +268,7 @@ def test_knots_without_information_are_held() -> None:
     bands = np.zeros((12, 12))
     bands[0, :6], bands[0, 6:], bands[1, 6:11] = 1.0, 5e-324, 5e-324
     equations = NormalEquations(0.0, bands, np.zeros((12, 2)), 4.0 * np.eye(2), np.zeros(12), np.zeros(2), np.empty(0))
-    np.testing.assert_allclose(posterior_covariance(equations, np.ones(2)), 0.25 * np.eye(2))
+    np.testing.assert_allclose(gauss_newton_covariance(equations, np.ones(2)), 0.25 * np.eye(2))
 
 
 def test_information_that_rounding_makes_negative_is_cut_to_the_prior() -> None:

@@ -8,7 +8,7 @@ import pytest
 
 from stereophd.config.calibration import CameraPrior
 from stereophd.core.calibration.unknowns.quantities.base import TIMES, Quantity
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import Sights, look
+from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import Sights, view_of
 from stereophd.core.calibration.unknowns.quantities.pose import Center, Rotation
 from stereophd.core.calibration.unknowns.quantities.registry import component_names, quantities, quantity_of
 from stereophd.core.geometry.camera import Camera, Clock, Detector
@@ -102,7 +102,7 @@ def test_second_derivatives_by_the_point_are_those_of_first_ones(lens: str, movi
     world, pulls, when = camera.pose.to_world(ahead), rng.standard_normal((count, 2)), np.full(count, 3.0)
 
     def slopes(points: np.ndarray) -> np.ndarray:
-        return np.einsum("nr,nra->na", pulls, look(camera, points, 0.0 * points, when, when, when).by_world)
+        return np.einsum("nr,nra->na", pulls, view_of(camera, points, 0.0 * points, when, when, when).by_world)
 
     numeric = np.stack([(slopes(world + step * e) - slopes(world - step * e)) / (2.0 * step) for e in np.eye(3)], 1)
     sights = Sights.of((camera,), np.zeros(count, dtype=np.int64), when)
@@ -128,7 +128,7 @@ def test_a_rig_is_seen_as_its_cameras_one_by_one() -> None:
     for number, camera in enumerate(rig):
         here = np.flatnonzero(of_row == number)
         view = sights.view(number, here, found, velocities, times, times, times)
-        alone = look(camera, world[here], velocities[here], times[here], times[here], times[here])
+        alone = view_of(camera, world[here], velocities[here], times[here], times[here], times[here])
         for name in ("ahead", "visible", "elapsed", "points", "distorted", "pixels", "by_point", "by_world", "by_time"):
             np.testing.assert_allclose(getattr(view, name), getattr(alone, name), rtol=1e-9, atol=1e-9)
         moved = world[here] - camera.pose.motions(times[here]).centers
@@ -146,7 +146,7 @@ def test_what_lies_beyond_the_edge_of_a_lens_is_imaged_on_it() -> None:
     edge = camera.lens.max_radius
     ahead = np.array([[share * edge * 0.6, share * edge * 0.8, 1.0] for share in (1.0 - 1e-9, 1.0 + 1e-9, 1.5)])
     nothing = np.zeros(3)
-    view = look(camera, ahead, 0.0 * ahead, nothing, nothing, nothing)
+    view = view_of(camera, ahead, 0.0 * ahead, nothing, nothing, nothing)
     assert view.ahead.all()
     np.testing.assert_array_equal(view.visible, [True, False, False])
     np.testing.assert_allclose(view.pixels, view.pixels[[0, 0, 0]], atol=1e-5)
@@ -180,7 +180,7 @@ def test_derivative_is_that_of_finite_differences(quantity: Quantity, lens: str,
         now = quantity.apply(camera, values)
         times = now.clock.to_true(log_times) + now.readout_s * rows
         since = (times - centre)[:, None]
-        view = look(
+        view = view_of(
             now, ahead + since * velocity + since**2 * bend, velocity + 2.0 * since * bend, times, log_times, rows
         )
         assert view.visible.all()
@@ -208,7 +208,7 @@ def test_pixels_are_those_of_the_camera(lens: str, mounted: bool) -> None:
     points = camera.pose.to_world(np.random.default_rng(5).uniform([-2, -2, 4], [2, 2, 9], (10, 3)))
     for time_s in (2.0, 5.0):
         still = np.zeros((10, 3))
-        view = look(camera, points, still, np.full(10, time_s), np.full(10, time_s), np.zeros(10))
+        view = view_of(camera, points, still, np.full(10, time_s), np.full(10, time_s), np.zeros(10))
         np.testing.assert_allclose(view.pixels, camera.at(time_s).project(points), atol=1e-9)
 
 
@@ -234,7 +234,7 @@ def test_every_quantity_has_a_prior_and_unique_names(quantity: Quantity) -> None
 def test_the_entry_leads_back_to_the_camera(quantity: Quantity) -> None:
     from stereophd.io.cameras.models import CameraConfig
     from stereophd.io.cameras.writing import camera_config
-    from stereophd.pipeline.calibration.unknowns import with_quantities
+    from stereophd.pipeline.calibration.configured_unknowns import with_quantities
 
     camera = camera_for(quantity)
     config = (

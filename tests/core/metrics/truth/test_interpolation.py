@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stereophd.core.metrics.scans import PointSets
-from stereophd.core.metrics.truth.events import event_keys, find_events, first_repeated, first_rows_of_events
 from stereophd.core.metrics.truth.interpolation import (
     Events,
     Truth,
@@ -131,17 +130,6 @@ def test_unseen_objects_go_with_their_estimates():
     assert left_truth.counts.tolist() == [1, 0, 0, 0]
     assert left_estimates.position[:, 0].tolist() == [1, 50]
     assert emptied.tolist() == [False, True, False, False]
-
-
-def test_events_are_found_by_time_camera_and_frame():
-    scans = event_keys(np.array([0.0, 0, 1, 1]), np.array([0, 1, 0, 1]), np.array([5, 5, 6, 6]))
-    rows = scans.take(np.array([1, 1, 1, 2]))
-    assert first_rows_of_events(rows).tolist() == [0, 3]
-    assert find_events(rows[[0, 3]], scans).tolist() == [1, 2]
-    other = event_keys(np.array([1.0]), np.array([0]), np.array([7]))
-    assert find_events(other, scans).tolist() == [-1]
-    assert first_repeated(scans) is None
-    assert first_repeated(scans.take(np.array([0, 2, 0]))) == 2
 
 
 def test_rows_of_several_cameras_a_millisecond_apart_give_the_velocity_of_the_object() -> None:

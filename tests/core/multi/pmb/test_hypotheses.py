@@ -11,7 +11,7 @@ from stereophd.core.multi.pmb.filter import PmbFilter
 from stereophd.core.multi.pmb.hypotheses import LEAST_BOUND, choose_hypotheses
 from stereophd.core.multi.state.mixture import UNLABELLED, GaussianMixture
 from stereophd.core.multi.state.outcomes import Outcomes
-from stereophd.pipeline.checks.run_figures import MOST_UNDECIDED
+from stereophd.pipeline.checks.run_checks import MOST_UNDECIDED
 from tests.core.multi.pmb.test_pmb import assert_sound, make_pmb
 from tests.core.multi.scenes import PRIOR
 

@@ -81,7 +81,7 @@ class Sights:
         )  # fmt: skip
 
 
-def look(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:
+def view_of(camera: Camera, world: Array, velocities: Array, times: Array, log_times: Array, rows: Array) -> CameraView:
     """Project points of trajectories, world positions and velocities (n, 3) at the times of detections, into a camera.
 
     `times` (n,) are true ones and `log_times` (n,) those on the camera's clock, s; `rows` (n,) are those of the

@@ -10,12 +10,12 @@ from stereophd.config.loading import LoadedConfig
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.reading import LogReader
 from stereophd.pipeline.checks.finding import DO_NOT_MEET, ERRORS_LAST, Finding, is_mistake, is_overstated, warnings_of
-from stereophd.pipeline.checks.geometry.findings import check_geometry
+from stereophd.pipeline.checks.geometry.ray_checks import check_geometry
 from stereophd.pipeline.checks.geometry.rays import measure
-from stereophd.pipeline.checks.log.findings import check_files
+from stereophd.pipeline.checks.log.log_checks import check_files
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.residuals import check_residuals
-from stereophd.pipeline.checks.run_figures import check_rows
+from stereophd.pipeline.checks.run_checks import check_rows
 from stereophd.pipeline.checks.settings import check_settings, expected_depths, measure_scene
 from stereophd.pipeline.stream import covered
 from stereophd.wording import LOGGER

@@ -3,8 +3,8 @@
 from collections.abc import Iterator
 
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding, Status
-from stereophd.pipeline.checks.geometry.causes import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
 from stereophd.pipeline.checks.geometry.rays import LEAST_EXPECTED, LEAST_SCORE, MOST_CHANCE, Geometry, pairs_of
+from stereophd.pipeline.checks.geometry.trials import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
 from stereophd.wording import percent
 
 # Below this score rays meet by chance, and the share of what the settings promise that right cameras reach.
