@@ -2,7 +2,8 @@
 
 A point at q in the frame of the cameras is at s R q + T in the world. Each pixel in which a camera sees it, and each of
 its coordinates that is known, is an observation; the points, the similarity and, in a calibration, the values of the
-cameras are unknown together.
+cameras are unknown together. The points meet no trajectory and no clock, so that they are eliminated one by one, and
+least squares over the rest is small.
 """
 
 from collections.abc import Callable, Sequence
@@ -15,11 +16,11 @@ from stereophd.core.alignment.to_track import MOST_ROTATION, MOST_SCALE
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.projection import nearest_points
-from stereophd.core.metrics.truth.registration import Alignment, Registration, stepped
+from stereophd.core.metrics.truth.registration import Alignment, Registration, derivatives, stepped
 
-# Fits with weights by the residuals of the one before, at most, and the squared length of the last step in standard
-# deviations.
-MOST_STEPS, SETTLED = 30, 1e-6
+# Steps at most, the squared length of the last one in standard deviations, and the step of a numerical derivative in
+# parts of a standard deviation of a value, or of the distance of a point.
+MOST_STEPS, SETTLED, SMALL = 30, 1e-6, 1e-5
 # Points that two cameras see, and the least width of their scatter across a line, as a part of its length.
 LEAST_POINTS, LEAST_WIDTH = 3, 0.02
 # A place without a deviation is known to this part of the extent of all.
@@ -78,8 +79,7 @@ def adjust_to_points(
     Returns the values, the alignment, and the covariance (m + 9, m + 9) of both. The covariances are enlarged where the
     points fit worse than their deviations say.
     """
-    from scipy.optimize import least_squares  # costly to import
-
+    size = len(values)
     places = _triangulated(build(values), points)
     found = _similarity(places, points, any_scale)
     # what one camera alone sees begins at its place
@@ -87,39 +87,25 @@ def adjust_to_points(
     back = (np.where(np.isnan(points.places), 0.0, points.places) - found.translation) @ found.rotation / found.scale
     places[lost & points.is_complete] = back[lost & points.is_complete]
     used: Booleans = np.asarray(np.isfinite(places).all(axis=1), dtype=np.bool_)
-    known = np.isfinite(points.places) & used[:, None]
-    size, count, root = len(values), int(used.sum()), np.linalg.cholesky(precision).T
-    free = size + 6 + any_scale
-    # a residual depends on the values, the similarity, and its own point
-    owner = np.concatenate([np.repeat(points.point, 2), np.nonzero(known)[0], np.full(size, -1)])
-    pattern = np.hstack([np.ones((len(owner), free)), owner[:, None] == np.repeat(np.flatnonzero(used), 3)])
-
-    def moved(unknowns: Array) -> tuple[Array, Registration, Array]:
-        step, at = np.zeros(9), places.copy()
-        step[: free - size], at[used] = unknowns[size:free], unknowns[free:].reshape(-1, 3)
-        return unknowns[:size], stepped(found, step, center, count), at
-
-    def residuals(unknowns: Array, deviations: Array) -> Array:
-        now, world, at = moved(unknowns)
-        errors = (points.pixels - _projected(build(now), points, at)) / deviations[:, None]
-        missed = ((points.places - world.positions(at)) * np.sqrt(points.precisions))[known]
-        return np.concatenate([np.nan_to_num(errors).ravel(), missed, root @ (now - means)])
-
+    free = np.arange(size + 6 + any_scale)
     for _ in range(MOST_STEPS):
         center = found.positions(places[used]).mean(axis=0)
-        start = np.concatenate([values, np.zeros(free - size), places[used].ravel()])
-        distances = np.linalg.norm(residuals(start, points.sigma_px)[: points.pixels.size].reshape(-1, 2), axis=1)
-        # Cauchy weights: a pixel that was given another point's name counts little
-        reach = max(REACH * float(np.median(distances)), LEAST_REACH)
-        deviations = points.sigma_px * np.sqrt(1.0 + (distances / reach) ** 2)
-        fit = least_squares(residuals, start, x_scale="jac", jac_sparsity=pattern, args=(deviations,))
-        values, found, places = moved(fit.x)
-        if ((fit.jac @ (fit.x - start)) ** 2).sum() < SETTLED:
+        matrix, vector, eliminated, cost = _normal_equations(points, build, values, precision, found, center, places)
+        matrix[:size, :size] += precision
+        vector[:size] -= precision @ (values - means)
+        step = np.zeros(size + 7)
+        step[free] = np.linalg.solve(matrix[np.ix_(free, free)], vector[free])
+        values = values + step[:size]
+        found = stepped(found, np.append(step[size:], [0.0, 0.0]), center, int(used.sum()))
+        places = places + eliminated[:, :, -1] - eliminated[:, :, :-1] @ step
+        if step[free] @ matrix[np.ix_(free, free)] @ step[free] < SETTLED:
             break
-    beyond = 2 * int(used[points.point].sum()) + int(known.sum()) - 3 * count - 6 - any_scale
-    worse = max(2.0 * fit.cost / beyond, 1.0) if beyond > 0 else 1.0
+    coordinates = int(np.isfinite(points.places[used]).sum())
+    beyond = 2 * int(used[points.point].sum()) + coordinates - 3 * int(used.sum()) - 6 - any_scale
+    cost += float((values - means) @ precision @ (values - means))
+    worse = max(cost / beyond, 1.0) if beyond > 0 else 1.0
     covariance = np.zeros((size + 9, size + 9))
-    covariance[:free, :free] = worse * np.linalg.inv((fit.jac.T @ fit.jac).toarray())[:free, :free]
+    covariance[np.ix_(free, free)] = worse * np.linalg.inv(matrix[np.ix_(free, free)])
     missed = np.linalg.norm(found.positions(_triangulated(build(values), points)) - points.places, axis=1)
     alignment = Alignment(found, center, covariance[size:, size:], distances=missed[np.isfinite(missed)])
     _refuse_unlike(alignment, points.extent)
@@ -164,6 +150,57 @@ def _similarity(places: Array, points: ControlPoints, any_scale: bool) -> Regist
     scale = float(agreement[0] / (a**2).sum()) if any_scale else 1.0
     translation = points.places[both].mean(axis=0) - scale * rotation @ places[both].mean(axis=0)
     return Registration(rotation, translation, scale, 0.0, 0.0, 1.0, int(both.sum()))
+
+
+def _normal_equations(
+    points: ControlPoints, build: Build, values: Array, precision: Array, found: Registration, center: Array,
+    places: Array,
+) -> tuple[Array, Array, Array, float]:  # fmt: skip
+    """Normal equations (m + 7) of values and similarity, the points eliminated (p, 3, m + 8), and the cost."""
+    size, cameras = len(values), build(values)
+    projected = _projected(cameras, points, places)
+    seen: Booleans = np.asarray(np.isfinite(projected).all(axis=1), dtype=np.bool_)
+    errors = np.where(seen[:, None], points.pixels - projected, 0.0) / points.sigma_px[:, None]
+    distances = np.linalg.norm(errors, axis=1)
+    # Cauchy weights: a pixel that was given another point's name counts little
+    deviations = points.sigma_px * np.sqrt(
+        1.0 + (distances / max(REACH * float(np.median(distances)), LEAST_REACH)) ** 2
+    )
+    errors *= (points.sigma_px / deviations)[:, None]
+    far = SMALL * np.abs(places - np.mean([camera.pose.center for camera in cameras], axis=0)).max(axis=1)
+
+    def slope(pixels: Array, step: Array | float) -> Array:
+        change = (pixels - projected) / np.broadcast_to(step, len(projected))[:, None] / deviations[:, None]
+        return np.where(seen[:, None], change, 0.0)
+
+    by_place = np.stack(
+        [slope(_projected(cameras, points, places + far[:, None] * axis), far[points.point]) for axis in np.eye(3)], 2
+    )
+    by_value = np.zeros((len(errors), 2, size + 7))
+    steps = SMALL / np.sqrt(np.diag(precision))
+    for column, step in enumerate(steps):
+        moved = values + step * (np.arange(size) == column)
+        by_value[:, :, column] = slope(_projected(build(moved), points, places), step)
+    # the known coordinates of each point: their residuals, and what moves them
+    moved_places = found.positions(places)
+    weights = np.where(np.isfinite(places), points.precisions, 0.0)
+    missed = np.where(weights > 0.0, points.places - moved_places, 0.0)
+    turned = found.scale * found.rotation
+    by_world = np.zeros((len(places), 3, size + 7))
+    by_world[:, :, size:] = np.nan_to_num(derivatives(moved_places - center, missed, 0.0 * missed[:, 0]))[:, :, :7]
+    weighted = weights[:, :, None] * by_world
+    square, mixed, right = turned.T @ (weights[:, :, None] * turned), turned.T @ weighted, (weights * missed) @ turned
+    np.add.at(square, points.point, np.swapaxes(by_place, 1, 2) @ by_place)
+    np.add.at(mixed, points.point, np.swapaxes(by_place, 1, 2) @ by_value)
+    np.add.at(right, points.point, np.einsum("nij,ni->nj", by_place, errors))
+    # a point that nothing holds stays where it is
+    square[np.isnan(places).any(axis=1)] = np.eye(3)
+    eliminated = np.linalg.solve(square, np.concatenate([mixed, right[:, :, None]], axis=2))
+    matrix = np.einsum("nij,nik->jk", by_value, by_value) + np.einsum("pij,pik->jk", weighted, by_world)
+    vector = np.einsum("nij,ni->j", by_value, errors) + np.einsum("pij,pi->j", weighted, missed)
+    matrix -= np.einsum("pij,pik->jk", mixed, eliminated[:, :, :-1])
+    vector -= np.einsum("pij,pi->j", mixed, eliminated[:, :, -1])
+    return matrix, vector, eliminated, float((errors**2).sum() + (weights * missed**2).sum())
 
 
 def _refuse_unlike(found: Alignment, extent: float) -> None:
