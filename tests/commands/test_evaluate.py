@@ -587,6 +587,19 @@ def test_a_similarity_brings_tracks_of_any_unit_into_that_of_the_truth(tmp_path)
         evaluate(tracks, truth, align="rigid", cutoff=1.0)
 
 
+def test_an_alignment_that_runs_away_is_named(tmp_path, monkeypatch):
+    """Tracks in the frame of a camera: "Eigenvalues did not converge" was all that the message said."""
+
+    def astray(*_: object) -> None:
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    monkeypatch.setattr("stereophd.pipeline.evaluation.scoring.register", astray)
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, t) for t in range(9)])
+    tracks = write_tracks(tmp_path / "tracks.parquet", [(float(t), "a", t, 1, float(t)) for t in range(9)])
+    with pytest.raises(InputError, match="`align`: expected tracks near the truth to begin with"):
+        evaluate(tracks, truth, align="similarity", cutoff=1.0)
+
+
 GOOD = [(0.0, "a", 0, 1, 0.0), (0.0, "a", 0, 2, 9.0), (1.0, "a", 1, 1, 0.0)]
 
 

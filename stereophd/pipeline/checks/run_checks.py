@@ -198,8 +198,8 @@ def check_noise(
     Before it a warning where many are left out as outliers.
 
     Of the figures of the run, as in ``report.json``, ``cameras`` are used. With `noise_in_log` the log states the noise
-    of every detection, so that the detectors state none. Tracks break where the stated noise is too small, and their
-    residuals say little of it: the checks `before` the run measured it about one-camera tracks.
+    of every detection, so that the detectors state none. Tracks break where the stated noise is too small, and follow
+    their detections where the motion is too free: the checks `before` the run measured it about one-camera tracks.
     """
     measured = {one.camera: one.expected for one in before if one.name == "detector.sigma" and one.expected}
     for camera in cameras:
