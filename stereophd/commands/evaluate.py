@@ -60,9 +60,13 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
     tracks = read_tracks(inputs["tracks"])
     truth, truth_unit = read_truth(inputs["truth"])
     cameras, cameras_unit = _cameras(inputs.get("cameras"), tracks)
-    unit = _common_unit({"tracks": tracks.length_unit, "truth": truth_unit, "cameras": cameras_unit}, inputs)
+    units = {"tracks": tracks.length_unit, "truth": truth_unit, "cameras": cameras_unit}
+    if options.align == "similarity" and truth_unit is not None:
+        del units["tracks"]  # the scale is found, so that tracks may be in any unit, such as `baseline`
+    unit = _common_unit(units, inputs)
     if options.cutoff is None:
-        options = replace(options, cutoff=default_cutoff(options.base, unit, tracks.metadata, inputs["tracks"]))
+        record = tracks.metadata if unit == tracks.length_unit else None
+        options = replace(options, cutoff=default_cutoff(options.base, unit, record, inputs["tracks"]))
     sightings = None if options.seen_by is None else read_sightings(inputs["log"], cameras)
     max_gap_s = DEFAULT_GAP_STEPS * truth.step_s if options.max_gap_s is None else options.max_gap_s
     scored = score_tracks(tracks, truth, sightings, options, max_gap_s, inputs["tracks"])

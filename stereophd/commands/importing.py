@@ -97,7 +97,8 @@ def import_recording(
         if recording.truth is not None:
             _write_truth(recording.truth, out.path(TRUTH_FILE), recording, noted, to_metadata(record))
         beside = "" if cameras_path is None else f" with {cameras_path} (native cameras state size, unit and detector)"
-        refuse_unread(options, read | of_cameras | of_reader, f"a source of format {form}{beside}")
+        lacking = "" if recording.pieces is not None else f" without {recording.sought}"
+        refuse_unread(options, read | of_cameras | of_reader, f"a source of format {form}{lacking}{beside}")
         stated = paths if cameras_path is None else [*paths, Path(cameras_path)]
         refuse_other_cameras(options, [*recording.cameras, *summaries], [*in_cameras, *in_source], stated)
         # frame rates that follow from the log would agree with any times

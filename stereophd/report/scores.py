@@ -45,7 +45,7 @@ def _error_rows(report: Mapping[str, Any], unit: str) -> Iterator[Row]:
         note = f"{nees['dimension']} if consistent; 95 % between {low:.4g} and {high:.4g}"
         if nees["position"] is not None and not low <= nees["position"] <= high:
             ratio = (nees["position"] / nees["dimension"]) ** 0.5
-            note += f": errors are {ratio:.2g} times what the tracks state"
+            note += f": errors are {ratio:.3g} times what the tracks state"
             note += "; check noise, motion and cameras" if ratio > 1.0 else ""
     yield "NEES position", _number(nees["position"]), note
     if "without_cameras" in nees:

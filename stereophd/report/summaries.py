@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 from stereophd.pipeline.checks.run_checks import MOST_OUTLIERS
 from stereophd.report.tables import CHECKS, SummaryTable, table_text
+from stereophd.validated import NO_LENGTH
 from stereophd.wording import counted, number, percent, shown_unit
 
 # Tracks that the terminal lists.
@@ -109,8 +110,10 @@ def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:
 def _scale(report: Mapping[str, Any]) -> Iterator[str]:
     """Yield what the scale is known from."""
     if (scale := report.get("scale")) is not None:
-        determined_by = str(scale.get("determined_by"))
-        yield f"scale from {SCALES.get(determined_by, f'what is stated: {determined_by}')}"
+        known = SCALES.get(by := str(scale.get("determined_by")), f"what is stated: {by}")
+        if by == "prior" and report.get("length_unit") == NO_LENGTH:
+            known = "nothing: the distance of two cameras is 1; state a distance (calibration.scale)"
+        yield f"scale from {known}"
 
 
 def _parameters(report: Mapping[str, Any]) -> SummaryTable:

@@ -571,6 +571,35 @@ def test_units_must_agree(tmp_path):
         evaluate(tracks, metres)
 
 
+def test_a_similarity_brings_tracks_of_any_unit_into_that_of_the_truth(tmp_path):
+    """Tracks of `calibrate` from nothing are in the unit `baseline`: no command scored them."""
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, t) for t in range(9)], metadata={"length_unit": "m"})
+    record = json.dumps({"config": {"evaluation": {"cutoff": 0.2}}})
+    stated = {"length_unit": "baseline", "stereophd": record}
+    rows = [(float(t), "a", t, 1, 0.8 * t) for t in range(9)]
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows, metadata=stated)
+    report = evaluate(tracks, truth, align="similarity", cutoff=1.0)
+    assert report["length_unit"] == "m"
+    assert report["position_error"]["p90"] < 1e-3
+    with pytest.raises(InputError, match="of the tracks and in this unit"):
+        evaluate(tracks, truth, align="similarity")
+    with pytest.raises(InputError, match="expected lengths in baseline"):
+        evaluate(tracks, truth, align="rigid", cutoff=1.0)
+
+
+def test_an_alignment_that_runs_away_is_named(tmp_path, monkeypatch):
+    """Tracks in the frame of a camera: "Eigenvalues did not converge" was all that the message said."""
+
+    def astray(*_: object) -> None:
+        raise np.linalg.LinAlgError("Eigenvalues did not converge")
+
+    monkeypatch.setattr("stereophd.pipeline.evaluation.scoring.register", astray)
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, t) for t in range(9)])
+    tracks = write_tracks(tmp_path / "tracks.parquet", [(float(t), "a", t, 1, float(t)) for t in range(9)])
+    with pytest.raises(InputError, match="`align`: expected tracks near the truth to begin with"):
+        evaluate(tracks, truth, align="similarity", cutoff=1.0)
+
+
 GOOD = [(0.0, "a", 0, 1, 0.0), (0.0, "a", 0, 2, 9.0), (1.0, "a", 1, 1, 0.0)]
 
 

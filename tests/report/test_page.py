@@ -62,6 +62,11 @@ try {
   const same = JSON.stringify(widths()) === JSON.stringify(screen);
   found.restored = same && document.documentElement.dataset.theme === theme;
   found.plots = [...document.querySelectorAll(".plot")].filter((plot) => plot.data).map((plot) => plot.id);
+  // the box of the scene has the diagonal of a cube, so that the viewpoints hold it, and the cameras lie in it
+  const box = scene.layout.scene, axes = ["x", "y", "z"];
+  found.diagonal = Math.hypot(...axes.map((a) => box.aspectratio[a]));
+  const within = (q, [low, high]) => Number.isNaN(q) || (q >= low && q <= high);
+  found.inside = axes.every((a) => scene.data[4][a].every((q) => within(q, box[`${a}axis`].range)));
   found.uploads = document.querySelectorAll("[data-title*=Share], [data-title*=Cloud]").length;
 } catch (error) { problems.push(String(error.stack)); }
 found.injected = "injected" in window;
@@ -259,6 +264,7 @@ def test_the_printed_line_and_the_page_say_what_the_scale_is_known_from() -> Non
     found = {"status": "determined", "cameras": {"left": stds}, "scale": {"determined_by": "prior"}}
     words = "scale from the first guess alone"
     assert words in verdict(found)
+    assert "; scale from nothing: the distance of two cameras is 1" in verdict({**found, "length_unit": "baseline"})
     (poses,) = [
         t
         for t in run_tables({**found, "parameters": [], "provenance": {"config": {}}})
@@ -291,6 +297,8 @@ def test_page_works_in_a_browser(folders: Path, tmp_path: Path) -> None:
     assert found["moved"]
     assert found["pictures_differ"]
     assert found["time"] == "5.85 s"
+    assert found["diagonal"] == pytest.approx(3.0**0.5)
+    assert found["inside"]
     assert found["uploads"] == 0
     assert not found["injected"]
     assert found["theme"] == "dark"

@@ -81,6 +81,8 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     views = _views(tables, options, recording, where)
     flips_z = False
     if tables.coefficients is not None:
+        if tables.profile is None:
+            recording.assumed.append("pixels are undistorted, as without a camera profile there is no lens")
         views, flips_z = _add_cameras(tables, views, options, recording, where)
     elif tables.profile is not None:
         _add_unplaced(views, options, recording, where)
@@ -104,7 +106,8 @@ def _classify(sources: Sequence[Path]) -> _Sources:
         else:
             raise InputError(
                 f"{path}: expected points (columns like pt1_cam1_X), {COEFFICIENTS} rows of DLT coefficients, or a "
-                f"camera profile of {PROFILE_COLUMNS} columns, found none of them"
+                f"camera profile of {PROFILE_COLUMNS} columns, found none of them (points in space are a `truth`; "
+                "offsets and residuals are not needed)"
             )
     return tables
 

@@ -130,6 +130,9 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     if any(targets.values()):
         recording.files += [file for files in targets.values() for _, file in files]
         recording.pieces = _pieces(targets)
+    else:
+        recording.sought = f"targets ({folder / control.images[0].replace('%d', '*')}_targets)"
+        recording.assumed.append(f"cameras alone, without {recording.sought}")
     if options.truth is not None:
         recording.truth = _read_links(options.truth)
     return recording

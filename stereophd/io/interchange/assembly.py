@@ -287,9 +287,10 @@ class _Camera:
         rows = self._timed(rows.copy())
         if LARGEST_TIME_S < (largest := float(np.abs(rows[:, TIME]).max())) < math.inf:
             raise InputError(f"{self._where}: expected times in seconds, found {largest:.4g}")
-        count = len(rows)
-        rows = rows[~repeated_rows(rows[:, FRAME], rows[:, U : V + 1], np.arange(count))]
-        self._summary.duplicate_rows += count - len(rows)
+        is_repeated = repeated_rows(rows[:, FRAME], rows[:, U : V + 1], np.arange(len(rows)))
+        # a gap beside detections is left out as well, and is none of them
+        self._summary.duplicate_rows += int((is_repeated & np.isfinite(rows[:, U : V + 1]).any(axis=1)).sum())
+        rows = rows[~is_repeated]
         labelled = rows[rows[:, LABEL] >= 0.0][:, [FRAME, LABEL]]
         self._summary.repeated_labels += len(labelled) - len(np.unique(labelled, axis=0))
         if self._fill and (self._spool.has_frames or self._interval_s is not None):

@@ -73,6 +73,7 @@ class ForeignRecording:
     lists_frames: bool = False  # Whether it has a row for every recorded frame: what is missing was not recorded
     first_frame: int = 0  # Number of a frame at time 0, for times by rate
     untimed: str = ""  # Where a table has no times: how to name the column that has them
+    sought: str = "detections"  # What was looked for, of a source without detections
 
     @property
     def source(self) -> str:

@@ -17,8 +17,8 @@ LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
 RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
 # Share of the residuals from which it matters that these are left out as outliers.
 MOST_OUTLIERS = 0.1
-# Causes among those that mislead that a knock looks like, and one that looks like no knock: clutter.
-OF_KNOCKS = ("pose_inaccurate", "detections_shifted", "errors_last", "clutter")
+# Causes among those that mislead that a knock of the same camera looks like.
+OF_KNOCKS = ("pose_inaccurate", "detections_shifted", "errors_last")
 # Share of the rays that met before a knock which must meet again with another clock, to call it a jump of times.
 MET_AGAIN = 0.7
 # Squares of errors of tracks beyond those that they state, over these, and their standard errors, from which tracks are
@@ -158,17 +158,17 @@ def check_knocks(
 ) -> Iterator[Finding]:  # fmt: skip
     """Yield a warning for a camera that was knocked during the recording (``knocks`` of the figures of the run).
 
-    A noise stated too small, a lens or a clock of these cameras, of which the checks `before` the run warn, looks like
-    a knock. So do times that jump, as where frames were lost: the same checks, `since` a time, tell a clock of these
-    cameras that is off from then on.
+    A noise stated too small, a lens or a clock of these cameras, or the pose of another one, of which the checks
+    `before` the run warn, looks like a knock; clutter does not. So do times that jump, as where frames were lost: the
+    same checks, `since` a time, tell a clock of these cameras that is off from then on.
     """
-    alike = [one for one in before if misleads(one) and one.cause not in OF_KNOCKS]
+    alike = [one for one in before if misleads(one) and one.cause != "clutter"]
     rays = [one.value for one in before if one.name == "geometry.rays" and isinstance(one.value, float)]
     met = float(np.mean(rays)) if rays else 0.0
     since = cache(since)
     for knock in summary["knocks"]:
         names, when = (knock["camera"], *knock["others"]), f"from {instant(knock['since_s'])} s on"
-        doubts = tuple(one for one in alike if one.camera in (None, *names))
+        doubts = tuple(one for one in alike if (one.camera in (None, *names)) != (one.cause in OF_KNOCKS))
         jumped = [
             one for one in (() if doubts else warnings_of(since(knock["time_s"])))
             if one.cause == "clock_offset" and one.camera in (None, *names) and isinstance(one.expected, float)
@@ -198,8 +198,8 @@ def check_noise(
     Before it a warning where many are left out as outliers.
 
     Of the figures of the run, as in ``report.json``, ``cameras`` are used. With `noise_in_log` the log states the noise
-    of every detection, so that the detectors state none. Tracks break where the stated noise is too small, and their
-    residuals say little of it: the checks `before` the run measured it about one-camera tracks.
+    of every detection, so that the detectors state none. Tracks break where the stated noise is too small, and follow
+    their detections where the motion is too free: the checks `before` the run measured it about one-camera tracks.
     """
     measured = {one.camera: one.expected for one in before if one.name == "detector.sigma" and one.expected}
     for camera in cameras:
@@ -221,17 +221,19 @@ def check_noise(
         if RESIDUAL_RATIOS[0] <= ratio <= RESIDUAL_RATIOS[1]:
             yield Finding("tracking.noise", "ok", text, round(ratio, 3), 1.0, name)
             continue
+        better, doubted = measured.get(name), "poses, lenses, clocks and motion.acceleration_std"
+        is_confirmed = isinstance(better, float) and (better / stated < RESIDUAL_RATIOS[1])
         if ratio > 1.0:
             effect = "tracks are too sure of themselves, break and multiply; or the cameras or the motion do not fit"
-            better = measured.get(name)
+        elif is_confirmed := isinstance(better, float) and better / stated > RESIDUAL_RATIOS[0]:
+            effect, doubted = "tracks follow their detections too closely", "motion.acceleration_std: too large?"
         else:
             effect = "tracks follow their detections too little, and are less sure than they could be"
             better = ratio * stated
         remedy, cause = "let track estimate it (detector: estimate)", "sigma"
         change: str | None = "detector=estimate"
-        if isinstance(better, float) and ratio > 1.0 and better < RESIDUAL_RATIOS[1] * stated:
-            cause, change = "residuals", None
-            remedy = "one-camera tracks confirm the noise: look at poses, lenses, clocks and motion.acceleration_std"
+        if is_confirmed:
+            cause, change, remedy = "residuals", None, f"one-camera tracks confirm the noise: look at {doubted}"
         elif isinstance(better, float):
             remedy = f"set cameras.{name}.detector.sigma_px near {better:.2g}, or {remedy}"
             change = f"cameras.{name}.detector.sigma_px=[{better:.2g}, {better:.2g}]"

@@ -30,8 +30,8 @@ def default_cutoff(base: str, unit: str | None, record: Mapping[str, Any] | None
         return PAPER_CUTOFF
     lengths = "no unit of length" if unit is None else f"lengths in {unit}"
     raise InputError(
-        f"{tracks_path}: expected `cutoff`, or evaluation.cutoff in the configuration of the tracks, found neither, "
-        f"and {lengths}; choose the largest position error at which an object still counts as found"
+        f"{tracks_path}: expected `cutoff`, or evaluation.cutoff in the configuration of the tracks and in this unit, "
+        f"found neither, and {lengths}; choose the largest position error at which an object still counts as found"
     )
 
 

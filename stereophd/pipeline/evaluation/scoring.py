@@ -226,7 +226,9 @@ def registration_of(
             found = register(estimates.take(used), truth, max_gap_s, freedom)
     except ValueError as error:
         other = "; stereophd align `to` the truth finds any offset" if options.align_clock else ""
-        raise InputError(f"{path}: `align`: {error}{other}") from None
+        is_lost = isinstance(error, np.linalg.LinAlgError)
+        why = "expected tracks near the truth to begin with, found another frame or clock" if is_lost else error
+        raise InputError(f"{path}: `align`: {why}{other}") from None
     LOGGER.info("tracks aligned with the truth: %s", registration_report(found.registration))
     if found.misfit > MOST_MISFIT:
         LOGGER.warning(

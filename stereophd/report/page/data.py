@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from stereophd.core.arrays import Array
+from stereophd.core.calibration.unknowns.observability import UNDETERMINED_RATIO
 from stereophd.core.geometry.camera import Camera
 from stereophd.pipeline.inspection.runs import Evaluation, Run
 from stereophd.report.page.columns import Paths, binned, chosen, packed, paths_of, thinned
@@ -186,6 +187,7 @@ def _calibration(run: Run, start: float) -> dict[str, Any]:
     data["directions"] = [
         {
             "ratio": direction["posterior_over_prior_std"],
+            "determined": direction["posterior_over_prior_std"] <= UNDETERMINED_RATIO,
             "text": ", ".join(f"{name} {part:+.2f}" for name, part in direction["direction"].items()),
         }
         for direction in directions

@@ -98,17 +98,18 @@
 
   // Whether tracks have labels: as chosen, else where they are few.
   const labelled = () => by("labels").checked;
-  // The middle 98 % of each coordinate of what moves, with a margin, and whether all that is drawn is much larger: cameras
-  // far away, a track that goes astray. Null where nothing moves.
-  const extent = (r) => {
+  // The ranges that are shown, with a margin, and whether they are the middle 98 % of each coordinate of what moves: as
+  // chosen, else where all that is drawn is much larger (cameras far away, a track that goes astray). Null where nothing
+  // moves.
+  const shown = (r) => {
     const all = ["x", "y", "z"].map((name) => Float32Array.from([r.tracks, r.truth].flatMap((p) => (p && p.ids.length ? Array.from(numbers(p[name])) : [])).filter((q) => !Number.isNaN(q))).sort());
     if (all.some((values) => !values.length)) return null;
     const inner = all.map((q) => [q[Math.floor(0.01 * (q.length - 1))], q[Math.ceil(0.99 * (q.length - 1))]]);
     const outer = all.map((q, a) => { const eyes = r.cameras.map((c) => numbers(c.corners)[a]); return [Math.min(q[0], ...eyes), Math.max(q[q.length - 1], ...eyes)]; });
-    const size = (box) => Math.max(...box.map(([low, high]) => high - low)) || 1, margin = 0.08 * size(inner);
-    return { ranges: inner.map(([low, high]) => [low - margin, high + margin]), far: size(outer) > FAR * size(inner) };
+    const size = (box) => Math.max(...box.map(([low, high]) => high - low)) || 1;
+    const fits = state.fit === null ? size(outer) > FAR * size(inner) : state.fit, box = fits ? inner : outer, margin = 0.08 * size(box);
+    return { fits, ranges: box.map(([low, high]) => [low - margin, high + margin]) };
   };
-  const fitted = (r) => { const box = extent(r); return box && (state.fit === null ? box.far : state.fit) ? box.ranges : null; };
 
   // ---- scene
   const frusta = (r, time) => {
@@ -149,11 +150,13 @@
       { ...common, name: "cameras", mode: "lines", x: view.x, y: view.y, z: view.z, hoverinfo: "skip", line: { width: 3, color: css("--camera") } },
       { ...common, name: "names", mode: "text", x: view.centers[0], y: view.centers[1], z: view.centers[2], text: view.names, hoverinfo: "text", textposition: "bottom center", textfont: { size: 13, color: css("--camera") } },
     ];
-    const ranges = fitted(r);
-    const side = (k) => ({ ...axis(`${r.axes[k]}${u}`), ...(ranges ? { range: ranges[k] } : {}), backgroundcolor: css("--panel"), showbackground: false, color: css("--soft") });
+    const box = shown(r), sizes = box && box.ranges.map(([low, high]) => high - low);
+    // whatever its form, the box has the diagonal of a cube of side 1, so that the viewpoints hold all of it
+    const aspect = box ? { aspectmode: "manual", aspectratio: Object.fromEntries(sizes.map((s, k) => ["xyz"[k], (s * Math.sqrt(3)) / Math.hypot(...sizes)])) } : { aspectmode: "data" };
+    const side = (k) => ({ ...axis(`${r.axes[k]}${u}`), ...(box ? { range: box.ranges[k] } : {}), backgroundcolor: css("--panel"), showbackground: false, color: css("--soft") });
     draw(id, traces, layout(RUNS.length > 1 ? r.name : "", "", "", {
-      margin: { l: 0, r: 0, t: RUNS.length > 1 ? 32 : 0, b: 0 }, uirevision: `${r.name} ${!!ranges}`,
-      scene: { aspectmode: "data", xaxis: side(0), yaxis: side(1), zaxis: side(2), camera: viewpoint("free", r), dragmode: "orbit" },
+      margin: { l: 0, r: 0, t: RUNS.length > 1 ? 32 : 0, b: 0 }, uirevision: `${r.name} ${box && box.fits}`,
+      scene: { ...aspect, xaxis: side(0), yaxis: side(1), zaxis: side(2), camera: viewpoint("free", r), dragmode: "orbit" },
     }));
   };
   // The second scene takes half of the width, so the first one is measured after it has appeared or gone.
@@ -359,13 +362,15 @@
     if (!c) return;
     const p = c.parameters, names = p.map((q) => q.name), mean = p.map((q) => (q.mean === null ? 0 : q.mean) / q.prior);
     const text = p.map((q) => `${q.name}: ${q.mean === null ? "-" : q.mean.toPrecision(3)} +- ${q.std.toPrecision(2)} ${q.unit}, prior std ${q.prior.toPrecision(3)}`);
+    // a line of text for each parameter
+    for (const id of ["forest", "directions"]) by(id).style.height = `${Math.max(420, 110 + 20 * p.length)}px`;
     draw("forest", [
       { type: "scatter", mode: "markers", name: "prior, one std", x: names.map(() => 0), y: names, error_x: { type: "constant", value: 1, thickness: 8, width: 0, color: css("--line") }, marker: { size: 1, color: css("--line") }, hoverinfo: "skip" },
       { type: "scatter", mode: "markers", name: "posterior, one std", x: mean, y: names, text, hoverinfo: "text", error_x: { type: "data", array: p.map((q) => q.std / q.prior), thickness: 2, width: 4, color: css("--accent") },
         marker: { size: 8, color: p.map((q) => (q.determined ? css("--accent") : css("--doubt"))), symbol: p.map((q) => (q.determined ? "circle" : "diamond-open")) } },
-    ], layout("Parameters, in standard deviations of their priors", "offset from the prior mean [prior std]", "", { margin: { l: 150, r: 16, t: 40, b: 44 }, yaxis: axis("", { autorange: "reversed" }) }));
-    draw("directions", [{ type: "bar", orientation: "h", x: c.directions.map((d) => d.ratio), y: c.directions.map((_, k) => k + 1), text: c.directions.map((d) => d.text), textposition: "auto", hoverinfo: "x+text",
-      marker: { color: c.directions.map((d) => (d.ratio <= 0.5 ? css("--accent") : css("--doubt"))) } }],
+    ], layout("Parameters, in standard deviations of their priors", "offset from the prior mean [prior std]", "", { margin: { l: 150, r: 16, t: 40, b: 44 }, yaxis: axis("", { autorange: "reversed", dtick: 1 }) }));
+    draw("directions", [{ type: "bar", orientation: "h", x: c.directions.map((d) => d.ratio), y: c.directions.map((_, k) => k + 1), text: c.directions.map((d) => d.text), textposition: "none", hoverinfo: "x+text",
+      marker: { color: c.directions.map((d) => (d.determined ? css("--accent") : css("--doubt"))) } }],
       layout("Observability: what the data determine", "posterior std / prior std", "direction", { xaxis: axis("posterior std / prior std", LOG), yaxis: axis("direction", { autorange: "reversed", dtick: 1 }) }));
     const k = +by("parameter").value || 0, j = +by("against").value || 0, label = (n) => `${p[n].name} [${p[n].unit}]`;
     if (c.history) {
@@ -429,7 +434,7 @@
     by("grey").hidden = !r.truth;
     sayTime();
     by("labels").checked = state.labels === null ? !r.tracks || r.tracks.ids.length <= MANY : state.labels;
-    by("fit").checked = !!fitted(r);
+    by("fit").checked = !!(shown(r) || {}).fits;
     setTimeout(() => { if (there.scene) { drawScenes(); keepImage(); } drawFlat(); }, FRAME_MS);  // text and tables are there first
   };
   // A section is drawn when it comes near the window, and again when it is stale by then; on paper all are.

@@ -187,6 +187,16 @@ def write_tank(folder: Path) -> np.ndarray:
     return points
 
 
+def test_openptv_without_targets_where_the_sequence_names_them(tmp_path: Path, imported: Import) -> None:
+    """The public test case names images of one run and has targets of another: `--fps` was said to have no effect."""
+    write_tank(tmp_path)
+    (tmp_path / "parameters/sequence.par").write_text("run2/cam1.%d\nrun2/cam2.%d\n0\n4\n")
+    with pytest.raises(InputError, match=r"format openptv without targets \(.*run2/cam1\.\*_targets\), found one"):
+        imported("openptv", tmp_path, rates=50.0)
+    report, _ = imported("openptv", tmp_path)
+    assert [text for text in report["assumed"] if text.startswith("cameras alone, without targets (")]
+
+
 def test_openptv_through_glass_and_water(tmp_path: Path, imported: Import) -> None:
     points = write_tank(tmp_path)
     (tmp_path / "res").mkdir()

@@ -18,7 +18,7 @@ from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import LogWriter
 from stereophd.pipeline.checks.check_log import _of_files, check_log
-from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake, once_mended
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake, once_mended, warnings_of
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL, alternatives
 from stereophd.pipeline.checks.geometry.ray_checks import check_geometry, left_out
 from stereophd.pipeline.checks.geometry.rays import (
@@ -405,12 +405,23 @@ def test_the_unit_of_times_is_named_with_its_factor(
 def test_a_camera_whose_times_are_wrong_is_the_only_one_that_is_named(samples: list[CameraSample]) -> None:
     """The others seemed to be on another clock; so does a camera of which nobody knows when it recorded."""
     later = replace(samples[1], times=samples[1].times + 1e4)
-    third = replace(samples[0], camera=replace(samples[0].camera, name="third"))
+    moved = Pose(np.eye(3), np.array([0.0, 0.5, 0.0]))
+    third = replace(samples[0], camera=replace(samples[0].camera, name="third", pose=moved))
     slow = replace(later, times=1e3 * later.times)
     assert [found.camera for found in check_files([third, slow, samples[0]]) if found.status == "warning"] == ["right"]
     assert [found.name for found in check_files([*samples[:1], later]) if found.status == "warning"] == ["log.periods"]
     unknown = check_files([*samples[:1], later], unknown_clocks=["right"])
     assert not [found for found in unknown if found.status == "warning"]
+
+
+def test_two_cameras_of_one_pose_are_named(samples: list[CameraSample]) -> None:
+    """A calibration of anipose had one camera twice: its tracks were of one camera each, and nothing said why."""
+    copy = replace(samples[0], camera=replace(samples[0].camera, name="copy"))
+    (found,) = warnings_of(tuple(check_files([samples[0], copy])))
+    assert (found.name, found.cause, found.camera) == ("camera.pose", "poses_equal", "copy")
+    nowhere = Pose(np.eye(3), np.zeros(3))
+    unknown = [replace(one, camera=replace(one.camera, pose=nowhere)) for one in (samples[0], copy)]
+    assert not warnings_of(tuple(check_files(unknown)))
 
 
 def test_frame_numbers_are_named_where_frames_are_lost() -> None:
@@ -689,6 +700,21 @@ def test_the_noise_of_broken_tracks_is_that_of_one_camera_tracks(scatter: float 
     before = Finding("detector.sigma", "ok", "", 1.0, scatter, "left")
     (found,) = check_noise({"cameras": figures}, CAMERAS[:1], False, (before,))
     assert (found.status, found.change) == ("warning", change)
+
+
+@pytest.mark.parametrize(
+    ("scatter", "cause", "change"),
+    [(1.1, "residuals", None), (0.2, "sigma", "cameras.left.detector.sigma_px=[0.37, 0.37]"), (None, "sigma", None)],
+)
+def test_small_residuals_beside_a_noise_that_one_camera_confirms_are_no_noise(
+    scatter: float | None, cause: str, change: str | None
+) -> None:
+    """An acceleration stated 40 times too large left 0.37 of a noise that was right, and 0.29 px was proposed."""
+    figures = {CAMERAS[0].name: {"residual_ratio": 0.37, "residuals": 500, "outlier_share": 0.0}}
+    before = Finding("detector.sigma", "ok", "", 1.0, scatter, "left")
+    (found,) = check_noise({"cameras": figures}, CAMERAS[:1], False, (before,))
+    assert (found.status, found.cause) == ("warning", cause)
+    assert scatter is None or found.change == change
 
 
 @pytest.mark.parametrize(("share", "causes"), [(0.29, ["outliers", None]), (0.09, [None]), (None, [None])])

@@ -101,13 +101,16 @@ def test_a_knocked_camera_is_named(
         clock = Finding("geometry.cause", "warning", "its clock is off", 0.2, met, late, None, "clock_offset")
         (finding,) = check_knocks(figures.report({}, 0, 0), (before,), {knock.time_s: (clock,)}.__getitem__)
         assert finding.cause == cause
-    # a wrong noise or clock looks the same, wrong clutter does not
-    for doubt, status in (
-        ("detector.sigma", "not checked"),
-        ("detector.clutter", "warning"),
-        ("log.pixels", "warning"),
+    # a wrong noise or clock looks the same, and so does the wrong pose of another camera; wrong clutter does not
+    for doubt, cause, of, status in (
+        ("detector.sigma", "sigma", None, "not checked"),
+        ("detector.clutter", "clutter", None, "warning"),
+        ("detector.clutter", "clutter", "another", "warning"),
+        ("log.pixels", "pixels", None, "warning"),
+        ("geometry.residuals", "pose_inaccurate", name, "warning"),
+        ("geometry.residuals", "pose_inaccurate", "another", "not checked"),
     ):
-        before = Finding(doubt, "warning", "it is wrong", cause=doubt.removeprefix("detector."))
+        before = Finding(doubt, "warning", "it is wrong", camera=of, cause=cause)
         (finding,) = check_knocks(figures.report({}, 0, 0), (before,))
         assert finding.status == status
 

@@ -1,9 +1,11 @@
 """Checks that need the log alone: times, frames, pixels and the statements about the detectors."""
 
 from collections.abc import Collection, Iterator
+from itertools import combinations
 
 import numpy as np
 
+from stereophd.core.geometry.pose import Pose
 from stereophd.core.settings import LATEST_S
 from stereophd.pipeline.checks.finding import Finding, Status, is_mistake
 from stereophd.pipeline.checks.log.sample import MOST_BY_CHANCE, CameraSample
@@ -71,7 +73,19 @@ def check_files(
             f"{f'only {seen[0]}' if seen else 'no camera'} has detections: depths need two cameras", len(seen), 2, None,
             "check the names of the cameras in the log, and that it has the detections of all", "too_few_cameras",
         )  # fmt: skip
+    yield from _poses([sample for sample in samples if len(sample.times)])
     yield from _periods([sample for sample in samples if len(sample.times) > 1 and sample.camera.name not in untimed])
+
+
+def _poses(samples: list[CameraSample]) -> Iterator[Finding]:
+    """Yield a warning for every two cameras of one pose, to the last digit; unknown ones all stand at the origin."""
+    placed = [one.camera for one in samples if one.camera.pose != Pose(np.eye(3), np.zeros(3))]
+    for first, second in (pair for pair in combinations(placed, 2) if pair[0].pose == pair[1].pose):
+        yield Finding(
+            "camera.pose", "warning", f"{second.name}: its pose is that of {first.name} to the last digit: one is a "
+            "copy of the other", 0.0, None, second.name, "correct the file of cameras, or calibrate with "
+            "`pose: unknown`", "poses_equal",
+        )  # fmt: skip
 
 
 def check_times(sample: CameraSample) -> Iterator[Finding]:
@@ -237,7 +251,8 @@ def _noise(sample: CameraSample, is_linked: bool) -> Finding:
         return Finding("detector.sigma", "not checked", f"{name}: the noise of detections: {why}", stated, camera=name)
     noise, least, most = known or (sample.rounding_px, sample.rounding_px, np.inf)
     what = "about one-camera tracks" if known else "because pixels are whole numbers"
-    text = f"{name}: detections scatter by about {noise:.2g} px {what}, sigma_px is {stated:g}"
+    size = f"about {noise:.2g}" if noise >= LEAST_SIGMA_PX else f"at most {most:.2g}"
+    text = f"{name}: detections scatter by {size} px {what}, sigma_px is {stated:g}"
     too_large, better = most * NOISE_FACTOR < stated, f"{max(noise, LEAST_SIGMA_PX):.2g}"
     if least <= NOISE_FACTOR * stated and not too_large:
         return Finding("detector.sigma", "ok", text, stated, round(noise, 4), name)
