@@ -149,6 +149,17 @@ def test_a_principal_point_of_another_resolution_is_scaled_alike(
     assert ("principal_point_resolution" in causes) == warned
 
 
+@pytest.mark.parametrize("factor", [0.4, 0.5, 2.0, 3.0])
+def test_a_size_that_neither_detections_nor_principal_point_fit_is_named(
+    samples: list[CameraSample], factor: float
+) -> None:
+    """Image sizes too small were called principal points of another resolution, and those too large as well."""
+    camera = samples[0].camera
+    wrong = _with(samples[:1], replace(camera, width=round(factor * 800), height=round(factor * 600)))
+    (found,) = (one for one in check_files(wrong) if one.status == "warning")
+    assert (found.cause, found.remedy) == ("image_size", "set cameras.left.image_size_px to [800, 600]")
+
+
 @pytest.mark.parametrize(("size", "warned"), [((600, 800), True), ((800, 600), False), ((1000, 300), False)])
 def test_an_image_whose_width_and_height_are_exchanged_is_named(
     samples: list[CameraSample], size: tuple[int, int], warned: bool
@@ -478,7 +489,7 @@ def test_what_follows_from_a_mistake_is_no_remedy(samples: list[CameraSample]) -
 
 
 def test_an_image_that_false_detections_leave_empty_is_too_large() -> None:
-    large = tuple(replace(camera, width=1600, height=1200) for camera in CAMERAS)
+    large = tuple(replace(camera, width=1600, height=1200, cx=799.5, cy=599.5) for camera in CAMERAS)
     frames = _frames(CAMERAS, count=200)
 
     def causes(frames: list[Frame]) -> set[str | None]:
