@@ -22,7 +22,7 @@ from stereophd.io.outputs.locks import output_lock
 from stereophd.io.outputs.provenance import provenance, sha256_of, to_metadata
 from stereophd.options import takes
 from stereophd.pipeline.cameras_covariance import stated_uncertainty
-from stereophd.pipeline.checks.finding import Finding, once_mended
+from stereophd.pipeline.checks.finding import ERRORS_LAST, Finding, once_mended
 from stereophd.pipeline.checks.run import check_log, report_findings
 from stereophd.pipeline.checks.run_figures import (
     check_detections,
@@ -159,7 +159,9 @@ class _Outputs:
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(check_tracking(summary, counts, tracking.cameras))
-        findings += tuple(once_mended(check_detections(summary, tracking.cameras), findings))
+        detected = check_detections(summary, tracking.cameras)
+        # errors that last and are smaller than the noise take no detection from a track
+        findings += tuple(once_mended(detected, findings, but=(ERRORS_LAST,)))
         of_many = tracking.motion.moves and not isinstance(tracking.estimator, SingleTracker)
         if not (tracking.boxes or self.stream.has_noise):  # the residuals of bodies are their own, and so is each noise
             findings += tuple(once_mended(check_errors(summary, of_many and self.motion is None), findings))

@@ -354,7 +354,8 @@ def test_settings_are_not_adapted_to_a_wrong_unit(samples: list[CameraSample], s
     assert any(one.change for one in found) == adapted
 
 
-@pytest.mark.parametrize(("acceleration", "warned"), [(0.5, False), (5.0, False), (100.0, True)])
+@pytest.mark.parametrize(("acceleration", "warned"), [(0.0, True), (0.005, True), (0.5, False), (5.0, False),
+                                                      (100.0, True)])  # fmt: skip
 def test_an_acceleration_in_another_unit_is_named(
     samples: list[CameraSample], acceleration: float, warned: bool
 ) -> None:
@@ -363,6 +364,25 @@ def test_an_acceleration_in_another_unit_is_named(
                           "per_s": 1.0}}, "motion": {"acceleration_std": acceleration}}).config  # fmt: skip
     found = check_settings(config, measure_scene(measure(samples, DEPTHS)), samples, True)
     assert [one.cause for one in found if one.status == "warning"] == ["acceleration_std"] * warned
+
+
+@pytest.mark.parametrize(("turn", "warned"), [(0.0, False), (0.4, True)])
+def test_no_acceleration_is_right_where_objects_move_straight_on(turn: float, warned: bool) -> None:
+    """They come nearer to a lens that bends, so that their images are neither straight nor even."""
+    rng, frames = np.random.default_rng(7), 80
+    cameras = tuple(replace(camera, lens=Lens("radial", k1=-0.15)) for camera in CAMERAS)
+    start, velocity = rng.uniform([-2, -1, 6], [2, 1, 9], (6, 3)), rng.uniform(-0.4, 0.4, (6, 3))
+    found = []
+    for k, (c, camera) in ((k, one) for k in range(frames) for one in enumerate(cameras)):
+        time = (k - frames / 2) / RATE
+        points = start + time * velocity + 0.5 * turn * np.cos(np.arange(6.0) + time)[:, None]
+        pixels = camera.project(points) + rng.normal(0.0, 1.0, (6, 2))
+        found.append(Frame(k / RATE, c, k, pixels[camera.contains(pixels)]))
+    config = make_config({"filter": {"kind": "pmb", "birth": {"depth_range": DEPTHS, "velocity_std": 1.0,
+                          "per_s": 1.0}}, "motion": {"acceleration_std": 0.0}}).config  # fmt: skip
+    shown = sample_log(found, cameras)
+    causes = [one.cause for one in check_settings(config, measure_scene(measure(shown, DEPTHS)), shown, True)]
+    assert ("acceleration_std" in causes) == warned
 
 
 def test_births_are_asked_where_objects_begin(samples: list[CameraSample]) -> None:
@@ -486,6 +506,7 @@ def test_what_follows_from_a_mistake_is_no_remedy(samples: list[CameraSample]) -
         assert (found.status, found.remedy, found.change, found.cause) == ("not checked", None, None, None)
         assert found.message == f"few; mend what {cause} warns of first"
         assert list(once_mended([follows], before, but=(cause,))) == [follows]
+        assert list(once_mended([follows], before, but=("some",))) == [follows]
 
 
 def test_an_image_that_false_detections_leave_empty_is_too_large() -> None:
