@@ -22,9 +22,9 @@ from stereophd.wording import number
 # Share of the depths that the region must cover, and the births, be it those of this first share of the time alone:
 # objects move away from where they appear.
 LEAST_COVERED, LEAST_BORN, BEGINNING = 0.6, 0.25, 0.25
-# Factors between stated and measured spread of the speed that are reported, and between stated and measured
-# acceleration. Too small a one shows in the tracks, and one that is a little too large does little harm.
-SLOWER, FASTER, TOO_MUCH = 6.0, 30.0, 30.0
+# Factors by which a measured spread of the speed or acceleration is larger or smaller than stated: one that is a little
+# too large does little harm.
+LARGER, SMALLER = 6.0, 30.0
 # Successive frames of a track, half of it where it is shorter, whose velocity is compared with that of the next ones:
 # noise hides little in so many.
 LEAST_WINDOW, WINDOW = 8, 16
@@ -61,7 +61,7 @@ def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> Measu
 
 def _speed(samples: list[CameraSample], depth: float) -> Array | None:
     """Return `speed` of a `MeasuredScene` at a depth; None where noise hides it."""
-    squares, least, changes = [], [], []
+    squares, least, changes = [], [], [np.zeros(4)]
     for sample in samples:
         scale = depth / sample.camera.fx
         noise = scale * float(sample.camera.detector.sigma.mean())
@@ -83,7 +83,8 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
             by_noise = 2.0 * (shares[1:] + shares[:-1]) * most**2 / between
             # what moves straight on, nearer or away, changes its speed in the image
             nearing = ((velocities[1:] + velocities[:-1]) ** 2).sum(axis=1) * between / depth**2
-            changes.append([2 * len(between), changed.sum(), by_noise.sum(), nearing.sum()])
+            if np.isfinite(rays).all():
+                changes.append(np.array([2 * len(between), changed.sum(), by_noise.sum(), nearing.sum()]))
     if len(squares) < LEAST_TRACKS or np.mean(squares) <= 2.0 * np.std(squares) / np.sqrt(len(squares)):
         return None
     spread = np.sqrt(np.mean(squares) / 2.0)
@@ -95,8 +96,8 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
 
 
 def _velocities(times: Array, places: Array) -> tuple[Array, Array, Array]:
-    """Return velocities (n, 2) of places (n, k, 2) at times (n, k), how large a part of the noise's variance they have
-    (n,), and the middles (n,) of the times."""
+    """Return velocities (n, 2) of places (n, k, 2) at times (n, k), their variances (n,) over that of a place, 1/s^2,
+    and the middles (n,) of the times, s."""
     middle = times.mean(axis=1)
     since = times - middle[:, None]
     spread = (since**2).sum(axis=1)
@@ -229,7 +230,7 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
         return
     spread, fastest, change, least = scene.speed.tolist()
     stated = float(np.max(settings.birth.velocity_std))
-    if spread > SLOWER * stated or (complete and spread < stated / FASTER):
+    if spread > LARGER * stated or (complete and spread < stated / SMALLER):
         yield Finding(
             "settings.velocity_std", "warning",
             f"the objects move at about {number(spread)} {unit}/s per axis, but filter.birth.velocity_std is {stated:g}"
@@ -259,8 +260,8 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
     if acceleration in (None, ESTIMATE):
         return
     most = float(np.max(acceleration))
-    is_too_large = complete and most > TOO_MUCH * change
-    if is_too_large or least > SLOWER * most:
+    is_too_large = complete and most > SMALLER * change
+    if is_too_large or least > LARGER * most:
         size, why = (f"about {number(change)}", "large") if is_too_large else (f"at least {number(least)}", "small")
         yield Finding(
             "settings.acceleration_std", "warning",

@@ -17,8 +17,8 @@ LONGEST_INTERVAL_S = 10.0
 UNITS, SAME_RATE = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}, 0.1
 # Share of both sides of the image that the detections must fill, given this many false ones, which lie everywhere.
 CORNER_SHARE, CORNER_COUNT = 0.55, 100
-# Standard deviations outside these limits are implausible, px.
-LEAST_SIGMA_PX, LARGEST_SIGMA_SHARE = 0.01, 0.25
+# Least noise that is proposed, px.
+LEAST_SIGMA_PX = 0.01
 # Expected false detections of a frame over detections of a frame.
 CLUTTER_FACTOR = 1.5
 # Detections of a frame that no neighbouring frame continues, over the stated clutter; and at least this many.
@@ -206,12 +206,6 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             f"cameras.{camera.name}.detector.clutter_per_frame={isolated:.2g}",
         )  # fmt: skip
     yield _noise(sample, is_linked)
-    sigma = float(detector.sigma.max())
-    if not float(detector.sigma.min()) >= LEAST_SIGMA_PX or sigma > LARGEST_SIGMA_SHARE * camera.width:
-        yield Finding(
-            "detector.sigma", "warning", f"{camera.name}: a noise of {sigma:g} px is implausible",
-            sigma, None, camera.name, "state the standard deviation of a detection in pixels", "sigma",
-        )  # fmt: skip
     shortest = SHORTEST_FOCAL * min(camera.width, camera.height)
     if camera.fx < shortest:
         yield Finding(
