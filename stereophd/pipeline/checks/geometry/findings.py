@@ -12,6 +12,8 @@ CHANCE_SCORE, LEAST_SHARE = 2.5, 0.4
 # Standard deviations that the promise must be away from chance for a test, and by which it must be missed: the quantile
 # of 0.5 % of Student's distribution with as many degrees of freedom as the times that measure chance leave.
 POWER, LARGEST_DEFICIT = 6.0, 3.5
+# Probability that all objects are where a right camera does not see them, above which nothing follows from it.
+UNSEEN = 0.01
 
 
 def check_geometry(geometry: Geometry, is_blurred: bool = False) -> Iterator[Finding]:
@@ -56,6 +58,10 @@ def _deficit(geometry: Geometry, k: int) -> float | str:
         return "most have one by chance"
     if promised < POWER * spread:
         return f"chance varies by {percent(spread)}, too much to tell wrong cameras"
+    sample = geometry.samples[geometry.pairs[k].a]
+    objects = max(sample.detections_per_frame - sample.camera.detector.clutter_per_frame, 1.0)
+    if (1.0 - geometry.expected[k]) ** objects > UNSEEN:
+        return "so few objects may all be where the other camera does not look"
     return promised / spread - found.score
 
 
