@@ -509,20 +509,6 @@ def test_what_follows_from_a_mistake_is_no_remedy(samples: list[CameraSample]) -
         assert list(once_mended([follows], before, but=("some",))) == [follows]
 
 
-def test_an_image_that_false_detections_leave_empty_is_too_large() -> None:
-    large = tuple(replace(camera, width=1600, height=1200, cx=799.5, cy=599.5) for camera in CAMERAS)
-    frames = _frames(CAMERAS, count=200)
-
-    def causes(frames: list[Frame]) -> set[str | None]:
-        return {found.cause for found in check_files(sample_log(frames, large)) if found.name == "log.pixels"}
-
-    assert causes(frames) == {"image_size"}
-    # one object in a part of the image, before a detector whose false detections are stated and not seen
-    t = np.arange(200.0)[:, None] / RATE
-    path = 300.0 + np.hstack([250.0 * np.sin(0.3 * t), 200.0 * np.cos(0.2 * t)])
-    assert causes([replace(frame, pixels=path[[frame.frame]]) for frame in frames]) == {None}
-
-
 def test_tracks_of_one_camera_are_reported() -> None:
     def run(right: int, detections: int = 100) -> list[str | None]:
         tracks = [{"n_detections": {"left": 100, "right": right}, "n_estimates": 120}]

@@ -15,8 +15,6 @@ RATE_TOLERANCE = 0.02
 LONGEST_INTERVAL_S = 10.0
 # Such units, with how many of them a second has, and the relative difference of rates that are the same but for one.
 UNITS, SAME_RATE = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}, 0.1
-# Share of both sides of the image that the detections must fill, given this many false ones, which lie everywhere.
-CORNER_SHARE, CORNER_COUNT = 0.55, 100
 # Least noise that is proposed, px.
 LEAST_SIGMA_PX = 0.01
 # Expected false detections of a frame over detections of a frame.
@@ -123,8 +121,6 @@ def _image(sample: CameraSample) -> Finding:
     camera, size = sample.camera, np.array([sample.camera.width, sample.camera.height], dtype=float)
     name, is_shown = camera.name, len(sample.pixels) >= 20
     low, high = (sample.pixels.min(axis=0), sample.pixels.max(axis=0)) if is_shown else (np.zeros(2), size - 1.0)
-    filled = f"the detections fill {percent(high[0] / size[0])} of the width and {percent(high[1] / size[1])} of the "
-    filled += "height, from the top-left corner"
     if is_shown and (high <= 1.5).all() and (low >= -0.5).all():
         return Finding(
             "log.pixels", "warning", f"{name}: all pixels lie between 0 and 1: they seem to be normalised",
@@ -135,8 +131,6 @@ def _image(sample: CameraSample) -> Finding:
     other = 2.0 * np.array([camera.cx, camera.cy]) + 1.0
     centre, exchanged = other / size, other / size[::-1]
     is_alike = (centre > 0.0).all() and abs(np.log(centre[0] / centre[1])) < SCALED_ALIKE
-    # false detections that are stated and seen lie anywhere in the image; objects may keep to a part of it
-    clutter = min(camera.detector.clutter_per_frame, sample.isolated_per_frame) * len(sample.times)
     point, cause = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the centre of the image", None
     if (np.abs(exchanged - 1.0) < NEAR_CENTRE).all() and (np.abs(centre - 1.0) > NEAR_CENTRE).all():
         cause, text = "width_height_exchanged", f"{point}: width and height seem to be exchanged"
@@ -146,16 +140,14 @@ def _image(sample: CameraSample) -> Finding:
         remedy = "state cx and cy in pixels of this image size"
         # the image whose centre it is holds all detections, and the stated one does not, or is larger for nothing
         if is_shown and (high < other).all() and ((high > size).any() or (other < size).all()):
-            cause, text = "image_size", f"{point}, and {filled}: the image size seems to be wrong"
+            filled = (
+                f"the detections fill {percent(high[0] / size[0])} of its width and {percent(high[1] / size[1])} of "
+            )
+            cause, text = "image_size", f"{point}, and {filled} its height: the image size seems to be wrong"
             remedy = "set cameras.{}.image_size_px to [{:.0f}, {:.0f}]".format(name, *other)
-    elif clutter >= CORNER_COUNT and (high < CORNER_SHARE * size).all():
-        cause, text = "image_size", f"{filled}: the image size seems to be too large"
-        remedy = "state the size of the images that were searched"
     if cause is None:
         return Finding("log.pixels", "ok", f"{name}: pixels and principal point fit the image", camera=name)
-    check, value = "log.pixels", round(float((high / size).max()), 3)
-    if cause != "image_size":
-        check, value = "camera.principal_point", round(float(centre.max()), 3)
+    check, value = "log.pixels" if cause == "image_size" else "camera.principal_point", round(float(centre.max()), 3)
     return Finding(check, "warning", f"{name}: {text}", value, 1.0, name, remedy, cause)
 
 
