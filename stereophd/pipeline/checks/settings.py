@@ -61,7 +61,7 @@ def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> Measu
 
 def _speed(samples: list[CameraSample], depth: float) -> Array | None:
     """Return `speed` of a `MeasuredScene` at a depth; None where noise hides it."""
-    squares, least, changes = [], [], [np.zeros(4)]
+    squares, least, changes = [], [], [np.zeros(3)]
     for sample in samples:
         scale = depth / sample.camera.fx
         noise = scale * float(sample.camera.detector.sigma.mean())
@@ -78,21 +78,20 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
             windows = track[: len(track) // size * size].reshape(-1, size)
             rays = sample.camera.rays(sample.pixels[windows].reshape(-1, 2)).reshape(*windows.shape, 3)
             velocities, shares, middles = _velocities(sample.times[sample.frame_of[windows]], depth * rays[..., :2])
-            between = np.diff(middles)
-            changed = (np.diff(velocities, axis=0) ** 2).sum(axis=1) / between
-            by_noise = 2.0 * (shares[1:] + shares[:-1]) * most**2 / between
-            # what moves straight on, nearer or away, changes its speed in the image
-            nearing = ((velocities[1:] + velocities[:-1]) ** 2).sum(axis=1) * between / depth**2
-            if np.isfinite(rays).all():
-                changes.append(np.array([2 * len(between), changed.sum(), by_noise.sum(), nearing.sum()]))
+            between, steps = np.diff(middles), np.diff(velocities, axis=0)
+            # of what moves straight on the image moves along a line, faster or slower: what is across it shows turns
+            along = velocities[1:] + velocities[:-1]
+            across = (steps[:, 0] * along[:, 1] - steps[:, 1] * along[:, 0]) / np.linalg.norm(along, axis=1)
+            more = (across**2 - (shares[1:] + shares[:-1]) * most**2) / between
+            if np.isfinite(more).all():
+                changes.append(np.array([len(between), ((steps**2).sum(axis=1) / between).sum(), more.sum()]))
     if len(squares) < LEAST_TRACKS or np.mean(squares) <= 2.0 * np.std(squares) / np.sqrt(len(squares)):
         return None
-    spread = np.sqrt(np.mean(squares) / 2.0)
-    count, changed, by_noise, nearing = np.array(changes).T
-    total = count.sum() if count.sum() >= 2 * LEAST_WINDOWS else np.nan
-    more = changed - by_noise - spread**2 * nearing
+    count, changed, more = np.array(changes).T
+    total = count.sum() if count.sum() >= LEAST_WINDOWS else np.nan
     certain = more.sum() / total - 3.0 * np.linalg.norm(more - count * more.sum() / total) / total
-    return np.array([spread, np.quantile(least, 0.95), *np.sqrt([changed.sum() / total, max(certain, 0.0)])])
+    change, least_change = np.sqrt([0.5 * changed.sum() / total, max(certain, 0.0)])
+    return np.array([np.sqrt(np.mean(squares) / 2.0), np.quantile(least, 0.95), change, least_change])
 
 
 def _velocities(times: Array, places: Array) -> tuple[Array, Array, Array]:
