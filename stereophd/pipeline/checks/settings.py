@@ -66,6 +66,7 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
         scale = depth / sample.camera.fx
         noise = scale * float(sample.camera.detector.sigma.mean())
         most = noise if sample.noise_px is None else max(noise, scale * sample.noise_px[2])
+        places = depth * sample.camera.rays(sample.pixels)[:, :2]
         for track in sample.tracks:
             times = sample.times[sample.frame_of[track]]
             if np.ptp(times) <= 0.0:
@@ -76,8 +77,7 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
             least.append(max(speed - 3.0 * np.sqrt(share) * noise, 0.0))
             size = min(max(len(track) // 2, LEAST_WINDOW), WINDOW)
             windows = track[: len(track) // size * size].reshape(-1, size)
-            rays = sample.camera.rays(sample.pixels[windows].reshape(-1, 2)).reshape(*windows.shape, 3)
-            velocities, shares, middles = _velocities(sample.times[sample.frame_of[windows]], depth * rays[..., :2])
+            velocities, shares, middles = _velocities(sample.times[sample.frame_of[windows]], places[windows])
             between, steps = np.diff(middles), np.diff(velocities, axis=0)
             # of what moves straight on the image moves along a line, faster or slower: what is across it shows turns
             along = velocities[1:] + velocities[:-1]
