@@ -207,7 +207,7 @@ MISTAKES: dict[str, tuple[Callable[[Setup], None], tuple[str, ...]]] = {
     "rotation vector in radians": (_each(_radians), ("rotation_radians",)),
     "two cameras swapped": (_swap_entries, ("cameras_exchanged",)),
     "centres in another unit": (_each(_center(100.0)), ("depth_range", "center_unit")),
-    "image size too small": (_each(lambda c: _size(c, (0.5, 0.5))), ("error", "outside_image")),
+    "image size too small": (_each(lambda c: _size(c, (0.5, 0.5))), ("error", "image_size")),
     "image size too large": (_each(lambda c: _size(c, (2.0, 2.0))), ("image_size",)),
     "width and height swapped": (
         _each(lambda c: c["image_size_px"].reverse()), ("error", "outside_image", "width_height_exchanged"),

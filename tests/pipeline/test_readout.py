@@ -192,11 +192,11 @@ def test_checks_take_rows_for_rows_and_not_for_wrong_clocks(tmp_path: Path) -> N
         simulate(load_config(config, seed=seed), tmp_path / f"log{seed}")
         report = check(load_config(config, seed=seed), tmp_path / f"log{seed}" / "detections.parquet")
         rays = [one for one in report["checks"] if one["name"].startswith("geometry")]
-        assert [one["status"] for one in rays] == ["ok"] * 3, (seed, rays)
+        assert {one["status"] for one in rays} == {"ok"}, (seed, rays)
         wrong = [f"cameras.{name}.readout_s=0.0" for name in NAMES]
         report = check(load_config(config, wrong, seed), tmp_path / f"log{seed}" / "detections.parquet")
-        named += "geometry.cause" in [one["name"] for one in report["checks"]]
-    assert named >= 3
+        named += any(one["cause"] == "clock_offset" for one in report["checks"])
+    assert named >= 5
 
 
 def test_readout_in_files(tmp_path: Path) -> None:

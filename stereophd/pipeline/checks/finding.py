@@ -64,8 +64,8 @@ def misleads(found: Finding) -> bool:
 
 
 def once_mended(shown: Iterable[Finding], before: tuple[Finding, ...], but: tuple[str, ...] = ()) -> Iterator[Finding]:
-    """Yield what tracks show, which is no warning where one `before` misleads, other than those of the checks `but`."""
-    first = next((one.name for one in before if misleads(one) and one.name not in but), None)
+    """Yield what tracks show, no warning where one `before` misleads, but for those of the checks or causes `but`."""
+    first = next((one.name for one in before if misleads(one) and not {one.name, one.cause} & set(but)), None)
     for one in shown:
         if first is not None and one.status == "warning":
             text = f"{one.message}; mend what {first} warns of first"

@@ -22,15 +22,16 @@ from stereophd.wording import number
 # Share of the depths that the region must cover, and the births, be it those of this first share of the time alone:
 # objects move away from where they appear.
 LEAST_COVERED, LEAST_BORN, BEGINNING = 0.6, 0.25, 0.25
-# Factors between stated and measured spread of the speed that are reported, and between stated and measured
-# acceleration. Too small a one shows in the tracks, and one that is a little too large does little harm.
-SLOWER, FASTER, TOO_MUCH = 6.0, 30.0, 30.0
-# Successive frames of a track whose velocity is compared with that of the next ones: noise hides little in so many.
-WINDOW = 8
+# Factors by which a measured spread of the speed or acceleration is larger or smaller than stated: one that is a little
+# too large does little harm.
+LARGER, SMALLER = 6.0, 30.0
+# Successive frames of a track, half of it where it is shorter, whose velocity is compared with that of the next ones:
+# noise hides little in so many.
+LEAST_WINDOW, WINDOW = 8, 16
 # Share of the detections that one-camera tracks must hold before settings are called too large.
 LEAST_HELD = 0.6
 # Tracks that a speed is estimated from, and changes of velocity that an acceleration is, at least.
-LEAST_TRACKS, LEAST_WINDOWS = 4, 10
+LEAST_TRACKS, LEAST_WINDOWS = 4, 6
 # Speed of sound, m/s: what cameras follow is slower, but for bullets and meteors, and thousands of it are a wrong unit.
 FASTEST = 340.0
 
@@ -42,8 +43,9 @@ class MeasuredScene:
     depths: Array | None  # (3,) or None: Quantiles of 5, 50 and 95 % of the depth before the cameras, length
     depth_samples: Array  # (n,): Depths that represent the distribution, length
     first_depths: Array  # (n,): The same of the beginning of the log
-    # (3,) or None: Root mean square of one component, and 95 % quantile of the speed across the line of sight,
-    # length/s; and by how much a component changes in a second, with what noise adds, NaN of short tracks.
+    # (4,) or None: Root mean square of one component, and 95 % quantile of the speed across the line of sight,
+    # length/s; and by how much a component changes in a second, at most, with what noise adds, and at least, NaN of
+    # short tracks.
     speed: Array | None
 
 
@@ -59,28 +61,46 @@ def measure_scene(geometry: Geometry, least_score: float = LEAST_SCORE) -> Measu
 
 def _speed(samples: list[CameraSample], depth: float) -> Array | None:
     """Return `speed` of a `MeasuredScene` at a depth; None where noise hides it."""
-    squares, least, changes = [], [], [np.empty((0, 2))]
+    squares, least, changes = [], [], [np.zeros(3)]
     for sample in samples:
-        scale, noise = depth / sample.camera.fx, float(sample.camera.detector.sigma.mean())
+        scale = depth / sample.camera.fx
+        noise = scale * float(sample.camera.detector.sigma.mean())
+        most = noise if sample.noise_px is None else max(noise, scale * sample.noise_px[2])
+        places = depth * sample.camera.rays(sample.pixels)[:, :2]
         for track in sample.tracks:
-            times, pixels = sample.times[sample.frame_of[track]], sample.pixels[track]
-            centred = times - times.mean()
-            spread = float(centred @ centred)
-            if spread <= 0.0:
+            times = sample.times[sample.frame_of[track]]
+            if np.ptp(times) <= 0.0:
                 continue
-            speed = float(np.hypot(*(centred @ (pixels - pixels.mean(axis=0)))) / spread)  # by least squares
-            squares.append(scale**2 * (speed**2 - 2.0 * noise**2 / spread))
-            least.append(scale * max(speed - 3.0 * noise / np.sqrt(spread), 0.0))
-            windows = track[: len(track) // WINDOW * WINDOW].reshape(-1, WINDOW)
-            since = sample.times[sample.frame_of[windows]]
-            middle = since.mean(axis=1, keepdims=True)
-            since = since - middle
-            velocity = np.einsum("nk,nka->na", since, sample.pixels[windows]) / (since**2).sum(axis=1, keepdims=True)
-            changes.append(scale * np.diff(velocity, axis=0) / np.sqrt(np.diff(middle, axis=0)))
+            (velocity,), (share,), _ = _velocities(times[None], scale * sample.pixels[None, track])
+            speed = float(np.hypot(*velocity))
+            squares.append(speed**2 - 2.0 * share * noise**2)
+            least.append(max(speed - 3.0 * np.sqrt(share) * noise, 0.0))
+            size = min(max(len(track) // 2, LEAST_WINDOW), WINDOW)
+            windows = track[: len(track) // size * size].reshape(-1, size)
+            velocities, shares, middles = _velocities(sample.times[sample.frame_of[windows]], places[windows])
+            between, steps = np.diff(middles), np.diff(velocities, axis=0)
+            # of what moves straight on the image moves along a line, faster or slower: what is across it shows turns
+            along = velocities[1:] + velocities[:-1]
+            across = (steps[:, 0] * along[:, 1] - steps[:, 1] * along[:, 0]) / np.linalg.norm(along, axis=1)
+            more = (across**2 - (shares[1:] + shares[:-1]) * most**2) / between
+            if np.isfinite(more).all():
+                changes.append(np.array([len(between), ((steps**2).sum(axis=1) / between).sum(), more.sum()]))
     if len(squares) < LEAST_TRACKS or np.mean(squares) <= 2.0 * np.std(squares) / np.sqrt(len(squares)):
         return None
-    change = np.concatenate(changes).std() if sum(map(len, changes)) >= LEAST_WINDOWS else np.nan
-    return np.array([np.sqrt(np.mean(squares) / 2.0), np.quantile(least, 0.95), change])
+    count, changed, more = np.array(changes).T
+    total = count.sum() if count.sum() >= LEAST_WINDOWS else np.nan
+    certain = more.sum() / total - 3.0 * np.linalg.norm(more - count * more.sum() / total) / total
+    change, least_change = np.sqrt([0.5 * changed.sum() / total, max(certain, 0.0)])
+    return np.array([np.sqrt(np.mean(squares) / 2.0), np.quantile(least, 0.95), change, least_change])
+
+
+def _velocities(times: Array, places: Array) -> tuple[Array, Array, Array]:
+    """Return velocities (n, 2) of places (n, k, 2) at times (n, k), their variances (n,) over that of a place, 1/s^2,
+    and the middles (n,) of the times, s."""
+    middle = times.mean(axis=1)
+    since = times - middle[:, None]
+    spread = (since**2).sum(axis=1)
+    return np.einsum("nk,nka->na", since, places) / spread[:, None], 1.0 / spread, middle
 
 
 def _depth_samples(geometry: Geometry, least_score: float) -> tuple[Array, Array]:
@@ -207,9 +227,9 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
     assert not isinstance(settings, SingleSettings)
     if scene.speed is None:
         return
-    spread, fastest, change = scene.speed.tolist()
+    spread, fastest, change, least = scene.speed.tolist()
     stated = float(np.max(settings.birth.velocity_std))
-    if spread > SLOWER * stated or (complete and spread < stated / FASTER):
+    if spread > LARGER * stated or (complete and spread < stated / SMALLER):
         yield Finding(
             "settings.velocity_std", "warning",
             f"the objects move at about {number(spread)} {unit}/s per axis, but filter.birth.velocity_std is {stated:g}"
@@ -236,12 +256,16 @@ def _speeds(config: Config, scene: MeasuredScene, complete: bool) -> Iterator[Fi
             f"motion.max_speed={2.0 * fastest:.2g}",
         )  # fmt: skip
     acceleration = getattr(motion, "acceleration_std", None)
-    most = 0.0 if acceleration in (None, ESTIMATE) else float(np.max(acceleration))
-    if complete and most > TOO_MUCH * change:
+    if acceleration in (None, ESTIMATE):
+        return
+    most = float(np.max(acceleration))
+    is_too_large = complete and most > SMALLER * change
+    if is_too_large or least > LARGER * most:
+        size, why = (f"about {number(change)}", "large") if is_too_large else (f"at least {number(least)}", "small")
         yield Finding(
             "settings.acceleration_std", "warning",
-            f"the velocity of the objects changes by about {number(change)} {unit}/s per axis in a second, "
-            f"but motion.acceleration_std is {most:g}: it seems to be in another unit",
+            f"the velocity of the objects changes by {size} {unit}/s per axis in a second, but motion.acceleration_std "
+            f"is {most:g}: it is too {why}, or in another unit",
             most, round(change, 6), None, "let track estimate it (motion.acceleration_std: estimate)",
             "acceleration_std", "motion.acceleration_std=estimate",
         )  # fmt: skip

@@ -96,6 +96,14 @@ def test_a_late_clock_is_named_and_measured(late_s: float) -> None:
     assert f"add {-found.value:.4g} s" in found.remedy
 
 
+@pytest.mark.parametrize("late_s", [0.0, 0.1])
+def test_a_late_clock_shows_in_short_logs(late_s: float) -> None:
+    """Two seconds of four objects: pairs of cameras with fewer than a hundred detections were not looked at."""
+    for seed in (5, 6, 7):
+        warned = [one.cause for one in _findings(late_s=late_s, frames=24, seed=seed) if one.cause]
+        assert warned == ["clock_offset"] * (late_s > 0.0)
+
+
 def test_of_two_cameras_nobody_knows_whose_clock_is_late() -> None:
     (found,) = _findings(CAMERAS[:2], late_s=0.06)
     assert (found.cause, found.camera) == ("clock_offset", None)

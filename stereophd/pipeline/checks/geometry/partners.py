@@ -14,7 +14,7 @@ from stereophd.pipeline.checks.geometry.rays import GOLDEN_ANGLE, signed_distanc
 from stereophd.pipeline.checks.log.sample import CameraSample
 
 # Detections of a camera that are examined, and candidates of all of them together.
-MOST_DETECTIONS, MOST_PAIRS, LEAST_DETECTIONS = 3000, 200_000, 100
+MOST_DETECTIONS, MOST_PAIRS, LEAST_DETECTIONS = 3000, 200_000, 30
 # Frames in which a one-camera track is examined whole, or not at all where there are more detections: single ones of
 # tracks that misses end soon are too few.
 PIECE = 64

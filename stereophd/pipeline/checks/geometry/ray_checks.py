@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding, Status
-from stereophd.pipeline.checks.geometry.rays import LEAST_EXPECTED, LEAST_SCORE, MOST_CHANCE, Geometry, pairs_of
+from stereophd.pipeline.checks.geometry.rays import LEAST_SCORE, MOST_CHANCE, TOLERANCES, Geometry, pairs_of
 from stereophd.pipeline.checks.geometry.trials import MOST_CLOCKS, Explanation, best_explanation, usable_clocks
 from stereophd.wording import percent
 
@@ -12,6 +12,9 @@ CHANCE_SCORE, LEAST_SHARE = 2.5, 0.4
 # Standard deviations that the promise must be away from chance for a test, and by which it must be missed: the quantile
 # of 0.5 % of Student's distribution with as many degrees of freedom as the times that measure chance leave.
 POWER, LARGEST_DEFICIT = 6.0, 3.5
+# Probability, by rays alone, that all objects are where a right camera does not see them, above which nothing follows:
+# cameras are set up to see the same, so that it is less in truth.
+UNSEEN = 0.25
 
 
 def check_geometry(geometry: Geometry, is_blurred: bool = False) -> Iterator[Finding]:
@@ -47,10 +50,14 @@ def _deficit(geometry: Geometry, k: int) -> float | str:
     """Return by how many standard deviations pair k meets less often than it must, or why that cannot be told.
 
     It must meet by `LEAST_SHARE` of what the settings promise: the objects may be elsewhere than the settings expect.
+    Rays of right cameras meet at the tightest tolerance, at which chance gives least.
     """
-    found, promised = geometry.given[k], LEAST_SHARE * geometry.expected[k] * (1.0 - geometry.given[k].chance)
-    if geometry.expected[k] < LEAST_EXPECTED:
-        return "by these settings right cameras, too, would show hardly more than chance"
+    found = geometry.given_at(k, TOLERANCES[0])
+    promised = LEAST_SHARE * geometry.expected[k] * (1.0 - found.chance)
+    sample = geometry.samples[geometry.pairs[k].a]
+    objects = max(sample.detections_per_frame - sample.camera.detector.clutter_per_frame, 1.0)
+    if (1.0 - geometry.expected[k]) ** objects > UNSEEN:
+        return "right cameras, too, may show hardly more than chance, as these objects may be where only one looks"
     spread = (found.share - found.chance) / found.score if found.score else 1.0
     if found.chance > MOST_CHANCE:
         return "most have one by chance"

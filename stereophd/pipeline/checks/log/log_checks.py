@@ -17,10 +17,8 @@ RATE_TOLERANCE = 0.02
 LONGEST_INTERVAL_S = 10.0
 # Such units, with how many of them a second has, and the relative difference of rates that are the same but for one.
 UNITS, SAME_RATE = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}, 0.1
-# Share of both sides of the image that the detections must fill, given this many false ones, which lie everywhere.
-CORNER_SHARE, CORNER_COUNT = 0.55, 100
-# Standard deviations outside these limits are implausible, px.
-LEAST_SIGMA_PX, LARGEST_SIGMA_SHARE = 0.01, 0.25
+# Least noise that is proposed, px.
+LEAST_SIGMA_PX = 0.01
 # Expected false detections of a frame over detections of a frame.
 CLUTTER_FACTOR = 1.5
 # Detections of a frame that no neighbouring frame continues, over the stated clutter; and at least this many.
@@ -35,8 +33,9 @@ LEAST_OVERLAP = 0.05
 MOST_SHOWN, PLACE_RADIUS_PX = 5, 2.0
 # Difference of the logarithms of what the coordinates of a principal point are scaled by in another resolution.
 SCALED_ALIKE = 0.2
-# Parts of the image within which a principal point is in its middle, and from which on it is not.
-NEAR_CENTRE, FAR_FROM_CENTRE = 0.1, 0.25
+# Relative difference of the image whose centre a principal point is within which it is the stated one, and from which
+# on it is not.
+NEAR_CENTRE, FAR_FROM_CENTRE = 0.2, 0.49
 # Focal lengths over the smaller side of the image are larger, of fisheyes too: 0.32 where it holds half a sphere.
 SHORTEST_FOCAL = 0.2
 
@@ -62,7 +61,7 @@ def check_files(
         frames = list(check_times(sample))
         untimed |= {found.camera for found in frames if found.camera is not None and is_mistake(found)}
         yield from frames
-        yield from _pixels(sample)
+        yield _image(sample)
         yield from _places(sample)
         is_stated = sample.camera.name not in estimated
         yield from (one for one in _detector(sample) if is_stated or not one.name.startswith("detector."))
@@ -131,32 +130,39 @@ def _unit(sample: CameraSample, found: float) -> str | None:
     return None
 
 
-def _pixels(sample: CameraSample) -> Iterator[Finding]:
-    camera = sample.camera
-    if len(sample.pixels) < 20:
-        return
-    low, high = sample.pixels.min(axis=0), sample.pixels.max(axis=0)
-    size = np.array([camera.width, camera.height], dtype=float)
-    if (high <= 1.5).all() and (low >= -0.5).all():
-        yield Finding(
-            "log.pixels", "warning", f"{camera.name}: all pixels lie between 0 and 1: they seem to be normalised",
-            float(high.max()), float(size.max()), camera.name, "multiply u by the width and v by the height",
+def _image(sample: CameraSample) -> Finding:
+    """Return whether pixels, the size of the image and the principal point fit one another."""
+    camera, size = sample.camera, np.array([sample.camera.width, sample.camera.height], dtype=float)
+    name, is_shown = camera.name, len(sample.pixels) >= 20
+    low, high = (sample.pixels.min(axis=0), sample.pixels.max(axis=0)) if is_shown else (np.zeros(2), size - 1.0)
+    if is_shown and (high <= 1.5).all() and (low >= -0.5).all():
+        return Finding(
+            "log.pixels", "warning", f"{name}: all pixels lie between 0 and 1: they seem to be normalised",
+            float(high.max()), float(size.max()), name, "multiply u by the width and v by the height",
             "pixels_normalised",
         )  # fmt: skip
-        return
-    filled = high / size
-    # false detections that are stated and seen lie anywhere in the image; objects may keep to a part of it
-    clutter = min(camera.detector.clutter_per_frame, sample.isolated_per_frame) * len(sample.times)
-    if clutter >= CORNER_COUNT and (filled < CORNER_SHARE).all():
-        yield Finding(
-            "log.pixels", "warning",
-            f"{camera.name}: the detections fill only {percent(filled[0])} of the width and {percent(filled[1])} of "
-            "the height, from the top-left corner: the image size seems to be too large",
-            round(float(filled.max()), 3), 1.0, camera.name, "state the size of the images that were searched",
-            "image_size",
-        )  # fmt: skip
-        return
-    yield Finding("log.pixels", "ok", f"{camera.name}: the detections fill the image", camera=camera.name)
+    # another resolution scales both alike; a cut image, or a long lens, has its principal point anywhere
+    other = 2.0 * np.array([camera.cx, camera.cy]) + 1.0
+    centre, exchanged = other / size, other / size[::-1]
+    is_alike = (centre > 0.0).all() and abs(np.log(centre[0] / centre[1])) < SCALED_ALIKE
+    point, cause = f"the principal point ({camera.cx:g}, {camera.cy:g}) is far from the centre of the image", None
+    if (np.abs(exchanged - 1.0) < NEAR_CENTRE).all() and (np.abs(centre - 1.0) > NEAR_CENTRE).all():
+        cause, text = "width_height_exchanged", f"{point}: width and height seem to be exchanged"
+        remedy = f"set cameras.{name}.image_size_px to [{camera.height}, {camera.width}]"
+    elif is_alike and (np.abs(centre - 1.0) > FAR_FROM_CENTRE).any():
+        cause, text = "principal_point_resolution", f"{point}: it seems to belong to another resolution"
+        remedy = "state cx and cy in pixels of this image size"
+        # the image whose centre it is holds all detections, and the stated one does not, or is larger for nothing
+        if is_shown and (high < other).all() and ((high > size).any() or (other < size).all()):
+            filled = (
+                f"the detections fill {percent(high[0] / size[0])} of its width and {percent(high[1] / size[1])} of "
+            )
+            cause, text = "image_size", f"{point}, and {filled} its height: the image size seems to be wrong"
+            remedy = "set cameras.{}.image_size_px to [{:.0f}, {:.0f}]".format(name, *other)
+    if cause is None:
+        return Finding("log.pixels", "ok", f"{name}: pixels and principal point fit the image", camera=name)
+    check, value = "log.pixels" if cause == "image_size" else "camera.principal_point", round(float(centre.max()), 3)
+    return Finding(check, "warning", f"{name}: {text}", value, 1.0, name, remedy, cause)
 
 
 def _places(sample: CameraSample) -> Iterator[Finding]:
@@ -206,12 +212,6 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             f"cameras.{camera.name}.detector.clutter_per_frame={isolated:.2g}",
         )  # fmt: skip
     yield _noise(sample, is_linked)
-    sigma = float(detector.sigma.max())
-    if not float(detector.sigma.min()) >= LEAST_SIGMA_PX or sigma > LARGEST_SIGMA_SHARE * camera.width:
-        yield Finding(
-            "detector.sigma", "warning", f"{camera.name}: a noise of {sigma:g} px is implausible",
-            sigma, None, camera.name, "state the standard deviation of a detection in pixels", "sigma",
-        )  # fmt: skip
     shortest = SHORTEST_FOCAL * min(camera.width, camera.height)
     if camera.fx < shortest:
         yield Finding(
@@ -221,23 +221,6 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             camera.fx, shortest, camera.name,
             "divide it by the pixel pitch: focal length [px] = focal length [mm] * image width [px] / sensor width "
             "[mm]", "focal_length_millimetres",
-        )  # fmt: skip
-    # another resolution scales both alike; a cut image, or a long lens, has its principal point anywhere
-    size, middle = np.array([camera.width, camera.height]), np.array([camera.cx, camera.cy])
-    centre, exchanged = middle / size, middle / size[::-1]
-    alike = (centre > 0.0).all() and abs(np.log(centre[0] / centre[1])) < SCALED_ALIKE
-    cause = None
-    if (np.abs(exchanged - 0.5) < NEAR_CENTRE).all() and (np.abs(centre - 0.5) > NEAR_CENTRE).all():
-        cause, text = "width_height_exchanged", "width and height seem to be exchanged"
-        remedy = f"set cameras.{camera.name}.image_size_px to [{camera.height}, {camera.width}]"
-    elif alike and (np.abs(centre - 0.5) > FAR_FROM_CENTRE).any():
-        cause, text = "principal_point_resolution", "it seems to belong to another resolution"
-        remedy = "state cx and cy in pixels of this image size"
-    if cause is not None:
-        yield Finding(
-            "camera.principal_point", "warning",
-            f"{camera.name}: the principal point ({camera.cx:g}, {camera.cy:g}) is far from the centre of the image: "
-            f"{text}", float(camera.cx), 0.5 * camera.width, camera.name, remedy, cause,
         )  # fmt: skip
 
 
