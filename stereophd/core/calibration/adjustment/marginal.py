@@ -122,8 +122,7 @@ def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTL
     size = problem.parameters.size
     states, weights = begun.states, problem.weights(begun.distances)
     unknowns = np.append(begun.values, begun.motion_noise[: len(STATED) if len(problem.knots.links()) else 0])
-    count = len(problem.observations)
-    secants = [(step, count * change) for step, change in begun.secants if len(step) == len(unknowns)]
+    secants = list[tuple[Array, Array]]()
     for number in range(MOST_WEIGHTINGS):
         posterior = MarginalPosterior(Linearisation.of(problem.weighted(weights)))
         begins = posterior.at(unknowns, states)
@@ -136,8 +135,7 @@ def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTL
     covariance = posterior.covariance(at)[:size, :size]
     values, noise = posterior.parted(unknowns)
     cost, distances = at.equations.cost, at.equations.distances
-    kept = np.array([(step, change / count) for step, change in secants]).reshape(-1, 2, len(unknowns))
-    return Adjustment(values, states, covariance, cost, distances, left <= LONGEST_LEFT, noise, kept)
+    return Adjustment(values, states, covariance, cost, distances, left <= LONGEST_LEFT, noise)
 
 
 def curvature_covariance(problem: Problem, adjustment: Adjustment, threads: int = 1) -> Array:
@@ -386,7 +384,10 @@ def _minimised(
         tried = _tried(posterior, at, step)
         found = next(((s, p) for s, p in tried if p.objective <= at.objective + DECREASE * s * slope), None)
         if found is None:
-            break
+            if not secants:
+                break
+            secants.clear()  # they were those of another optimum
+            continue
         share, at = found
         step = share * step
         longest = min((LONGER if share == 1.0 else 1.0) * share * taken, LONGEST_STEP)

@@ -62,8 +62,6 @@ class Adjustment:
     converged: bool
     # (6,): Unknowns of the noise of the motion (`trajectories.MotionNoise`), in units of the scene's scale
     motion_noise: Array = field(default_factory=lambda: STATED)
-    # (s, 2, u): Steps of the unknowns near the optimum and, for each detection, the changes of the gradient along them
-    secants: Array = field(default_factory=lambda: np.empty((0, 2, 0)))
 
 
 @dataclass(frozen=True)

@@ -228,10 +228,9 @@ def adjusted_to(task: Task, fit: Fit, observations: Observations, detections: In
         with suppress(LinAlgError):  # the joint optimum is found with damping
             searched = marginal_optimum(problem, begun, SETTLED_IN_PASSES)
     if searched is None:
-        found = adjust(problem, begun.values, begun.states)
-        searched = replace(found, motion_noise=begun.motion_noise, secants=begun.secants)
-    fitted = _fit(task, problem, searched, detections)
-    return _standing(task, fitted) or fitted
+        searched = replace(adjust(problem, begun.values, begun.states), motion_noise=begun.motion_noise)
+    found = _fit(task, problem, searched, detections)
+    return _standing(task, found) or found
 
 
 def _begun(task: Task, fit: Fit, observations: Observations) -> tuple[Problem, Adjustment]:
@@ -247,8 +246,7 @@ def _begun(task: Task, fit: Fit, observations: Observations) -> tuple[Problem, A
     length = _length_of_noise(task, observations, points, values)
     states = fit_states(knots, *interpolated, points, np.full(len(points), length**-2))
     problem = Problem(task.parameters, task.reference, knots, observations, FITTED_LOSS, task.scale, fit.held)
-    begun = _at(problem, values, _settled(problem, values, states), noise)
-    return problem, replace(begun, secants=fit.adjustment.secants)
+    return problem, _at(problem, values, _settled(problem, values, states), noise)
 
 
 def _standing(task: Task, fit: Fit) -> Fit | None:

@@ -381,3 +381,24 @@ def test_the_gradient_of_objects_that_stand_still() -> None:
     for step in 0.02 * root.T:
         ahead, behind = (posterior.at(at.unknowns + sign * step, at.states).objective for sign in (1.0, -1.0))
         assert ahead - behind == pytest.approx(2.0 * float(gradient @ step), rel=0.02, abs=1e-4)
+
+
+def test_steps_near_an_optimum_correct_the_curvature() -> None:
+    rng = np.random.default_rng(1)
+    precision, covariance = (m @ m.T + np.eye(4) for m in rng.standard_normal((2, 4, 4)))
+    secants = [(step, precision @ step) for step in rng.standard_normal((4, 4))]
+    bent = marginal._bent(covariance, secants)
+    np.testing.assert_allclose(bent @ secants[-1][1], secants[-1][0])
+    assert np.linalg.eigvalsh((bent + bent.T) / 2.0)[0] > 0.0
+
+
+def test_a_search_that_changes_of_the_gradient_mislead_goes_on_without_them() -> None:
+    """One ended half a deviation from the optimum after 3 steps, as the curvature was that of other noise."""
+    problem, states, drawn = some_problem(("center", "rotation", "focal"))
+    posterior = MarginalPosterior(Linearisation.of(problem))
+    at = marginal._minimised(posterior, posterior.at(np.append(drawn, NOISE), states), 0.5, [])[0]
+    root = posterior.root(at)
+    flat = 1e-3 * np.linalg.inv(root).T @ (root.T @ posterior.gradient(at))
+    secants = [(root @ root.T @ posterior.gradient(at), flat)]
+    _, _, left = marginal._minimised(posterior, posterior.at(at.unknowns + root[:, 0], at.states), 0.05, secants)
+    assert left <= 0.05
