@@ -82,6 +82,8 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
             # Costly to import, and matplotlib is an extra.
             from stereophd.report.plots.scene_plots import Pictures, write_plots
 
+            if options.align != "none" and "cameras" not in inputs:
+                cameras = None  # those of the tracks stand in the frame of these
             paths = {name: out.path(name) for name in PLOT_NAMES}
             write_plots(Pictures(report, scored, truth, cameras or ()), paths)
     return report

@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+import yaml
 
 from stereophd.commands.evaluate import evaluate
 from stereophd.errors import GateError, InputError
@@ -585,6 +586,19 @@ def test_a_similarity_brings_tracks_of_any_unit_into_that_of_the_truth(tmp_path)
         evaluate(tracks, truth, align="similarity")
     with pytest.raises(InputError, match="expected lengths in baseline"):
         evaluate(tracks, truth, align="rigid", cutoff=1.0)
+
+
+@pytest.mark.parametrize(("align", "drawn"), [("none", ["a"]), ("rigid", []), ("similarity", [])])
+def test_cameras_in_the_frame_of_tracks_that_are_aligned_are_not_drawn(tmp_path, monkeypatch, align, drawn):
+    """Cameras of a run from nothing stood in the picture of a truth in metres, a `baseline` apart."""
+    pictures = []
+    monkeypatch.setattr("stereophd.report.plots.scene_plots.write_plots", lambda data, _: pictures.append(data))
+    record = json.dumps({"config": {"cameras": yaml.safe_load(f"a:\n{CAMERA}")}})
+    rows = [(float(t), "a", t, 1, float(t)) for t in range(9)]
+    tracks = write_tracks(tmp_path / "tracks.parquet", rows, metadata={"stereophd": record})
+    truth = write_truth(tmp_path / "truth.parquet", [(t, 3, t) for t in range(9)])
+    evaluate(tracks, truth, tmp_path / "out", align=align, cutoff=1.0, plots=True)
+    assert [camera.name for camera in pictures[0].cameras] == drawn
 
 
 def test_an_alignment_that_runs_away_is_named(tmp_path, monkeypatch):

@@ -101,7 +101,7 @@ class Believed:
     task: Task  # With the scale, the noise and the unknowns of the answer.
     answer: Fit  # The marginal optimum.
     noise: Array  # Noise (c,) of each camera's detections over that of the camera.
-    given_up: tuple[Suspicion, ...]  # Of statements that the data contradict, which were estimated.
+    given_up: tuple[Suspicion, ...]  # Of statements that were estimated: contradicted, or images not shown.
     held: tuple[Suspicion, ...]  # Of the statements that the answer holds.
     doubtful: Array  # (m, k): Root of the covariance that the held statements add to that of the answer.
     remarks: tuple[Remark, ...]
@@ -233,8 +233,8 @@ def believe(task: Task, fit: Fit, choices: Choices) -> Believed:
     Each round: (1) the answer, where there is none, is the marginal optimum of the fit. (2) Its trajectories choose
     detections anew, whose residuals show the noise. (3) Where that is another, the search goes on from the answer, or
     begins at the joint optimum where it had not converged or residuals hide the noise; the next round follows. (4) Once
-    the noise stays, what is held is tested; what is contradicted is freed, beginning as stated, for the next round. (5)
-    The errors of detections are independent at first, and shared within a radius once nothing is contradicted.
+    the noise stays, what is held is tested; what is unknown (`Suspicion.is_unknown`) is freed, beginning as stated, for
+    the next round. (5) The errors of detections are independent at first, and shared within a radius once nothing is.
     """
     count = len(task.parameters.cameras)
     noise, shared = np.ones(count), np.zeros(count)
@@ -335,7 +335,7 @@ def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, float, tuple
 
 
 def may_be_freed(suspicion: Suspicion, choices: Choices, parameters: ParameterSet) -> bool:
-    """Whether a contradicted statement may be given up."""
+    """Whether a statement that is contradicted, or not shown, may be given up."""
     if suspicion.group.is_unmeasured:
         return choices.model != AS_STATED
     return choices.model == FREE and is_shown(suspicion, parameters)
@@ -347,7 +347,7 @@ def is_shown(suspicion: Suspicion, parameters: ParameterSet) -> bool:
 
 
 def with_freed(task: Task, fit: Fit, enlarged: EnlargedSet, suspicion: Suspicion) -> tuple[Task, Fit]:
-    """Return the task with what was contradicted among its unknowns, and the fit, which has it as it was stated.
+    """Return the task with what was doubted among its unknowns, and the fit, which has it as it was stated.
 
     What nobody has measured with it is unknown, too. The trajectories follow it with the noise of the motion that was
     found, and the search for the marginal optimum begins there. The joint optimum of all that runs away where objects
@@ -413,11 +413,10 @@ def statement_remarks(believed: Believed, is_doubted: bool, widening: float = 1.
     remarks = [
         Remark(
             "model",
-            f"the data {'contradict' if suspicion.is_contradicted else 'do not show'} what is stated: "
-            f"{fitting(suspicion, is_doubted)} fits; it was estimated "
-            "(calibration.model: as_stated keeps the statement)",
+            f"the data {'contradict what is' if one.is_contradicted else 'do not show that images are as'} stated: "
+            f"{fitting(one, is_doubted)} fits; it was estimated (calibration.model: as_stated keeps the statement)",
         )
-        for suspicion in believed.given_up
+        for one in believed.given_up
     ]
     contradicted = next((s for s in believed.held if s.is_contradicted), None)
     if contradicted is not None:

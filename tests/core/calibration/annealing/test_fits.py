@@ -50,6 +50,7 @@ from stereophd.core.calibration.annealing.starts import (
 from stereophd.core.calibration.annealing.task import Fit, Task
 from stereophd.core.calibration.pairing.track_pairs import make_pairs
 from stereophd.core.calibration.settings import AnnealedSettings
+from stereophd.core.calibration.unknowns.quantities.base import IMAGES
 from stereophd.core.geometry.camera import Clock
 from stereophd.core.geometry.lens import Lens
 from stereophd.core.motion.constant_velocity import ConstantVelocity
@@ -257,6 +258,10 @@ def test_core_alone_calibrates(made: MadeUp, task: Task, right: Calibrated) -> N
         assert "+2.67e+06 +- " in said
         assert "+" not in doubted
         assert f"stated: another {contradicted.group.names[0]}" in doubted
+    # images that the data do not show to be exact are estimated, which contradicts nothing
+    images = replace(first, group=replace(first.group, quantity=IMAGES), log_evidence=-3.0)
+    (said,) = statement_remarks(replace(right.believed, given_up=(images,), held=()), False)
+    assert said.text.startswith("the data do not show that images are as stated: ")
     # what errors that last may do as well is no contradiction
     for log_evidence, widening, is_sure in ((20.0, 1.0, True), (20.0, 2.6, False), (200.0, 2.6, True)):
         believed = replace(right.believed, held=(replace(first, log_evidence=log_evidence, gain=log_evidence + 5.0),))
