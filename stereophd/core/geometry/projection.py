@@ -1,7 +1,7 @@
 """Projections with their derivatives: of points in a camera's axes, and by projective matrices; and where rays meet.
 
-These are the parts. `calibration.unknowns.quantities.pixel_derivatives.look` is the whole derivative of the distorted
-pixel: through the lens, and by the pose, the motion of object and camera, and time.
+These are the parts. `calibration.unknowns.quantities.pixel_derivatives.view_of` is the whole derivative of the
+distorted pixel: through the lens, and by the pose, the motion of object and camera, and time.
 """
 
 import numpy as np

@@ -222,18 +222,20 @@ def check_noise(
             yield Finding("tracking.noise", "ok", text, round(ratio, 3), 1.0, name)
             continue
         better, doubted = measured.get(name), "poses, lenses, clocks and motion.acceleration_std"
-        is_confirmed = isinstance(better, float) and (better / stated < RESIDUAL_RATIOS[1])
+        is_other = isinstance(better, float) and (
+            better < RESIDUAL_RATIOS[1] * stated if ratio > 1.0 else better > RESIDUAL_RATIOS[0] * stated
+        )
         if ratio > 1.0:
             effect = "tracks are too sure of themselves, break and multiply; or the cameras or the motion do not fit"
-        elif is_confirmed := isinstance(better, float) and better / stated > RESIDUAL_RATIOS[0]:
+        elif is_other:
             effect, doubted = "tracks follow their detections too closely", "motion.acceleration_std: too large?"
         else:
             effect = "tracks follow their detections too little, and are less sure than they could be"
             better = ratio * stated
         remedy, cause = "let track estimate it (detector: estimate)", "sigma"
         change: str | None = "detector=estimate"
-        if is_confirmed:
-            cause, change, remedy = "residuals", None, f"one-camera tracks confirm the noise: look at {doubted}"
+        if is_other:
+            cause, change, remedy = "residuals", None, f"one-camera tracks show {better:.2g} px: look at {doubted}"
         elif isinstance(better, float):
             remedy = f"set cameras.{name}.detector.sigma_px near {better:.2g}, or {remedy}"
             change = f"cameras.{name}.detector.sigma_px=[{better:.2g}, {better:.2g}]"

@@ -81,7 +81,8 @@ def _speed(samples: list[CameraSample], depth: float) -> Array | None:
             between, steps = np.diff(middles), np.diff(velocities, axis=0)
             # of what moves straight on the image moves along a line, faster or slower: what is across it shows turns
             along = velocities[1:] + velocities[:-1]
-            across = (steps[:, 0] * along[:, 1] - steps[:, 1] * along[:, 0]) / np.linalg.norm(along, axis=1)
+            length = np.maximum(np.linalg.norm(along, axis=1), np.finfo(np.float64).tiny)
+            across = (steps[:, 0] * along[:, 1] - steps[:, 1] * along[:, 0]) / length
             more = (across**2 - (shares[1:] + shares[:-1]) * most**2) / between
             if np.isfinite(more).all():
                 changes.append(np.array([len(between), ((steps**2).sum(axis=1) / between).sum(), more.sum()]))

@@ -385,6 +385,19 @@ def test_no_acceleration_is_right_where_objects_move_straight_on(turn: float, wa
     assert ("acceleration_std" in causes) == warned
 
 
+@np.errstate(invalid="raise")
+def test_what_comes_to_rest_in_the_middle_of_the_image_shows_no_acceleration() -> None:
+    """Its velocities are exactly 0 there, without a direction: `init` ended with a warning of NumPy."""
+    frames = []
+    for k, (c, camera) in ((k, one) for k in range(80) for one in enumerate(CAMERAS)):
+        others = [[100 + k, 100], [200 + k, 300], [300, 100 + k], [500, 200 + 2 * k]]
+        pixels = np.array([[camera.cx + 3 * max(0, 20 - k), camera.cy], *others], dtype=float)
+        frames.append(Frame(k / RATE, c, k, pixels))
+    speed = measure_scene(measure(sample_log(frames, CAMERAS), DEPTHS)).speed
+    assert speed is not None
+    assert speed[3] == 0.0
+
+
 def test_births_are_asked_where_objects_begin(samples: list[CameraSample]) -> None:
     """Objects that fly away leave the depths of the births (set-up 3083 of the benchmark was warned of)."""
     config = make_config({"filter": {"kind": "pmb", "birth": {"depth_range": [1.0, 3.0], "velocity_std": 1.0,
@@ -743,7 +756,12 @@ def test_the_noise_of_broken_tracks_is_that_of_one_camera_tracks(scatter: float 
 
 @pytest.mark.parametrize(
     ("scatter", "cause", "change"),
-    [(1.1, "residuals", None), (0.2, "sigma", "cameras.left.detector.sigma_px=[0.37, 0.37]"), (None, "sigma", None)],
+    [
+        (1.1, "residuals", None),
+        (8.0, "residuals", None),
+        (0.2, "sigma", "cameras.left.detector.sigma_px=[0.37, 0.37]"),
+        (None, "sigma", None),
+    ],
 )
 def test_small_residuals_beside_a_noise_that_one_camera_confirms_are_no_noise(
     scatter: float | None, cause: str, change: str | None

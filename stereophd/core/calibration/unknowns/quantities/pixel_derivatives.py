@@ -65,7 +65,7 @@ class Sights:
         """View of a camera on its rows `here`, with all that derivatives by its values need.
 
         `velocities` (n, 3) are those of the points; `at` are true times, log times and rows of detections, as in
-        `look`.
+        `view_of`.
         """
         camera, motions, poses = self.cameras[number], self.places.motions, self.places.poses[here]
         pose, (times, log_times, rows) = camera.pose, (values[here] for values in at)
