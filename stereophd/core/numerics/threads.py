@@ -27,7 +27,10 @@ def use_one_thread() -> None:
 
 
 def in_threads(function: Callable[[Item], Result], items: Iterable[Item], threads: int) -> list[Result]:
-    """Call a function that leaves the interpreter for most of its time for each item; return the results in order."""
+    """Call a function that leaves the interpreter for most of its time for each item; return the results in order.
+
+    The threads are shared by all callers: a function that calls this itself may wait for ever.
+    """
     if threads == 1:
         return list(map(function, items))
     return list(_pool(threads).map(function, items))
