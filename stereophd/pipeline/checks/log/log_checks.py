@@ -81,7 +81,7 @@ def _poses(samples: list[CameraSample]) -> Iterator[Finding]:
     placed = [one.camera for one in samples if one.camera.pose != Pose(np.eye(3), np.zeros(3))]
     for first, second in (pair for pair in combinations(placed, 2) if pair[0].pose == pair[1].pose):
         yield Finding(
-            "camera.pose", "warning", f"{second.name}: its pose is that of {first.name} to the last digit: one is a "
+            "camera.pose", "warning", f"{second.name}: its pose is that of {first.name} to the last digit: one seems a "
             "copy of the other", 0.0, None, second.name, "correct the file of cameras, or calibrate with "
             "`pose: unknown`", "poses_equal",
         )  # fmt: skip
