@@ -185,10 +185,13 @@ class _Option:
         return turn <= max(OTHER_ANGLE, stated) and abs(later) <= OTHER_STEPS * max(self.step, other.step)
 
     def group(self, options: Sequence[_Option]) -> dict[tuple[int, int], _Option]:
-        """Return it and, of each other pair, the option of the greatest gain that agrees with it."""
+        """Return it and, of each other pair, the option of the greatest gain that agrees with it.
+
+        Points that lie behind a camera, where rays are nearly parallel, say nothing of turn and clock.
+        """
         out = {self.cameras: self}
         for option in sorted(options, key=lambda option: -option.fit.gain):
-            if option.is_in_front and option.agrees(self):
+            if option.agrees(self):
                 out.setdefault(option.cameras, option)
         return out
 
@@ -250,7 +253,7 @@ def _close_loops(
     pairs = {old: two for old in placed if (two := (min(new, old), max(new, old))) in results}
     for by, old in permutations(pairs, 2):
         two, guides = pairs[old], results[pairs[by]].fits
-        if not guides or guides[0].front < LEAST_FRONT:
+        if not guides:
             continue
         best = guides[0]
         joined = [*links, Link(pairs[by], best, 0.0, (0.0, 0.0), 1, 0)]

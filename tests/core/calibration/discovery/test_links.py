@@ -87,6 +87,16 @@ def test_another_pair_decides_between_two_optima() -> None:
     assert place.later == pytest.approx(5.0)
 
 
+def test_a_pair_whose_depths_are_wrong_speaks_for_its_turn_and_clock() -> None:
+    results = {
+        (0, 2): PairResult((optimum(0.8, 20.0, 5.0, front=0.7),), 0.1),
+        (1, 2): PairResult((optimum(0.5, 19.0, 3.0),), 0.1),
+    }
+    doubts, pair, _ = joined(results)
+    assert not doubts
+    assert (pair.cameras, pair.agreeing, pair.opposed) == ((1, 2), 2, 0)
+
+
 def test_a_clock_that_differs_is_another_pose() -> None:
     results = {
         (0, 2): PairResult((optimum(0.8, 20.0, 5.0),), 0.1),
@@ -169,12 +179,15 @@ def test_two_pairs_that_agree_are_enough(monkeypatch: pytest.MonkeyPatch) -> Non
     assert searched == [(0, 1), (1, 2), (0, 2), (1, 3), (0, 3)]
 
 
+@pytest.mark.parametrize(("missed", "behind"), [((0, 2), None), ((1, 2), (0, 1))])
 def test_an_optimum_that_the_search_of_a_pair_missed_is_found_where_the_others_place_the_camera(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, missed: tuple[int, int], behind: tuple[int, int] | None
 ) -> None:
     def find(tracks, two, *rest):
         result = two_cameras.find_pair(tracks, two, *rest)
-        return PairResult(result.fits[1:], result.step) if two == (0, 2) else result
+        if two == behind:
+            result = replace(result, fits=tuple(replace(fit, front=0.9) for fit in result.fits))
+        return PairResult(result.fits[1:], result.step) if two == missed else result
 
     monkeypatch.setattr(rig, "find_pair", find)
     rng = np.random.default_rng(2)
