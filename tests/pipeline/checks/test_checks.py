@@ -466,6 +466,8 @@ def test_two_cameras_of_one_pose_are_named(samples: list[CameraSample]) -> None:
     nowhere = Pose(np.eye(3), np.zeros(3))
     unknown = [replace(one, camera=replace(one.camera, pose=nowhere)) for one in (samples[0], copy)]
     assert not warnings_of(tuple(check_files(unknown)))
+    beside = replace(copy, camera=replace(copy.camera, fx=0.5 * copy.camera.fx))
+    assert not [found for found in check_files([samples[0], beside]) if found.name == "camera.pose"]
 
 
 def test_frame_numbers_are_named_where_frames_are_lost() -> None:

@@ -77,13 +77,16 @@ def check_files(
 
 
 def _poses(samples: list[CameraSample]) -> Iterator[Finding]:
-    """Yield a warning for every two cameras of one pose, to the last digit; unknown ones all stand at the origin."""
+    """Yield a warning for every two cameras of one pose and focal length; unknown ones all stand at the origin."""
     placed = [one.camera for one in samples if one.camera.pose != Pose(np.eye(3), np.zeros(3))]
-    for first, second in (pair for pair in combinations(placed, 2) if pair[0].pose == pair[1].pose):
+    for first, second in combinations(placed, 2):
+        # two sensors in one housing may be stated at one place, but have not one focal length
+        if (first.pose, first.fx) != (second.pose, second.fx):
+            continue
         yield Finding(
-            "camera.pose", "warning", f"{second.name}: its pose is that of {first.name} to the last digit: one seems a "
-            "copy of the other", 0.0, None, second.name, "correct the file of cameras, or calibrate with "
-            "`pose: unknown`", "poses_equal",
+            "camera.pose", "warning", f"{second.name}: pose and focal length are those of {first.name} to the last "
+            "digit: one seems a copy of the other", 0.0, None, second.name,
+            "correct the file of cameras, or calibrate with `pose: unknown`", "poses_equal",
         )  # fmt: skip
 
 
