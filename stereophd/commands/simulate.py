@@ -93,9 +93,8 @@ def check_simulation(loaded: LoadedConfig) -> SimulateConfig:
     settings = simulate_section(loaded)
     loaded.build_cameras()
     if loaded.config.calibration is not None:
-        from stereophd.pipeline.calibration.configured_unknowns import (
-            build_parameters,  # only here, as in `_simulate_run`
-        )
+        # only here, as in `_simulate_run`
+        from stereophd.pipeline.calibration.configured_unknowns import build_parameters
 
         build_parameters(loaded)
     return settings
@@ -129,9 +128,8 @@ def _simulate_run(task: tuple[LoadedConfig, int, dict[str, Path]], progress: Pro
     }
     write_cameras(paths[CAMERAS_FILE], described, config.units.length, record)
     if config.calibration is not None:
-        from stereophd.pipeline.calibration.configured_unknowns import (
-            draw_guess,  # only here: most scenarios have no calibration
-        )
+        # only here: most scenarios have no calibration
+        from stereophd.pipeline.calibration.configured_unknowns import draw_guess
 
         guess = draw_guess(loaded, RUN_GUESS.seed(config.seed, run))
         write_cameras(paths[GUESS_FILE], {n: guess[n] for n in described}, config.units.length, record)
