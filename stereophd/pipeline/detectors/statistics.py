@@ -43,7 +43,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.disparity.events import Event
-from stereophd.core.disparity.moved import IN_VIEW
+from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW
 from stereophd.core.geometry.camera import BOX_NOISE, Camera, Detector
 from stereophd.core.multi.association.attribution import Claims, join_claims
 from stereophd.core.multi.base import Prediction
@@ -231,15 +231,11 @@ def observe(
     each detection.
     """
     chosen, existence = _decided(prediction, settled)
-    moved = prediction.moved
-    means, covariances = moved.means[chosen], moved.covariances[chosen]
     labels, readings = prediction.mixture.labels[chosen], event.readings(space)
     owners, targets, share = of_labels(claims, labels)
     if with_noise and len(owners):
         read = readings[targets] if len(readings) else readings
-        _add_residuals(
-            sums, means[owners], covariances[owners], event.points[targets], read, share, camera, labels[owners]
-        )
+        _add_residuals(sums, prediction, chosen[owners], event.points[targets], read, share, camera)
     detected, p_detect = np.minimum(np.bincount(owners, share, len(chosen)), 1.0), camera.detector.p_detect
     missed = (1.0 - detected) * existence * (1.0 - p_detect) / np.maximum(1.0 - p_detect * existence, 1e-9)
     return Sighting(labels, detected, missed)
@@ -265,30 +261,38 @@ def _decided(prediction: Prediction, settled: Integers) -> tuple[Integers, Array
 
 
 def _add_residuals(
-    sums: DetectorSums,
-    means: Array,
-    covariances: Array,
-    points: Array,
-    readings: Array,
-    share: Array,
+    sums: DetectorSums, prediction: Prediction, owners: Integers, points: Array, readings: Array, share: Array,
     camera: Camera,
-    labels: Integers,
 ) -> None:
-    """Add pairs of components (p, d) and detections (p, 2), of these probabilities, in distorted pixels."""
-    observation = np.zeros((len(points), 2, means.shape[1]))
+    """Add pairs of components (p,) and detections (p, 2), in distorted pixels.
+
+    Their labels made the detections as probably as `share` (p,): the component as probably as it is the one of its
+    label that did, or a few leaps of the others would outweigh all residuals.
+    """
+    mixture, moved = prediction.mixture, prediction.moved
+    alike = (mixture.labels == mixture.labels[owners][:, None]) & (moved.status != OUT_OF_VIEW)
+    pairs, rows = np.nonzero(alike)
+    size = moved.means.shape[1]
+    observation = np.zeros((len(rows), 2, size))
     observation[:, 0, 0] = observation[:, 1, 1] = 1.0
     if len(readings):
-        observation[:, :, 2] = readings[:, 1:]
-        if means.shape[1] == 6:
-            observation[:, 0, 3] = observation[:, 1, 4] = readings[:, 0]
-    predicted = np.einsum("pij,pj->pi", observation, means)
-    spread = observation @ covariances @ np.swapaxes(observation, 1, 2)
-    to_image = camera.distort_pixels(points)[1]
-    residuals = np.einsum("pij,pj->pi", to_image, points - predicted)
+        observation[:, :, 2] = readings[pairs, 1:]
+        if size == 6:
+            observation[:, 0, 3] = observation[:, 1, 4] = readings[pairs, 0]
+    predicted = np.einsum("pij,pj->pi", observation, moved.means[rows])
+    spread = observation @ moved.covariances[rows] @ np.swapaxes(observation, 1, 2)
+    to_image = camera.distort_pixels(points)[1][pairs]
+    residuals = np.einsum("pij,pj->pi", to_image, points[pairs] - predicted)
     spread = to_image @ spread @ np.swapaxes(to_image, 1, 2)
     noise = np.asarray(camera.detector.sigma) ** 2
-    total = np.stack([spread[:, 0, 0], spread[:, 1, 1]], axis=1) + noise
-    sums.add(residuals, total, np.broadcast_to(noise, total.shape), share, labels)
+    total = spread + np.diag(noise)
+    far = np.einsum("pi,pij,pj->p", residuals, np.linalg.inv(total), residuals)
+    logs = np.log(mixture.weights[rows] * moved.fraction[rows] + 1e-300) - 0.5 * (far + np.linalg.slogdet(total)[1])
+    own = np.flatnonzero(rows == owners[pairs])
+    others = np.exp(np.minimum(logs - logs[own][pairs], 500.0))
+    share = share / np.bincount(pairs, others)
+    variances = np.diagonal(total, axis1=1, axis2=2)[own]
+    sums.add(residuals[own], variances, np.broadcast_to(noise, variances.shape), share, mixture.labels[owners])
 
 
 def estimate_detector(sums: DetectorSums, present: Detector, prior: NoisePrior) -> DetectorEstimate:
