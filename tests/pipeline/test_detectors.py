@@ -19,7 +19,13 @@ from stereophd.commands.evaluate import evaluate
 from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import load_config
+from stereophd.core.disparity.events import Event
+from stereophd.core.disparity.moved import IN_VIEW, room_for_moved
 from stereophd.core.geometry.camera import Camera, Detector
+from stereophd.core.multi.association.attribution import Claims
+from stereophd.core.multi.base import Prediction
+from stereophd.core.multi.births.undetected import all_undetected
+from stereophd.core.multi.state.mixture import GaussianMixture
 from stereophd.errors import InputError
 from stereophd.io.logs.reading import Frame
 from stereophd.pipeline.build import build_labelled_filter
@@ -31,6 +37,7 @@ from stereophd.pipeline.detectors.statistics import (
     DetectorSums,
     NoisePrior,
     estimate_detector,
+    observe,
 )
 from stereophd.pipeline.stream import EventStream, open_stream
 from tests.commands.test_track import SCENE
@@ -264,6 +271,26 @@ def test_residuals_that_are_no_white_noise_confirm_none(correlation: float, conf
     assert found.confirmed == confirmed
     if not confirmed:
         assert found.noise.tolist() == [1.0, 1.0]
+
+
+@pytest.mark.parametrize(("place", "weight", "counted"), [(0.5, 0.05, 0.4), (30.0, 0.05, 0.0), (30.0, 0.0, 0.4)])
+def test_a_residual_is_that_of_the_component_which_made_the_detection(
+    place: float, weight: float, counted: float
+) -> None:
+    """The other component of a label, 30 px off, claims a detection there: one such residual outweighed 300 others."""
+    camera = build_camera("one")
+    points = np.array([[camera.cx + place, camera.cy]])
+    means = np.array([[camera.cx, camera.cy, 5.0], [camera.cx + 30.0, camera.cy, 5.0]])
+    none, zero = np.zeros(2, dtype=np.int64), np.zeros(2)
+    weights, shape = np.array([1.0 - weight, weight]), np.broadcast_to(0.01 * np.eye(3), (2, 3, 3)).copy()
+    mixture = GaussianMixture(weights, means, shape, none, zero, none + 7, none, none.astype(np.bool_))
+    moved = room_for_moved(2, 3)._replace(means=means, covariances=shape, fraction=np.ones(2), status=none + IN_VIEW)
+    prediction = Prediction(mixture, moved, 0.0, all_undetected(1))
+    event = Event(0.0, 0, points, np.eye(2)[None], np.ones(1))
+    sums, claims = DetectorSums(), Claims(np.array([7]), np.array([0]), np.array([0.4]))
+    sighting = observe(sums, prediction, event, claims, camera, np.zeros(30), np.array([7]))
+    assert sums.pairs == pytest.approx(counted, abs=1e-9)
+    assert sighting.detected.tolist() == [0.4]
 
 
 def test_values_from_sums() -> None:

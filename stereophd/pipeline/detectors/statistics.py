@@ -69,6 +69,8 @@ BETWEEN_AXES, BETWEEN_CAMERAS = 0.25, 0.4
 CONFIRMED, CONFIRMED_ERRORS = (0.7, 1.4), 2.0
 # Tracks that contradict the rays by this factor, and beyond three standard errors, are those of another error.
 CONTRADICTED, CONTRADICTED_ERRORS = 1.5, 3.0
+# Differences of squared residuals beyond which a component made a detection, or did not: exponentials stay finite.
+LARGEST = 1000.0
 # Spread of what rays show; beyond it is what is only usual.
 KNOWN_SPREAD = 0.25
 
@@ -261,37 +263,40 @@ def _decided(prediction: Prediction, settled: Integers) -> tuple[Integers, Array
 
 
 def _add_residuals(
-    sums: DetectorSums, prediction: Prediction, owners: Integers, points: Array, readings: Array, share: Array,
+    sums: DetectorSums,
+    prediction: Prediction,
+    owners: Integers,
+    points: Array,
+    readings: Array,
+    share: Array,
     camera: Camera,
 ) -> None:
     """Add pairs of components (p,) and detections (p, 2), in distorted pixels.
 
-    Their labels made the detections as probably as `share` (p,): the component as probably as it is the one of its
-    label that did, or a few leaps of the others would outweigh all residuals.
+    The component's label made the detection with the probability `share` (p,). What another component of the label made
+    is far from this one: the residual counts as probably as this one made it.
     """
     mixture, moved = prediction.mixture, prediction.moved
     alike = (mixture.labels == mixture.labels[owners][:, None]) & (moved.status != OUT_OF_VIEW)
     pairs, rows = np.nonzero(alike)
-    size = moved.means.shape[1]
-    observation = np.zeros((len(rows), 2, size))
+    observation = np.zeros((len(rows), 2, moved.means.shape[1]))
     observation[:, 0, 0] = observation[:, 1, 1] = 1.0
     if len(readings):
         observation[:, :, 2] = readings[pairs, 1:]
-        if size == 6:
+        if moved.means.shape[1] == 6:
             observation[:, 0, 3] = observation[:, 1, 4] = readings[pairs, 0]
     predicted = np.einsum("pij,pj->pi", observation, moved.means[rows])
     spread = observation @ moved.covariances[rows] @ np.swapaxes(observation, 1, 2)
     to_image = camera.distort_pixels(points)[1][pairs]
     residuals = np.einsum("pij,pj->pi", to_image, points[pairs] - predicted)
-    spread = to_image @ spread @ np.swapaxes(to_image, 1, 2)
     noise = np.asarray(camera.detector.sigma) ** 2
-    total = spread + np.diag(noise)
-    far = np.einsum("pi,pij,pj->p", residuals, np.linalg.inv(total), residuals)
-    logs = np.log(mixture.weights[rows] * moved.fraction[rows] + 1e-300) - 0.5 * (far + np.linalg.slogdet(total)[1])
-    own = np.flatnonzero(rows == owners[pairs])
-    others = np.exp(np.minimum(logs - logs[own][pairs], 500.0))
-    share = share / np.bincount(pairs, others)
-    variances = np.diagonal(total, axis1=1, axis2=2)[own]
+    total = to_image @ spread @ np.swapaxes(to_image, 1, 2) + np.diag(noise)
+    squares = np.einsum("pi,pij,pj->p", residuals, np.linalg.inv(total), residuals)
+    odds = mixture.weights[rows] * moved.fraction[rows] / np.sqrt(np.linalg.det(total))
+    own = rows == owners[pairs]
+    odds *= np.exp(0.5 * np.clip(squares[own][pairs] - squares, -LARGEST, LARGEST))
+    variances = np.diagonal(total[own], axis1=1, axis2=2)
+    share = share * odds[own] / np.bincount(pairs, odds)
     sums.add(residuals[own], variances, np.broadcast_to(noise, variances.shape), share, mixture.labels[owners])
 
 
