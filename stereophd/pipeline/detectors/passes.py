@@ -50,8 +50,7 @@ class _Settled:
 
     def labels(self) -> NDArray[np.int64]:
         """Return the labels that are confirmed and were seen by two cameras."""
-        found = [label for label in self.confirmed if len(self.seen_by.get(label, ())) > 1]
-        return np.array(found, dtype=np.int64)
+        return np.array([label for label in self.confirmed if len(self.seen_by.get(label, ())) > 1], dtype=np.int64)
 
     def count(self, label: int, camera: int, detected: float, missed: float, sums: list[DetectorSums]) -> None:
         """Keep the counts of a frame for a track until the track is detected again."""
@@ -102,8 +101,7 @@ class _Watched:
         for label, (detected, missed) in zip(sighting.labels.tolist(), probabilities, strict=True):
             settled.count(label, event.camera, detected, missed, sums)
         # of settled tracks as probably as they made it, where another detection, or none, may have been theirs
-        claimed = np.isin(sighting.labels, info.detected)
-        sums[event.camera].attributed += float((sighting.detected - claimed).sum())
+        sums[event.camera].attributed += float((sighting.detected - np.isin(sighting.labels, info.detected)).sum())
         sums[event.camera].doubtful += float((sighting.detected * (1.0 - sighting.detected)).sum())
         for label in info.detected.tolist():
             settled.seen_by.setdefault(label, set()).add(event.camera)

@@ -7,9 +7,9 @@ to no confirmed track is clutter. Sums for all three accumulate, event by event,
 runs with the present values. A new run starts from the new values until they agree (a fixed point: at the true values
 every expectation below holds).
 
-Noise. With residuals e and weights w = p R / S (the probability p of the pair, and the share of R in S), the derivative
-of the log-likelihood by log R is sum(w (e^2 / S - 1)) / 2 per axis of the distorted image, with C known. A run moves R
-towards
+Noise. With residuals e of a Gaussian of a track and weights w = p R / S (the probability p that it made the detection,
+and the share of R in S), the derivative of the log-likelihood by log R is sum(w (e^2 / S - 1)) / 2 per axis of the
+distorted image, with C known. A run moves R towards
 
     R_new / R = sum(w e^2 / S) / sum(w),
 
@@ -69,8 +69,6 @@ BETWEEN_AXES, BETWEEN_CAMERAS = 0.25, 0.4
 CONFIRMED, CONFIRMED_ERRORS = (0.7, 1.4), 2.0
 # Tracks that contradict the rays by this factor, and beyond three standard errors, are those of another error.
 CONTRADICTED, CONTRADICTED_ERRORS = 1.5, 3.0
-# Differences of squared residuals beyond which a component made a detection, or did not: exponentials stay finite.
-LARGEST = 1000.0
 # Spread of what rays show; beyond it is what is only usual.
 KNOWN_SPREAD = 0.25
 
@@ -198,10 +196,8 @@ class DetectorEstimate:
             return self
         lasting = np.clip(self.correlation, 0.0, MOST_LASTING)
         factor = np.sqrt((1.0 + lasting) / (1.0 - lasting))
-        noise = self.noise * factor
-        return replace(
-            self, noise=noise, noise_error=self.noise_error * factor, detector=prior.put(self.detector, noise)
-        )
+        noise, error = self.noise * factor, self.noise_error * factor
+        return replace(self, noise=noise, noise_error=error, detector=prior.put(self.detector, noise))
 
 
 @dataclass(frozen=True)
@@ -267,7 +263,7 @@ def _add_residuals(
     prediction: Prediction,
     owners: Integers,
     points: Array,
-    readings: Array,
+    read: Array,
     share: Array,
     camera: Camera,
 ) -> None:
@@ -278,25 +274,21 @@ def _add_residuals(
     """
     mixture, moved = prediction.mixture, prediction.moved
     alike = (mixture.labels == mixture.labels[owners][:, None]) & (moved.status != OUT_OF_VIEW)
-    pairs, rows = np.nonzero(alike)
-    observation = np.zeros((len(rows), 2, moved.means.shape[1]))
-    observation[:, 0, 0] = observation[:, 1, 1] = 1.0
-    if len(readings):
-        observation[:, :, 2] = readings[pairs, 1:]
-        if moved.means.shape[1] == 6:
-            observation[:, 0, 3] = observation[:, 1, 4] = readings[pairs, 0]
+    (pairs, rows), size = np.nonzero(alike), moved.means.shape[1]
+    observation = np.tile(np.eye(2, size), (len(rows), 1, 1))
+    if len(read):
+        observation[:, :, 2] = read[pairs, 1:]
+        observation += read[pairs, :1, None] * np.eye(2, size, 3)
     predicted = np.einsum("pij,pj->pi", observation, moved.means[rows])
     spread = observation @ moved.covariances[rows] @ np.swapaxes(observation, 1, 2)
     to_image = camera.distort_pixels(points)[1][pairs]
     residuals = np.einsum("pij,pj->pi", to_image, points[pairs] - predicted)
     noise = np.asarray(camera.detector.sigma) ** 2
     total = to_image @ spread @ np.swapaxes(to_image, 1, 2) + np.diag(noise)
-    squares = np.einsum("pi,pij,pj->p", residuals, np.linalg.inv(total), residuals)
+    squares, own = np.einsum("pi,pij,pj->p", residuals, np.linalg.inv(total), residuals), rows == owners[pairs]
     odds = mixture.weights[rows] * moved.fraction[rows] / np.sqrt(np.linalg.det(total))
-    own = rows == owners[pairs]
-    odds *= np.exp(0.5 * np.clip(squares[own][pairs] - squares, -LARGEST, LARGEST))
-    variances = np.diagonal(total[own], axis1=1, axis2=2)
-    share = share * odds[own] / np.bincount(pairs, odds)
+    odds *= np.exp(0.5 * np.minimum(squares[own][pairs] - squares, 1000.0))  # beyond that none is left in any case
+    share, variances = share * odds[own] / np.bincount(pairs, odds), np.diagonal(total[own], axis1=1, axis2=2)
     sums.add(residuals[own], variances, np.broadcast_to(noise, variances.shape), share, mixture.labels[owners])
 
 
