@@ -99,5 +99,6 @@ def test_how_often_tracks_are_detected_does_not_follow_what_is_stated(
     for name, figures in report["cameras"].items():
         assert figures["in_view"] > 100
         assert figures["detected_share"] == pytest.approx(true, abs=0.1)
+        assert figures["missed_again"] == pytest.approx(1.0 - true, abs=0.2)  # each miss is one of its own
         warned = {one["camera"] for one in report["checks"] if one["cause"] == "p_detect"}
         assert (name in warned) == (figures["in_view"] >= 200)
