@@ -197,10 +197,11 @@ class CameraSample:
         reach = CLOSE * min(float(self.camera.detector.sigma.mean()), self.noise_px[2] if self.noise_px else np.inf)
         asked = np.empty(len(self.pixels), dtype=np.bool_)
         asked[np.lexsort((self.pixels[:, 0], self.frame_of))] = np.arange(len(asked)) % 2 == 0
-        shares = []
-        for step in (0, max(2, min(len(self.times) // 3, 200))):
-            near = np.count_nonzero(_nearest(self, step, asked, ~asked)[2] <= reach)
-            shares.append(near / max(1, np.count_nonzero(asked[self.frame_of < len(self.times) - step])))
+        shares = [
+            float((_nearest(self, step, asked, ~asked)[2] <= reach).sum())
+            / max(1, int(asked[self.frame_of < len(self.times) - step].sum()))
+            for step in (0, max(2, min(len(self.times) // 3, 200)))
+        ]
         return shares[0] - shares[1]
 
     @property
