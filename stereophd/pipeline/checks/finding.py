@@ -12,7 +12,7 @@ LASTING_REMEDY = "look for what smooths the detections, state more noise (sigma_
 # Checks before the run, and of the tracks' errors, whose warnings change what tracks show.
 MISLEADING = (
     "detector.clutter", "detector.pairs", "detector.sigma", "geometry.cause", "geometry.residuals", "tracking.errors",
-    "tracking.knocked", "tracking.noise",
+    "tracking.noise",
 )  # fmt: skip
 CHECK_CAMERAS = "check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses"
 
