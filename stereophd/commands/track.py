@@ -151,9 +151,6 @@ class _Outputs:
         counts = self.stream.counts
         LOGGER.info("%s: %d frames, %d detections", self.stream.source, counts["frames"], counts["detections"])
         findings += tuple(run_checks.check_tracking(summary, counts, tracking.cameras))
-        detected = run_checks.check_detections(summary, tracking.cameras)
-        # errors that last and are smaller than the noise take no detection from a track
-        findings += tuple(once_mended(detected, findings, but=(ERRORS_LAST,)))
         of_many = tracking.motion.moves and not isinstance(tracking.estimator, SingleTracker)
         if not (tracking.boxes or self.stream.has_noise):  # the residuals of bodies are their own, and so is each noise
             findings += tuple(once_mended(run_checks.check_errors(summary, of_many and self.motion is None), findings))
@@ -163,6 +160,9 @@ class _Outputs:
             # the middle of a box is not the image of the middle of a body
             noise = run_checks.check_noise(summary, tracking.cameras, self.stream.has_noise, findings)
             findings += tuple(once_mended(noise, findings, but=("detector.sigma", "tracking.errors")))
+        detected = run_checks.check_detections(summary, tracking.cameras)
+        # errors that last and are smaller than the noise take no detection from a track
+        findings += tuple(once_mended(detected, findings, but=(ERRORS_LAST,)))
         findings += tuple(run_checks.check_losses(summary, counts))
         findings += tuple(run_checks.check_estimated_detectors(tracking.detectors))
         report = {

@@ -55,6 +55,8 @@ def check_log(
     # a noise that is not stated, or contradicted, is what it is about one-camera tracks, whatever poses and clocks are
     doubted = any(found.name == "detector.sigma" for found in warnings_of(tuple(findings)))
     unstated = [one.camera.name for one in samples] if doubted else loaded.estimated_cameras
+    noise = {one.camera.name: one.camera.detector.sigma for one in samples}
+    stated = {name: sigma for name, sigma in noise.items() if name not in loaded.estimated_cameras}
     samples = [one.with_measured_noise(only_less=one.camera.name not in unstated) for one in samples]
     moving = [sample.camera.name for sample in samples if not sample.camera.pose.is_static]
     why = f"geometry and settings are checked only for cameras that stand still; moving: {', '.join(moving)}"
@@ -67,7 +69,7 @@ def check_log(
     named = {found.cause for found in rays if found.name == "geometry.cause"}
     if named <= {DO_NOT_MEET} and config.object.shape == "point":
         # the middle of a box is not the image of the middle of a body
-        residuals = tuple(check_residuals(geometry))
+        residuals = tuple(check_residuals(geometry, stated))
         if named and warnings_of(residuals):
             # of rays that nearly meet they tell more than that some turn explains them
             rays = [found for found in rays if found.name != "geometry.cause"]
@@ -95,7 +97,7 @@ def _of_files(loaded: LoadedConfig, samples: list[CameraSample], whole: bool) ->
     The noise of points is no concern of bodies, whose boxes have errors that last; their known size shows depths.
     """
     unknown_clocks = [name for name, camera in loaded.cameras.items() if camera.clock.unknown]
-    unasked = () if loaded.config.object.shape == "point" else ("detector.sigma", "log.detections")
+    unasked = () if loaded.config.object.shape == "point" else ("detector.pairs", "detector.sigma", "log.detections")
     findings = check_files(samples, whole, unknown_clocks, loaded.estimated_cameras)
     return tuple(found for found in findings if found.name not in unasked)
 

@@ -10,7 +10,10 @@ DO_NOT_MEET = "rays_do_not_meet"
 ERRORS_LAST = "errors_last"
 LASTING_REMEDY = "look for what smooths the detections, state more noise (sigma_px), or refine the cameras (calibrate)"
 # Checks before the run, and of the tracks' errors, whose warnings change what tracks show.
-MISLEADING = ("detector.clutter", "detector.sigma", "geometry.cause", "geometry.residuals", "tracking.errors")
+MISLEADING = (
+    "detector.clutter", "detector.pairs", "detector.sigma", "geometry.cause", "geometry.residuals", "tracking.errors",
+    "tracking.noise",
+)  # fmt: skip
 CHECK_CAMERAS = "check the poses, intrinsics and clocks of both cameras; calibrate can estimate the poses"
 
 

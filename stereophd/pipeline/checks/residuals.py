@@ -11,7 +11,7 @@ and that is evidence.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -120,13 +120,15 @@ EVERYWHERE = (
 )  # fmt: skip
 
 
-def check_residuals(geometry: Geometry) -> Iterator[Finding]:
+def check_residuals(geometry: Geometry, stated: Mapping[str, Array] | None = None) -> Iterator[Finding]:
     """Yield a finding if the clock, shutter, lens or pose of a camera seems to be slightly off, else one for each pair.
 
     The middle of a box is not the image of one point of the object, which looks like an error of a pose: where
-    detections are boxes no pose is called off.
+    detections are boxes no pose is called off. What lasts may be the `stated` noise, px, by camera: of errors that last
+    for long one-camera tracks show less.
     """
-    samples = geometry.samples
+    samples, noise = geometry.samples, [one.camera.detector.sigma for one in geometry.samples]
+    larger = [((stated or {}).get(one.camera.name, own) / own).mean() for one, own in zip(samples, noise, strict=True)]
     motion = [track_motion(sample) for sample in samples]
     # a wide tolerance may be the best by chance
     reaches = [FARTHEST * (m.tolerance if m.score >= CHANCE_SCORE else TOLERANCES[0]) for m in geometry.given]
@@ -151,7 +153,7 @@ def check_residuals(geometry: Geometry) -> Iterator[Finding]:
             f"standard deviations, {max(variance, 0.0) ** 0.5:.2f} of which last from frame to frame"
         )
         if lasts:
-            apart = variance > 1.0
+            apart = variance > min(larger[pair.a], larger[pair.b]) ** 2
             yield Finding(
                 "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
                 "alone explains it, or the errors of detections last, as those of smoothed labels do, or of objects at "

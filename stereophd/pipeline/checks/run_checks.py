@@ -13,8 +13,9 @@ from stereophd.wording import instant, percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
 LEAST_EXPLAINED, LEAST_DETECTIONS = 0.35, 100
-# Residuals over what the stated noise leads to expect, outside which the noise is wrong, and the fewest that show it.
-RESIDUAL_RATIOS, LEAST_RESIDUALS = (0.5, 2.0), 60
+# Residuals over what the stated noise leads to expect, outside which the noise is wrong, and the fewest that show it;
+# and from which it is too small where one-camera tracks show it too.
+RESIDUAL_RATIOS, LEAST_RESIDUALS, BOTH_SHOW = (0.5, 2.0), 60, 1.4
 # Share of the residuals from which it matters that these are left out as outliers.
 MOST_OUTLIERS = 0.1
 # Causes among those that mislead that a knock of the same camera looks like.
@@ -22,14 +23,15 @@ OF_KNOCKS = ("pose_inaccurate", "detections_shifted", "errors_last")
 # Share of the rays that met before a knock which must meet again with another clock, to call it a jump of times.
 MET_AGAIN = 0.7
 # Squares of errors of tracks beyond those that they state, over these, and their standard errors, from which tracks are
-# too sure; and what detections of one camera after another show over what those of the same camera do, below which the
-# cameras contradict each other.
-TOO_SURE, TOO_SURE_ERRORS, CONTRADICT = 0.25, 4.0, -0.75
+# too sure.
+TOO_SURE, TOO_SURE_ERRORS = 0.25, 4.0
 # Frames of a camera from which unexplained detections are judged: against this many times the stated clutter, so many
 # standard errors, and this share of all detections, which tracks need to begin and to end.
 LEAST_FRAMES, CLUTTER_FACTOR, CLUTTER_ERRORS, LEAST_UNEXPLAINED = 30, 2.0, 4.0, 0.3
 # Tracks in view from which their misses are judged: against this many times the stated ones, or fewer, and this more.
 LEAST_IN_VIEW, MISSES_FACTOR, LEAST_MISSES = 200, 2.0, 0.1
+# Part of the variance of misses that lasts from one frame to the next, from which they are no chance of each frame.
+MOST_LASTING = 0.05
 # Detections that hypotheses beyond their bound would have decided, over all, from which tracks suffer.
 MOST_UNDECIDED = 0.005
 # A track is one camera's if this share of its detections is; reported if most estimates belong to such tracks.
@@ -108,9 +110,19 @@ def check_detections(summary: Mapping[str, Any], cameras: tuple[Camera, ...]) ->
         share, promised = figures["detected_share"], camera.detector.p_detect
         if share is None or figures["in_view"] < LEAST_IN_VIEW or not detections:
             continue
-        fewer, more = sorted((1.0 - promised, 1.0 - share))
+        missed, again = 1.0 - share, figures["missed_again"] or 0.0
+        fewer, more = sorted((1.0 - promised, missed))
         near = f"{min(max(share, 0.05), 0.99):.2g}"
-        if more > MISSES_FACTOR * fewer and more > fewer + LEAST_MISSES:
+        if (lasting := missed * (again - missed)) > MOST_LASTING:
+            yield Finding(
+                "tracking.detections", "warning",
+                f"{name}: tracks in its view are missed in {percent(missed)} of its frames, and after a miss in "
+                f"{percent(again)}: it does not see some of them for long, and p_detect states single misses; objects "
+                "are hidden, the camera stalls or was moved, or these tracks are of no objects", round(lasting, 3), 0.0,
+                name, "look at which tracks one camera supports (n_detections of each in the report): at shadows, "
+                "reflections and lamps, and at what hides objects", "misses_last",
+            )  # fmt: skip
+        elif more > MISSES_FACTOR * fewer and more > fewer + LEAST_MISSES:
             yield Finding(
                 "tracking.detections", "warning",
                 f"{name}: tracks in its view are detected in {percent(share)} of its frames, and p_detect is "
@@ -125,31 +137,36 @@ def check_errors(summary: Mapping[str, Any], can_estimate: bool) -> Iterator[Fin
     """Yield a finding on ``track_errors`` of the figures of a run: do tracks err by more than they state?
 
     Tracks that lag behind their objects leave residuals that agree from frame to frame and between cameras. Where the
-    detections of one camera agree against those of the others, these last. `can_estimate`: whether `track` can estimate
-    the acceleration, and has not.
+    detections of one camera agree against those of the others, these last; where they agree between cameras alone,
+    cameras share them. `can_estimate`: whether `track` can estimate the acceleration, and has not.
     """
     sums = [summary["track_errors"][key] for key in ("same_camera", "other_camera")]
     same, other = ((one["excess"] or 0.0, one["standard_errors"] or 0.0) for one in sums)
-    shown = [excess for excess, errors in (same, other) if excess > TOO_SURE and errors > TOO_SURE_ERRORS]
+    too_sure = [excess > TOO_SURE and errors > TOO_SURE_ERRORS for excess, errors in (same, other)]
     if not any(one["pairs"] for one in sums):
         yield Finding("tracking.errors", "not checked", "no successive detections show whether tracks err")
         return
-    if not shown:
+    if not any(too_sure):
         text = "successive residuals show no errors of tracks beyond those that they state"
         yield Finding("tracking.errors", "ok", text, round(max(same[0], other[0]), 3), 0.0)
         return
-    text = f"tracks err by about {np.sqrt(1.0 + max(shown)):.2g} times what they state: "
-    cause, change, remedy = ERRORS_LAST, None, LASTING_REMEDY
-    if other[0] < CONTRADICT * same[0]:
+    most = max(same[0], other[0])
+    text, cause, change = f"tracks err by about {np.sqrt(1.0 + most):.2g} times what they state: ", ERRORS_LAST, None
+    remedy = LASTING_REMEDY
+    if other[0] < 0.0:
         text += "residuals of a camera agree from frame to frame, against those of the others: errors of detections "
         text += "last, or a clock or lens is off"
+    elif not too_sure[0]:
+        text += "residuals of a camera agree with those of the others just before, but not with its own: cameras share "
+        text += "their errors, as where one camera is in the log under two names"
+        cause, remedy = "errors_shared", "leave out one of two cameras that have the same detections"
     else:
         text += "successive residuals agree, as of objects that turn, stop or sway more than the motion model lets them"
         cause, remedy = "acceleration_std", "state a larger motion.acceleration_std, or more noise (sigma_px)"
         if can_estimate:
             remedy = "let track estimate it (motion.acceleration_std: estimate), or state a larger one"
             change = "motion.acceleration_std=estimate"
-    yield Finding("tracking.errors", "warning", text, round(max(shown), 3), 0.0, None, remedy, cause, change)
+    yield Finding("tracking.errors", "warning", text, round(most, 3), 0.0, None, remedy, cause, change)
 
 
 def check_knocks(
@@ -218,13 +235,12 @@ def check_noise(
             continue
         stated = float(np.sqrt((camera.detector.sigma**2).mean()))
         text = f"{name}: residuals are {ratio:.2g} times what the stated noise of {stated:.3g} px leads to expect"
-        if RESIDUAL_RATIOS[0] <= ratio <= RESIDUAL_RATIOS[1]:
+        better, doubted = measured.get(name), "poses, lenses, clocks and motion.acceleration_std"
+        both_show = isinstance(better, float) and min(ratio, better / stated) > BOTH_SHOW
+        if RESIDUAL_RATIOS[0] <= ratio <= RESIDUAL_RATIOS[1] and not both_show:
             yield Finding("tracking.noise", "ok", text, round(ratio, 3), 1.0, name)
             continue
-        better, doubted = measured.get(name), "poses, lenses, clocks and motion.acceleration_std"
-        is_other = isinstance(better, float) and (
-            better < RESIDUAL_RATIOS[1] * stated if ratio > 1.0 else better > RESIDUAL_RATIOS[0] * stated
-        )
+        is_other = isinstance(better, float) and not both_show and (ratio > 1.0 or better > RESIDUAL_RATIOS[0] * stated)
         if ratio > 1.0:
             effect = "tracks are too sure of themselves, break and multiply; or the cameras or the motion do not fit"
         elif is_other:

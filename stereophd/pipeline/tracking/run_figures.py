@@ -52,7 +52,12 @@ class CameraSums:
     # what an event shows does not decide whether it counts. Whether they are in view is still to be computed.
     in_view: int = 0
     detected: float = 0.0
-    placed: list[tuple[float, Array, Array]] = field(default_factory=list)  # Times, positions (k, 3), claims (k,)
+    placed: list[tuple[float, Integers, Array, Array]] = field(default_factory=list)  # Times, ids, positions, claims
+    # Pairs of successive events of this camera with the same track in view: those that miss it at the first, and at
+    # both; and the numbers of the tracks of the last batch, with the last miss of each.
+    missed: float = 0.0
+    missed_twice: float = 0.0
+    known: tuple[Integers, Array] = field(default_factory=lambda: (np.empty(0, dtype=np.int64), np.empty(0)))
 
     def expect(self, before: Reported, record: Record, camera: Camera) -> None:
         """Take in which of the tracks reported before an event of this camera it detects."""
@@ -63,19 +68,31 @@ class CameraSums:
                 for track, probability in zip(one.track_ids.tolist(), one.probabilities.tolist(), strict=True):
                     if (row := place.get(track)) is not None:
                         claimed[row] += probability
-        self.placed.append((record.time_s, before.states[:, :3] + moved, np.minimum(claimed, 1.0)))
+        positions, claims = before.states[:, :3] + moved, np.minimum(claimed, 1.0)
+        self.placed.append((record.time_s, before.track_ids, positions, claims))
         if len(self.placed) * len(moved) >= BATCH:
             self._look(camera)
 
     def _look(self, camera: Camera) -> None:
         """Find out which of the tracks that are placed are in view."""
         if self.placed:
-            times, positions, claimed = zip(*self.placed, strict=True)
+            times, ids, positions, claimed = zip(*self.placed, strict=True)
             at = np.repeat(times, [len(one) for one in positions])
             is_seen = camera.contains(camera.project_at(np.concatenate(positions), at))
-            self.in_view += int(is_seen.sum())
-            self.detected += float(np.concatenate(claimed)[is_seen].sum())
+            claims = np.concatenate(claimed)[is_seen]
+            self.in_view += len(claims)
+            self.detected += float(claims.sum())
             self.placed = []
+            seen = np.concatenate(ids)[is_seen]
+            tracks, misses = np.append(self.known[0], seen), np.append(self.known[1], 1.0 - claims)
+            order = np.argsort(tracks, kind="stable")
+            tracks, misses = tracks[order], misses[order]
+            goes_on = np.append(tracks[1:] == tracks[:-1], False)[: len(tracks)]
+            first = np.flatnonzero(goes_on)
+            self.missed += float(misses[first].sum())
+            self.missed_twice += float((misses[first] * misses[first + 1]).sum())
+            is_last = ~goes_on & np.isin(tracks, seen)  # others have gone
+            self.known = tracks[is_last], misses[is_last]
 
     def add(self, record: Record, sightings: Associated, camera: Camera) -> None:
         """Take in detections of this camera that tracks claim; those of the record's event have residuals."""
@@ -109,6 +126,7 @@ class CameraSums:
             "explained_share": finite_or_none(self.explained / self.detections) if self.detections else None,
             "in_view": self.in_view,
             "detected_share": finite_or_none(self.detected / self.in_view) if self.in_view else None,
+            "missed_again": finite_or_none(self.missed_twice / self.missed) if self.missed else None,
             "residuals": count,
             "outlier_share": self.outliers / (count + self.outliers) if count else None,
             # Root mean square of one axis.

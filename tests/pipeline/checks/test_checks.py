@@ -18,7 +18,7 @@ from stereophd.core.geometry.pose import Pose, rotation_from_vector
 from stereophd.io.logs.reading import Frame
 from stereophd.io.logs.rows import LogWriter
 from stereophd.pipeline.checks.check_log import _of_files, check_log
-from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake, once_mended, warnings_of
+from stereophd.pipeline.checks.finding import DO_NOT_MEET, Finding, is_mistake, misleads, once_mended, warnings_of
 from stereophd.pipeline.checks.geometry.alternatives import OPENGL, alternatives
 from stereophd.pipeline.checks.geometry.ray_checks import check_geometry, left_out
 from stereophd.pipeline.checks.geometry.rays import (
@@ -38,7 +38,7 @@ from stereophd.pipeline.checks.geometry.trials import (
     _trial,
 )
 from stereophd.pipeline.checks.log import sample as sampling
-from stereophd.pipeline.checks.log.log_checks import check_files
+from stereophd.pipeline.checks.log.log_checks import check_files, check_times
 from stereophd.pipeline.checks.log.sample import CameraSample, sample_log
 from stereophd.pipeline.checks.run_checks import (
     check_detections,
@@ -744,6 +744,17 @@ def test_residuals_are_compared_with_the_stated_noise(ratio: float, status: str)
         assert f"near {ratio * CAMERAS[0].detector.sigma[0]:.2g}" in str(found[0].remedy)
 
 
+@pytest.mark.parametrize(("scatter", "is_named"), [(None, False), (1.1, False), (1.9, True)])
+def test_a_noise_stated_a_little_too_small_is_named_where_one_camera_shows_it_too(
+    scatter: float | None, is_named: bool
+) -> None:
+    """Twice the stated noise left residuals of 1.9, and tracks with a NEES of 10 for 3, without a word."""
+    figures = {CAMERAS[0].name: {"residual_ratio": 1.8, "residuals": 500, "outlier_share": 0.0}}
+    before = Finding("detector.sigma", "ok", "", 1.0, scatter, "left")
+    (found,) = check_noise({"cameras": figures}, CAMERAS[:1], False, (before,))
+    assert (found.status, found.cause) == (("warning", "sigma") if is_named else ("ok", None))
+
+
 @pytest.mark.parametrize(
     ("scatter", "change"),
     [(None, "detector=estimate"), (1.1, None), (8.0, "cameras.left.detector.sigma_px=[8, 8]")],
@@ -951,23 +962,63 @@ def test_detections_that_no_track_explains_are_compared_with_the_stated_clutter(
     clutter = CAMERAS[0].detector.clutter_per_frame
     for unexplained, warns in ((clutter, False), (2.0 + 4.0 * clutter, True)):
         figures = {"frames": 200, "detections": 1000, "explained_detections": 1000 - 200 * unexplained}
-        figures |= {"outside_region": 0, "in_view": 0, "detected_share": None}
+        figures |= {"outside_region": 0, "in_view": 0, "detected_share": None, "missed_again": None}
         summary = {"tracks": [{}], "cameras": {camera.name: figures for camera in CAMERAS}}
         assert bool(list(check_detections(summary, tuple(CAMERAS)))) == warns
 
 
 @pytest.mark.parametrize(
-    ("stated", "share", "in_view", "is_wrong"),
-    [(0.95, 0.5, 500, True), (0.3, 0.95, 500, True), (0.95, 0.9, 500, False), (0.95, 0.5, 50, False)],
+    ("stated", "share", "again", "in_view", "causes"),
+    [
+        (0.95, 0.5, 0.55, 500, ["p_detect"]),
+        (0.3, 0.95, 0.05, 500, ["p_detect"]),
+        (0.95, 0.9, 0.1, 500, []),
+        (0.95, 0.5, 0.5, 50, []),
+        (0.95, 0.9, 0.8, 500, ["misses_last"]),
+        (0.95, 0.5, 0.95, 500, ["misses_last"]),
+        (0.95, 0.98, 0.9, 500, []),
+    ],
 )
 def test_tracks_that_are_seen_less_often_or_more_often_than_stated_are_warned_of(
-    stated: float, share: float, in_view: int, is_wrong: bool
+    stated: float, share: float, again: float, in_view: int, causes: list[str]
 ) -> None:
+    """Misses that follow a miss are of tracks that the camera does not see: no probability of detection says so."""
     (camera,) = (replace(one, detector=replace(one.detector, p_detect=stated)) for one in CAMERAS[:1])
     figures = {"frames": 500, "detections": 500, "explained_detections": 500, "outside_region": 0}
-    figures |= {"in_view": in_view, "detected_share": share}
+    figures |= {"in_view": in_view, "detected_share": share, "missed_again": again}
     found = list(check_detections({"tracks": [{}], "cameras": {camera.name: figures}}, (camera,)))
-    assert [one.change for one in found] == [f"cameras.{camera.name}.detector.p_detect={share:g}"] * is_wrong
+    assert [one.cause for one in found] == causes
+    change = f"cameras.{camera.name}.detector.p_detect={share:g}"
+    assert [one.change for one in found] == [change if cause == "p_detect" else None for cause in causes]
+
+
+@pytest.mark.parametrize(("deviations", "is_named"), [(2.0, True), (40.0, False)])
+def test_objects_that_a_detector_reports_twice_are_named(deviations: float, is_named: bool) -> None:
+    """A second detection a few deviations away is of no other object; nor are those that chance brings near."""
+    rng = np.random.default_rng(3)
+
+    def twice(frame: Frame) -> Frame:
+        near = frame.pixels + deviations * rng.normal(0.0, 1.0, frame.pixels.shape)
+        return replace(frame, pixels=np.concatenate([frame.pixels, near])[: 2 * len(frame.pixels)])
+
+    found = [*check_files(sample_log([twice(frame) for frame in _frames(CAMERAS, count=100)], CAMERAS))]
+    named = [one.camera for one in found if one.cause == "detections_doubled"]
+    assert named == ["left", "right"] * is_named
+    assert not named or misleads(next(one for one in found if one.name == "detector.pairs"))
+
+
+def test_times_that_jitter_are_not_of_another_frame_rate() -> None:
+    """Frames 20 ms early or late of 100: the median interval was 3 % off."""
+    rng = np.random.default_rng(4)
+    frames = [
+        replace(one, time_s=one.time_s + rng.choice([-0.02, 0.02], p=[0.3, 0.7])) for one in _frames(CAMERAS, count=300)
+    ]
+    (sample, _) = sample_log(frames, CAMERAS)
+    skewed = sample.times.copy()
+    skewed[1:-1:3] -= 0.03  # most intervals are 3 % shorter
+    for times in (sample.times, skewed):
+        (found,) = check_times(replace(sample, times=times))
+        assert found.status == "ok"
 
 
 def test_a_dead_pixel_is_named_and_a_resting_board_is_not() -> None:

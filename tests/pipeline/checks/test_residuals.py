@@ -46,7 +46,7 @@ CAMERAS = (
 def _findings(
     cameras: tuple[Camera, ...] = CAMERAS, late_s: float = 0.0, seen: tuple[Camera, ...] = CAMERAS, seed: int = 5,
     boxes: bool = False, frames: int = FRAMES, lasting_px: float = 0.0,
-    objects: int = OBJECTS, rate: float = 1.0,
+    objects: int = OBJECTS, rate: float = 1.0, stated_px: float = 1.0,
 ) -> list[Finding]:  # fmt: skip
     """Check `cameras` on a log of what the cameras `seen` see of slow objects; times of the second may be wrong.
 
@@ -73,7 +73,8 @@ def _findings(
             log.append(Frame(rate * time + late_s if c == 1 else time, c, k, found[camera.contains(found)]))
     log.sort(key=lambda frame: (frame.time_s, frame.camera))
     samples = [replace(one, box_height_px=60.0 if boxes else None) for one in sample_log(log, cameras)]
-    return list(check_residuals(measure(samples, (3.0, 14.0))))
+    stated = {camera.name: np.full(2, stated_px) for camera in cameras}
+    return list(check_residuals(measure(samples, (3.0, 14.0)), stated))
 
 
 def test_a_correct_set_up_leaves_white_noise() -> None:
@@ -268,6 +269,15 @@ def test_a_cause_is_doubted_only_where_a_pair_shows_that_distances_last(
     monkeypatch.setattr("stereophd.pipeline.checks.residuals.LEAST_TRACKS", fewest)
     (found,) = _findings(CAMERAS[:2], lasting_px=1.5, seed=6, frames=200, objects=10)
     assert found.cause == cause
+
+
+def test_what_lasts_within_the_stated_noise_is_no_other_camera() -> None:
+    """Of errors that last one-camera tracks show less noise than is stated, and cameras agree within what is."""
+    causes = [
+        {one.cause for one in _findings(CAMERAS[:2], lasting_px=4.0, seed=6, frames=200, objects=10, stated_px=noise)}
+        for noise in (1.0, 4.0)
+    ]
+    assert causes == [{DO_NOT_MEET}, {ERRORS_LAST}]
 
 
 def _pair(distance: np.ndarray, tracks: np.ndarray, times: np.ndarray) -> Partners:

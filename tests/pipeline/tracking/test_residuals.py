@@ -98,6 +98,18 @@ def test_every_successive_detection_of_a_track_counts_once(tracks: int) -> None:
     assert counts == pytest.approx([events - 1.0, events - 2.0], rel=0.01)  # but for outliers
 
 
+@pytest.mark.parametrize(
+    ("same", "other", "cause"),
+    [(1.0, -0.3, "errors_last"), (1.0, 0.5, "acceleration_std"), (0.1, 1.5, "errors_shared")],
+)
+def test_what_cameras_show_of_each_other_tells_whose_errors_last(same: float, other: float, cause: str) -> None:
+    """Of a camera that is in the log under two names both agree with each other, and neither with itself."""
+    both = {"same_camera": same, "other_camera": other}
+    sums = {key: {"pairs": 1000, "excess": one, "standard_errors": 20.0 * one} for key, one in both.items()}
+    (found,) = check_errors({"track_errors": sums}, True)
+    assert (found.status, found.cause) == ("warning", cause)
+
+
 def test_estimates_that_may_be_behind_the_camera_show_nothing() -> None:
     """Where a step within the covariance ends behind it there is no derivative: nothing is computed from it."""
     camera = build_camera("back", (0.0, 0.0, 5.0), (0.0, np.pi, 0.0), noise=NOISE)

@@ -10,6 +10,7 @@ from stereophd.commands.simulate import simulate
 from stereophd.commands.track import track
 from stereophd.config.loading import make_config
 from stereophd.core.multi.state.estimates import Estimates
+from stereophd.pipeline.checks.run_checks import MOST_LASTING
 from stereophd.pipeline.tracking.residuals import SeenTrack, are_usual
 from stereophd.pipeline.tracking.run_figures import CameraSums, RunFigures
 from tests.scenes import build_camera
@@ -99,5 +100,7 @@ def test_how_often_tracks_are_detected_does_not_follow_what_is_stated(
     for name, figures in report["cameras"].items():
         assert figures["in_view"] > 100
         assert figures["detected_share"] == pytest.approx(true, abs=0.1)
+        missed = 1.0 - figures["detected_share"]
+        assert missed * (figures["missed_again"] - missed) < MOST_LASTING  # each miss is one of its own
         warned = {one["camera"] for one in report["checks"] if one["cause"] == "p_detect"}
         assert (name in warned) == (figures["in_view"] >= 200)

@@ -8,7 +8,7 @@ import numpy as np
 from stereophd.core.geometry.pose import Pose
 from stereophd.core.settings import LATEST_S
 from stereophd.pipeline.checks.finding import Finding, Status, is_mistake
-from stereophd.pipeline.checks.log.sample import MOST_BY_CHANCE, CameraSample
+from stereophd.pipeline.checks.log.sample import CLOSE, MOST_BY_CHANCE, CameraSample
 from stereophd.wording import instant, percent
 
 # Relative difference of frame rates that is reported.
@@ -25,6 +25,8 @@ CLUTTER_FACTOR = 1.5
 ISOLATED_FACTOR, LEAST_ISOLATED = 5.0, 0.3
 # Share of the detections in chains that go on, over the probability of detection, from which chains follow objects.
 LEAST_CONTINUED = 0.9
+# Share of the detections that lie beside another, and their number, from which tracks multiply.
+MOST_CLOSE, LEAST_CLOSE = 0.2, 30
 # Measured over stated noise of a detection.
 NOISE_FACTOR = 4.0
 # Share of the shorter period that the periods of two cameras must share.
@@ -96,9 +98,8 @@ def check_times(sample: CameraSample) -> Iterator[Finding]:
     if len(sample.times) < 3:
         return
     found = 1.0 / sample.interval_s if sample.interval_s > 0.0 else float("inf")
-    # frames without a row are not frames of another rate
-    per_number = np.diff(sample.times) / np.maximum(np.diff(sample.frames), 1)
-    by_number = 1.0 / max(float(np.median(per_number)), 1e-300)
+    # frames without a row, or whose times jitter, are not frames of another rate
+    by_number = float(np.ptp(sample.frames)) / max(float(np.ptp(sample.times)), 1e-300)
     is_off = rate is not None and min(abs(found / rate - 1.0), abs(by_number / rate - 1.0)) > RATE_TOLERANCE
     since, unit = sample.times - sample.times[0], _unit(sample, found)
     text, remedy, cause = f"frames come at {found:.4g} Hz", None, None
@@ -213,6 +214,15 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             detector.clutter_per_frame, round(isolated, 3), camera.name,
             f"set clutter_per_frame near {isolated:.2g}, or estimate it (detector: estimate)", "clutter",
             f"cameras.{camera.name}.detector.clutter_per_frame={isolated:.2g}",
+        )  # fmt: skip
+    if (close := sample.close_share) > MOST_CLOSE and close * len(sample.pixels) > LEAST_CLOSE:
+        yield Finding(
+            "detector.pairs", "warning",
+            f"{camera.name}: {percent(close)} of the detections have another one of their frame within "
+            f"{CLOSE:g} deviations of the noise, beyond chance: the detector reports objects twice, or they are too "
+            "near one another to be told apart; tracks multiply, and swap", round(close, 3), 0.0, camera.name,
+            "let the detector suppress all but the best of detections that overlap (non-maximum suppression)",
+            "detections_doubled",
         )  # fmt: skip
     yield _noise(sample, is_linked)
     shortest = SHORTEST_FOCAL * min(camera.width, camera.height)

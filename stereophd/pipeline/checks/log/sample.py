@@ -31,6 +31,8 @@ LEAST_CONTINUED_FRAMES, LEAST_CONTINUED = 8, 20
 # Places in an image are distinguished to this many pixels; one lasts if it detects in so many frames and in this share
 # of them, unless this share of all detections is at such places: then the scene rests.
 PLACE_PX, LEAST_PLACE_FRAMES, LEAST_PLACE_SHARE, MOST_RESTING = 1.0, 60, 0.1, 0.5
+# Standard deviations within which two detections of a frame may be of one object.
+CLOSE = 6.0
 # Differences from which noise is estimated, and the relative error of a variance from their median over the root of
 # their number: they overlap.
 LEAST_DIFFERENCES, VARIANCE_ERROR = 60, 3.5
@@ -184,6 +186,23 @@ class CameraSample:
         if len(self.times) < LEAST_CONTINUED_FRAMES or asked.sum() < LEAST_CONTINUED:
             return None
         return float((self.links[asked] >= 0).mean())
+
+    @property
+    def close_share(self) -> float:
+        """Share of the detections with another of their frame nearer than objects are told apart, beyond chance.
+
+        Every other detection of a frame is compared with those between: of many in one place, half are found. Chance
+        is how many have one as near in a frame that lies far apart; what rests has as many there.
+        """
+        reach = CLOSE * min(float(self.camera.detector.sigma.mean()), self.noise_px[2] if self.noise_px else np.inf)
+        asked = np.empty(len(self.pixels), dtype=np.bool_)
+        asked[np.lexsort((self.pixels[:, 0], self.frame_of))] = np.arange(len(asked)) % 2 == 0
+        shares = [
+            float((_nearest(self, step, asked, ~asked)[2] <= reach).sum())
+            / max(1, int(asked[self.frame_of < len(self.times) - step].sum()))
+            for step in (0, max(2, min(len(self.times) // 3, 200)))
+        ]
+        return shares[0] - shares[1]
 
     @property
     def lasting_places(self) -> list[tuple[Array, int]]:
