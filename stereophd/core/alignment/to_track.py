@@ -108,7 +108,6 @@ def _refuse_other_motion(left_over: float) -> None:
 
 
 def _refuse_straight(left: Residuals) -> None:
-    """Refuse motion along one line."""
     places = left.jacobian[:, :, 6]  # about their middle
     width = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(places.T, aweights=left.precisions))[1], 0.0)))
     if width < 2.0 * left.distance:

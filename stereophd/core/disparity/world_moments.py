@@ -90,7 +90,6 @@ def states_in_world(states: Array, space: Array, motion: MotionArrays) -> Array:
 
 @compiled
 def _fill_gaussian(value: float, means: Array, covariances: Array, k: int) -> None:
-    """Set all elements of mean and covariance k."""
     for a in range(means.shape[1]):
         means[k, a] = value
         for b in range(means.shape[1]):
