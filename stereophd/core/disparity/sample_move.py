@@ -112,9 +112,7 @@ def move_components(
             continue
         interval_trips(means[k], factor, samples, axes, shape, noise, k, motion, homes[k], destination, points)
         if len(region) > 0:
-            inside[k] = region_mask(
-                points, destination, homes[k], region, REGION_SLACK, sample_weights, weights
-            )  # fmt: skip
+            inside[k] = region_mask(points, destination, homes[k], region, REGION_SLACK, sample_weights, weights)
             if inside[k] == 0.0:
                 continue
         seen = view_mask(points, destination, mask)
