@@ -47,7 +47,6 @@ def error_document(message: str, kind: str, code: int) -> dict[str, Any]:
 
 
 def _usage_parts(sentence: str) -> dict[str, Any]:
-    """Return the parts of a usage error."""
     text = _SEE_HELP.sub("", sentence)
     parts = _parts(text)
     if match := _INVALID.match(text):

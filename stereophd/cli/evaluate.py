@@ -75,7 +75,6 @@ def evaluate_cameras_command(
 
 
 def _score_runs(session: Session, tracks: Path, truth: Path, out: Path | None, options: EvaluateOptions) -> None:
-    """Score a folder of runs."""
     if out is None:
         raise InputError("expected --out DIR for the scores of a folder of runs, found none")
     from stereophd.commands.batches import evaluate_runs

@@ -157,7 +157,6 @@ def _one_log(
 
 
 def _evaluate(options: EvaluateOptions, item: Item, out: Path, progress: Progress) -> Report:
-    """Score one run."""
     progress(0, 1)
     tracks, truth = item.paths
     if not truth.exists():

@@ -128,10 +128,8 @@ def _posterior_of(cameras_path: Path, names: list[str]) -> Posterior | None:
         return posterior
     LOGGER.warning(
         "%s: expected the posterior of the cameras %s, found that of %s: it is ignored",
-        path,
-        ", ".join(names),
-        ", ".join(found),
-    )
+        path, ", ".join(names), ", ".join(found),
+    )  # fmt: skip
     return None
 
 

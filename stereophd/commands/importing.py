@@ -139,7 +139,6 @@ def import_recording(
 def _add_cameras(
     recording: ForeignRecording, path: Path, cameras: dict[str, CameraConfig], unit: str, assumed: list[str]
 ) -> None:
-    """Add the cameras of another file to a recording."""
     if recording.cameras:
         raise InputError(f"{path}: expected cameras in the source or in a file of their own, found both")
     recording.cameras.update(cameras)
@@ -236,7 +235,6 @@ def _check_files(
 def _camera_rows(
     cameras: Mapping[str, CameraConfig], summaries: Mapping[str, CameraSummary]
 ) -> dict[str, dict[str, Any]]:
-    """Return the report's row of each camera."""
     counts = {name: asdict(summary) for name, summary in summaries.items()}
     sizes = {name: {"image_size_px": list(camera.image_size_px)} for name, camera in cameras.items()}
     return {name: {**counts.get(name, {}), **sizes.get(name, {})} for name in {**cameras, **summaries}}

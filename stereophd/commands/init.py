@@ -91,7 +91,6 @@ def init(
 
 
 def _with_overrides(draft: Draft, overrides: Sequence[str]) -> Draft:
-    """Return the draft with values that the user gives."""
     cameras = Tree({"cameras": {name: camera.model_dump(mode="json") for name, camera in draft.cameras.items()}})
     values, stated = {}, set[str]()
     for path, change in map(parse_override, overrides):

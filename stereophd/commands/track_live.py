@@ -190,7 +190,6 @@ class _Session:
             self._show(record, False)
 
     def _tell_status(self) -> None:
-        """Tell those who watch how the run goes."""
         counts, run = self.checks.counts, self.run
         for sink in self._rows:
             if isinstance(sink, Publisher):
@@ -284,7 +283,6 @@ def _recording(outputs: LiveOutputs, held: contextlib.ExitStack) -> tuple[Arriva
 
 
 def _remove_empty(path: Path) -> None:
-    """Remove a recording without frames."""
     with contextlib.suppress(OSError):
         if not path.stat().st_size:
             path.unlink()

@@ -19,7 +19,6 @@ NARROWEST = 1e-9
 
 
 def _prior_field(quantity: Quantity) -> Any:
-    """Type and description of the prior of a quantity."""
     size = len(quantity.components)
     one: Any = Annotated[float, Interval(ge=0, le=quantity.largest_std), FINITE]
     if quantity.named:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from pydantic import model_validator
@@ -92,11 +92,7 @@ class RegionConfig(Model):
 Shape = Annotated[PointSettings | EllipsoidSettings, OneOf(shapes, "shape", DEFAULT)]
 
 
-def _filters() -> dict[str, Any]:
-    return {**filters(), "single": SingleSettings}
-
-
-Filter = Annotated[FilterSettings | SingleSettings, OneOf(_filters, "kind")]
+Filter = Annotated[FilterSettings | SingleSettings, OneOf(lambda: {**filters(), "single": SingleSettings}, "kind")]
 
 
 class LiveConfig(Model):

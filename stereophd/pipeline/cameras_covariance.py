@@ -50,7 +50,10 @@ def in_world(
     names = [
         (camera.name, part)
         for camera in before.cameras
-        for part in (*POSE_AND_CLOCK, *sorted(part for name, part in known - _moved(known) if name == camera.name))
+        for part in (
+            *POSE_AND_CLOCK,
+            *sorted(part for name, part in known if name == camera.name and part not in POSE_AND_CLOCK),
+        )
     ]
 
     def moved(values: Array) -> list[Camera]:
@@ -70,7 +73,3 @@ def in_world(
     stds = np.sqrt(np.diag(whole))
     parameters = tuple(Parameter(names[k][1], names[k][0], 0.0, float(stds[k])) for k in kept)
     return CameraUncertainty(ParameterSet(after.cameras, parameters), whole[np.ix_(kept, kept)])
-
-
-def _moved(known: set[tuple[str, str]]) -> set[tuple[str, str]]:
-    return {(name, part) for name, part in known if part in POSE_AND_CLOCK}

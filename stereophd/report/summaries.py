@@ -108,7 +108,6 @@ def _poses(report: Mapping[str, Any], unit: str) -> SummaryTable:
 
 
 def _scale(report: Mapping[str, Any]) -> Iterator[str]:
-    """Yield what the scale is known from."""
     if (scale := report.get("scale")) is not None:
         known = SCALES.get(by := str(scale.get("determined_by")), f"what is stated: {by}")
         if by == "prior" and report.get("length_unit") == NO_LENGTH:

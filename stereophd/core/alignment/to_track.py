@@ -56,7 +56,12 @@ def align_to_track(tracks: TrackedPlaces, control: Truth, freedom: Freedom) -> A
     # whether another offset or track fits as well, without estimates that are far off
     weights[np.flatnonzero(np.isin(tracks.track_id, used.track_id))[left.rows]] *= left.weights
     fits = sorted(fits_to(_curves(tracks, weights)[0], control, gap, freedom), key=lambda fit: -fit.gain)
-    _refuse_rival_offset(fits[0])
+    if fits[0].rival is not None:
+        raise ValueError(
+            f"a clock offset of {fits[0].rival:.1f} s fits nearly as well as {fits[0].registration.shift_s:.1f} s: the "
+            "motion repeats itself, or is even; record changes of speed and direction, or state one clock "
+            "(`same_clock=True`)"
+        )
     _refuse_rival_track(fits, np.unique(used.track_id), names)
     _refuse_undetermined(alignment.covariance)
     return alignment
@@ -108,23 +113,12 @@ def _refuse_other_motion(left_over: float) -> None:
 
 
 def _refuse_straight(left: Residuals) -> None:
-    """Refuse motion along one line."""
     places = left.jacobian[:, :, 6]  # about their middle
     width = float(np.sqrt(max(np.linalg.eigvalsh(np.cov(places.T, aweights=left.precisions))[1], 0.0)))
     if width < 2.0 * left.distance:
         raise ValueError(
             "the object moves along one straight line, which leaves the rotation about it open: record curves in two "
             "directions, large against the errors"
-        )
-
-
-def _refuse_rival_offset(best: CurveFit) -> None:
-    """Refuse a clock offset beside which another fits nearly as well."""
-    if best.rival is not None:
-        raise ValueError(
-            f"a clock offset of {best.rival:.1f} s fits nearly as well as {best.registration.shift_s:.1f} s: the "
-            "motion repeats itself, or is even; record changes of speed and direction, or state one clock "
-            "(`same_clock=True`)"
         )
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from stereophd.core.arrays import Array
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, Moved, Sources
-from stereophd.core.disparity.trips import motion_noise, moving_trips, region_mask, static_trips, view_mask
+from stereophd.core.disparity.trips import interval_trips, region_mask, view_mask
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, condition, squared_distance
 from stereophd.core.numerics.moments import weighted_moments
@@ -67,8 +67,7 @@ def rule_components(
     factor = np.empty((size, size))
     scratch = np.empty((size, size))
     noise = np.empty((6, count if size == 6 else 0))
-    reach, keep, position_noise, velocity_noise, with_velocity_parts, alone_parts, drift, _, max_speed = motion
-    with_velocity = alone = np.nan
+    shape = np.full(2, np.nan)
     todo = np.empty(len(means), dtype=np.intp)
     n_todo = 0
     for k in range(len(means)):
@@ -77,16 +76,7 @@ def rule_components(
         status[k], fraction[k], inside[k] = OUT_OF_VIEW, 0.0, 1.0
         if covariances[k, 2, 2] > (widest * means[k, 2]) ** 2 or not cholesky(covariances[k], factor):
             continue
-        if size == 6:
-            if with_velocity_parts[k] != with_velocity or alone_parts[k] != alone:
-                with_velocity, alone = with_velocity_parts[k], alone_parts[k]
-                motion_noise(points, axes, with_velocity, alone, noise)
-            moving_trips(
-                means[k], factor, points, noise, position_noise[k], velocity_noise[k], homes[k],
-                destination, reach[k], keep[k], drift[k], max_speed, images
-            )  # fmt: skip
-        else:
-            static_trips(means[k], factor, points, homes[k], destination, images)
+        interval_trips(means[k], factor, points, axes, shape, noise, k, motion, homes[k], destination, images)
         if view_mask(images, destination, mask) < count:
             continue
         if (

@@ -10,14 +10,7 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.disparity.moved import IN_VIEW, OUT_OF_VIEW, PARTLY_IN_VIEW, Moved, Sources
-from stereophd.core.disparity.trips import (
-    REGION_SLACK,
-    motion_noise,
-    moving_trips,
-    region_mask,
-    static_trips,
-    view_mask,
-)
+from stereophd.core.disparity.trips import REGION_SLACK, interval_trips, region_mask, view_mask
 from stereophd.core.geometry.layout import ROTATION
 from stereophd.core.numerics.compilation.compiled import compiled
 from stereophd.core.numerics.linear_algebra import cholesky, condition
@@ -107,8 +100,7 @@ def move_components(
     scratch = np.empty((size, size))
     axes = noise_axes(destination, motion.noise_std)
     noise = np.empty((6, count if size == 6 else 0))
-    reach, keep, position_noise, velocity_noise, with_velocity_parts, alone_parts, drift, _, max_speed = motion
-    with_velocity = alone = np.nan
+    shape = np.full(2, np.nan)
     alike = True
     for weight in sample_weights:
         alike = alike and weight == 1.0
@@ -118,21 +110,9 @@ def move_components(
         inside[k] = 1.0
         if not cholesky(covariances[k], factor):
             continue
-        if size == 6:
-            # of many models the noise has one shape for all intervals
-            if with_velocity_parts[k] != with_velocity or alone_parts[k] != alone:
-                with_velocity, alone = with_velocity_parts[k], alone_parts[k]
-                motion_noise(samples, axes, with_velocity, alone, noise)
-            moving_trips(
-                means[k], factor, samples, noise, position_noise[k], velocity_noise[k], homes[k],
-                destination, reach[k], keep[k], drift[k], max_speed, points
-            )  # fmt: skip
-        else:
-            static_trips(means[k], factor, samples, homes[k], destination, points)
+        interval_trips(means[k], factor, samples, axes, shape, noise, k, motion, homes[k], destination, points)
         if len(region) > 0:
-            inside[k] = region_mask(
-                points, destination, homes[k], region, REGION_SLACK, sample_weights, weights
-            )  # fmt: skip
+            inside[k] = region_mask(points, destination, homes[k], region, REGION_SLACK, sample_weights, weights)
             if inside[k] == 0.0:
                 continue
         seen = view_mask(points, destination, mask)

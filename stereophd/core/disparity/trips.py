@@ -27,6 +27,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.disparity.space import BASELINE, PACKED_SIZE, VERTICAL
 from stereophd.core.geometry.compiled_lenses import pixel_in_view
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, HEIGHT, LENS_CODE, LENS_NONE, ROTATION, WIDTH
+from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # A component of which this share is inside the region counts as inside.
@@ -192,6 +193,28 @@ def static_trips(mean: Array, factor: Array, samples: Array, source: Array, dest
         out[1, i] = fy * y_b * per + cy
         out[2, i] = (scale * rho + by_rho * z_b) * per
         out[3, i] = divisor
+
+
+@compiled
+def interval_trips(
+    mean: Array, factor: Array, samples: Array, axes: Array, shape: Array, noise: Array, k: int, motion: MotionArrays,
+    home: Array, destination: Array, out: Array,
+) -> None:  # fmt: skip
+    """Carry the samples of a component over interval k of the motion: `moving_trips`, or `static_trips` of (3,).
+
+    `noise` (6, n) is that of `motion_noise` with parts `shape` (2,), at first NaN: of many models it has one shape for
+    all intervals.
+    """
+    if len(mean) == 3:
+        static_trips(mean, factor, samples, home, destination, out)
+        return
+    if motion.with_velocity[k] != shape[0] or motion.alone[k] != shape[1]:
+        shape[0], shape[1] = motion.with_velocity[k], motion.alone[k]
+        motion_noise(samples, axes, shape[0], shape[1], noise)
+    moving_trips(
+        mean, factor, samples, noise, motion.position_noise[k], motion.velocity_noise[k], home, destination,
+        motion.reach[k], motion.keep[k], motion.drift[k], motion.max_speed, out
+    )  # fmt: skip
 
 
 @compiled

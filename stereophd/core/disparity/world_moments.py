@@ -3,7 +3,7 @@
 import numpy as np
 
 from stereophd.core.arrays import Array, Integers
-from stereophd.core.disparity.trips import WORLD, disparity_scale, motion_noise, moving_trips, static_trips
+from stereophd.core.disparity.trips import WORLD, disparity_scale, interval_trips, moving_trips
 from stereophd.core.geometry.layout import CENTER, CX, CY, FX, FY, ROTATION
 from stereophd.core.motion.arrays import MotionArrays
 from stereophd.core.numerics.compilation.compiled import compiled
@@ -37,7 +37,7 @@ def world_components(
     world = WORLD.copy()
     axes = np.diag(motion.noise_std)
     noise = np.empty((6, count if size == 6 else 0))
-    with_velocity = alone = np.nan
+    shape = np.full(2, np.nan)
     points, weights = np.empty((size + 1, count)), np.empty(count)
     mean, covariance = np.empty(size), np.empty((size, size))
     factor, scratch = np.empty((size, size)), np.empty((size, size))
@@ -46,16 +46,7 @@ def world_components(
         _fill_gaussian(np.nan, out_means, out_covariances, i)
         if not means[k, 2] > 0.0 or not cholesky(covariances[k], factor):
             continue
-        if size == 6:
-            if motion.with_velocity[row] != with_velocity or motion.alone[row] != alone:
-                with_velocity, alone = motion.with_velocity[row], motion.alone[row]
-                motion_noise(samples, axes, with_velocity, alone, noise)
-            moving_trips(
-                means[k], factor, samples, noise, motion.position_noise[row], motion.velocity_noise[row], homes[row],
-                world, motion.reach[row], motion.keep[row], motion.drift[row], motion.max_speed, points
-            )  # fmt: skip
-        else:
-            static_trips(means[k], factor, samples, homes[row], world, points)
+        interval_trips(means[k], factor, samples, axes, shape, noise, row, motion, homes[row], world, points)
         least, total = means[k, 2] / (FARTHEST_SAMPLE * disparity_scale(homes[row])), 0.0
         for j in range(count):
             weights[j] = 1.0 if points[size, j] >= least else 0.0
@@ -90,7 +81,6 @@ def states_in_world(states: Array, space: Array, motion: MotionArrays) -> Array:
 
 @compiled
 def _fill_gaussian(value: float, means: Array, covariances: Array, k: int) -> None:
-    """Set all elements of mean and covariance k."""
     for a in range(means.shape[1]):
         means[k, a] = value
         for b in range(means.shape[1]):

@@ -17,9 +17,6 @@ def sums_between(values: Array | Booleans, first: Integers, last: Integers) -> A
 class ArrayRows:
     """Base of frozen dataclasses whose arrays have a row for each member; their other fields describe all members."""
 
-    def _arrays(self) -> dict[str, Any]:
-        return {name: values for name, values in vars(self).items() if isinstance(values, np.ndarray)}
-
     def take(self, rows: Any) -> Self:
         """Return some of the rows: a mask, indices in the order wanted, or a slice."""
         taken = object.__new__(type(self))
@@ -31,6 +28,6 @@ class ArrayRows:
 
     def join(self, *others: Self) -> Self:
         """Return these rows and after them those of others, which have the same arrays."""
-        parts = [one._arrays() for one in (self, *others)]
-        joined: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        names = [name for name, values in vars(self).items() if isinstance(values, np.ndarray)]
+        joined = {name: np.concatenate([getattr(one, name) for one in (self, *others)]) for name in names}
         return replace(self, **joined)  # type: ignore[type-var]

@@ -39,7 +39,6 @@ class CartesianEstimator(GaussianEstimator):
     settings: CartesianSettings
 
     def _observed(self, state: GaussianState, predicted: Gaussian, event: Event, space: Array) -> Observation:
-        """Observe by the rule of the settings."""
         mean, covariance = predicted
         if self.settings.rule == "unscented":
             pixel, matrix, spread = _regression(lambda states: _pixels(space, states), mean, covariance)

@@ -163,7 +163,6 @@ def make_run(events: Sequence[Event | None], times: Array, cameras: Sequence[Cam
 
 
 def _rows(event: Event) -> Integers:
-    """Return the rows of the detections of an event."""
     return np.arange(len(event.points)) if event.rows is None else event.rows
 
 

@@ -139,7 +139,9 @@ def _errors(
             "direction_error": math.degrees(_root(errors.direction)),
             "center_error": _root(errors.center),
             **_spreads(parameters, reference, mean, covariance),
-            **_consistency(parameters, reference, mean, covariance, true),
+            "nees": normalised_error_squared(mean - true, covariance),
+            "coverage_90": float((np.abs(mean - true) <= INTERVAL_90 * np.sqrt(np.diag(covariance))).mean()),
+            "scale_std_ratio": observability(parameters, reference, mean, covariance).scale_ratio,
         }
         for name in ("rotation", "direction"):
             figures[f"{name}_error_ratio"] = figures[f"{name}_error"] / limit[f"{name}_std"]
@@ -149,19 +151,6 @@ def _errors(
             values.setdefault(name, np.full(len(times), np.nan))[k] = value
     units = _units(parameters, unit)
     return [Series(name, units.get(name, "1"), series, times) for name, series in values.items()]
-
-
-def _consistency(
-    parameters: ParameterSet, reference: int, mean: Array, covariance: Array, true: Array
-) -> dict[str, float]:
-    """Return the NEES of a posterior, the share of parameters inside their intervals, and the ratio of the posterior
-    spread of the scale to its prior spread."""
-    inside = np.abs(mean - true) <= INTERVAL_90 * np.sqrt(np.diag(covariance))
-    return {
-        "nees": normalised_error_squared(mean - true, covariance),
-        "coverage_90": float(inside.mean()),
-        "scale_std_ratio": observability(parameters, reference, mean, covariance).scale_ratio,
-    }
 
 
 def _bound_series(

@@ -109,14 +109,8 @@ def _reference(text: str) -> tuple[MoveCase, MoveMoments]:
         for name in (settings.home, settings.destination)
     )
     rng = np.random.default_rng(MOVE_REFERENCE.seed(config.seed))
-    mean, covariance = gaussian_of_object(
-        home,
-        np.array(settings.point_px),
-        np.array(settings.std_px),
-        np.array(settings.velocity),
-        settings.velocity_std,
-        rng,
-    )
+    point, stds, velocity = map(np.array, (settings.point_px, settings.std_px, settings.velocity))
+    mean, covariance = gaussian_of_object(home, point, stds, velocity, settings.velocity_std, rng)
     case = MoveCase(home, destination, mean, covariance, settings.interval_s, config.motion.build())
     return case, reference_moments(case, rng, settings.reference_samples)
 

@@ -24,7 +24,6 @@ ROTATION_TOLERANCE = 1e-5
 
 
 def _check_rotation(rows: Any) -> Any:
-    """Refuse a matrix that is no rotation."""
     if rows is not None:
         checked_rotation(np.asarray(rows, dtype=float), ROTATION_TOLERANCE)
     return rows

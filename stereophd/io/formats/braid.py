@@ -94,7 +94,6 @@ def _entry(element: Any) -> tuple[str, Array, tuple[int, int], dict[str, float]]
 
 
 def _lens_of(stated: dict[str, float]) -> StatedLens | None:
-    """Return the lens of a camera's non-linear parameters."""
     coefficients = np.array([stated.get(key, 0.0) for key in ("k1", "k2", "p1", "p2", "k3")])
     if not coefficients.any():
         return None

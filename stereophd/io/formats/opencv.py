@@ -73,15 +73,11 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
     recording.length_unit = str(stated) if stated else unit(options, recording)
     if any("rotation" in values for values in cameras.values()):
         recording.assumed.append("poses map the world to the camera: x_camera = R x_world + T")
+    of_all = {key: pair[key] for key in ("size", "width", "height", "fisheye") if key in pair}
     for name, values in cameras.items():
         native = options.name(name)
-        recording.cameras[native] = _camera(native, {**_shared(pair), **values}, options, where, recording)
+        recording.cameras[native] = _camera(native, of_all | values, options, where, recording)
     return recording
-
-
-def _shared(pair: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what a file states for all its cameras."""
-    return {key: pair[key] for key in ("size", "width", "height", "fisheye") if key in pair}
 
 
 def _place_pair(

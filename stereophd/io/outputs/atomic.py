@@ -264,7 +264,6 @@ class OutputFolder:
             self._staged = None
 
     def _discard(self) -> None:
-        """Remove the staged files, if they were not put into place."""
         if self._staged is not None:
             shutil.rmtree(self._staged, ignore_errors=True)
             self._staged = None

@@ -86,10 +86,10 @@ def check_texts(column: pa.Array | pa.ChunkedArray, name: str, path: Path | str,
         try:
             chunk.validate(full=True)
         except pa.ArrowInvalid:
-            texts = chunk.cast(pa.binary())
-            row = next(row for row, text in enumerate(texts) if not _is_utf8(text.as_py()))
+            texts = chunk.cast(pa.binary()).to_pylist()
+            row = next(row for row, text in enumerate(texts) if text and text.decode(errors="ignore").encode() != text)
             raise InputError(
-                f"{path}: row {start + row}: column {name}: expected text in UTF-8, found {texts[row].as_py()[:40]!r}"
+                f"{path}: row {start + row}: column {name}: expected text in UTF-8, found {texts[row][:40]!r}"
             ) from None
         start += len(chunk)
 
@@ -127,14 +127,6 @@ def _first_misfit(column: pa.Array | pa.ChunkedArray, kind: pa.DataType) -> tupl
         else:
             low, count = low + half, count - half
     return low, column[low].as_py()
-
-
-def _is_utf8(text: bytes | None) -> bool:
-    try:
-        (text or b"").decode()
-    except UnicodeDecodeError:
-        return False
-    return True
 
 
 def _is_text(kind: pa.DataType) -> bool:

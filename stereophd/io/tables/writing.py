@@ -159,14 +159,10 @@ class TableWriter:
         return pa.Table.from_arrays(arrays, schema=self.schema)
 
     def _flush(self) -> None:
-        if not self._buffered:
-            return
-        self._write(self._take())
-
-    def _write(self, table: pa.Table) -> None:
-        """Write a row group."""
-        with self._named_errors():
-            self._writer.write_table(table, row_group_size=self._row_group_rows)
+        if self._buffered:
+            table = self._take()
+            with self._named_errors():
+                self._writer.write_table(table, row_group_size=self._row_group_rows)
 
     @contextlib.contextmanager
     def _named_errors(self) -> Iterator[None]:

@@ -32,7 +32,7 @@ from stereophd.core.calibration.annealing.starts import (
     run_start,
     start_values,
 )
-from stereophd.core.calibration.annealing.task import Fit, Start, Task
+from stereophd.core.calibration.annealing.task import Start, Task
 from stereophd.core.calibration.pairing.clock_search import offset_places
 from stereophd.core.calibration.unknowns.held import with_unmeasured
 from stereophd.core.calibration.unknowns.observability import laplace_draws
@@ -213,7 +213,8 @@ def _start_report(task: Task, start: Start, best: Start | None) -> dict[str, Any
 
 def _result_report(result: Calibrated, best: Start, stated: int) -> dict[str, Any]:
     """What the report holds of the way from the best start to the answer; of all unknowns `stated` were stated."""
-    believed = result.believed
+    believed, fit = result.believed, result.fit
+    inliers = fit.adjustment.distances[fit.adjustment.distances < np.inf]
     report: dict[str, Any] = {
         "motion_noise_factor": believed.answer.motion_factors.tolist(),
         "noise_factors": {
@@ -222,7 +223,15 @@ def _result_report(result: Calibrated, best: Start, stated: int) -> dict[str, An
         },
         "freed": list(believed.task.parameters.names[stated:]),
         "stated": _statements(result),
-        "fit": _fit_report(best, result.fit),
+        "fit": {
+            "trajectories": fit.knots.count,
+            "detections": len(fit.detections),
+            "explained": best.explained,
+            "rms_residual_sigmas": float(np.sqrt(np.minimum(inliers, LEFT_OUT).mean() / 2.0)),
+            "log_evidence": best.log_evidence,
+            "log_prior": best.log_prior,
+            "converged": fit.adjustment.converged,
+        },
     }
     if result.pairs_of_known_length is not None:
         report["known_lengths"] = result.pairs_of_known_length
@@ -246,16 +255,3 @@ def _statements(result: Calibrated) -> list[dict[str, Any]]:
         }
         for suspicion in (*result.believed.given_up, *result.believed.held)
     ]
-
-
-def _fit_report(best: Start, fit: Fit) -> dict[str, Any]:
-    inliers = fit.adjustment.distances[fit.adjustment.distances < np.inf]
-    return {
-        "trajectories": fit.knots.count,
-        "detections": len(fit.detections),
-        "explained": best.explained,
-        "rms_residual_sigmas": float(np.sqrt(np.minimum(inliers, LEFT_OUT).mean() / 2.0)),
-        "log_evidence": best.log_evidence,
-        "log_prior": best.log_prior,
-        "converged": fit.adjustment.converged,
-    }

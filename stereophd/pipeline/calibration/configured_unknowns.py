@@ -174,7 +174,6 @@ def with_quantities(
 
 
 def _merge(values: dict[str, Any], entry: Mapping[str, Any]) -> None:
-    """Put a nested entry into nested values."""
     for key, value in entry.items():
         if isinstance(value, Mapping) and isinstance(values.get(key), dict):
             _merge(values[key], value)

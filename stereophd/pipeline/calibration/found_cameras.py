@@ -77,7 +77,14 @@ class FoundCameras:
             for pair in self.rig.pairs
         ]  # fmt: skip
         out["doubts"] = list(self.rig.doubts)
-        out["start"] = _values_of(self.rig)
+        out["start"] = {
+            camera.name: {
+                "center": camera.pose.center.tolist(),
+                "rotation_vector_deg": np.rad2deg(rotation_to_vector(camera.pose.rotation)).tolist(),
+                "focal_px": camera.fx, "clock_offset_s": camera.clock.offset_s, "clock_rate": camera.clock.rate,
+            }
+            for camera in self.rig.cameras
+        }  # fmt: skip
         return out
 
     def judged(self, problem: CalibrationProblem, outcome: Outcome) -> Outcome:
@@ -115,18 +122,6 @@ class FoundCameras:
             if component == "clock_offset" and not std <= MOST_FRAMES * frames:
                 out.append(f"the clock of {camera} is known to {std:.2g} s")
         return out
-
-
-def _values_of(rig: FoundRig) -> dict[str, Any]:
-    """Return the cameras of a rig for the report."""
-    return {
-        camera.name: {
-            "center": camera.pose.center.tolist(),
-            "rotation_vector_deg": np.rad2deg(rotation_to_vector(camera.pose.rotation)).tolist(),
-            "focal_px": camera.fx, "clock_offset_s": camera.clock.offset_s, "clock_rate": camera.clock.rate,
-        }
-        for camera in rig.cameras
-    }  # fmt: skip
 
 
 def with_found_cameras(

@@ -136,7 +136,6 @@ class _Watched:
         return self._estimator.forecast(state, info, time_s)
 
     def _forget(self, alive: set[int]) -> None:
-        """Forget all labels but these."""
         self._settled.keep(alive)
         for each in self.sums:
             each.previous = {label: residual for label, residual in each.previous.items() if label in alive}
@@ -197,7 +196,6 @@ def _run(
 
 
 def _with_estimates(cameras: tuple[Camera, ...], estimates: Mapping[str, DetectorEstimate]) -> tuple[Camera, ...]:
-    """Return cameras with estimated detectors."""
     known = {name: estimate.detector for name, estimate in estimates.items()}
     return tuple(replace(camera, detector=known.get(camera.name, camera.detector)) for camera in cameras)
 

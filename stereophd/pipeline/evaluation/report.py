@@ -27,9 +27,7 @@ def build_report(
     result["ospa"] = {**result["ospa"], **parameters}
     result["ospa2"] = {**result["ospa2"], "window_scans": options.ospa2_window}
     result["gospa"] = {**result["gospa"], "alpha": 2.0}
-    visible = None
-    if options.seen_by is not None:
-        visible = {"cameras": options.seen_by, "within_s": options.within_s}
+    visible = None if options.seen_by is None else {"cameras": options.seen_by, "within_s": options.within_s}
     report: dict[str, Any] = plain(
         {
             "report_version": REPORT_VERSION,

@@ -100,7 +100,6 @@ class _Scans:
 
 
 def _common_scans(tracks: Tracks, truth: Truth, options: ScoreOptions, max_gap_s: float, tracks_path: Path) -> _Scans:
-    """Bring tracks and truth to the same scans."""
     events = tracks.events if tracks.all_events else add_truth_times(tracks.events, truth.time_s)
     if options.at == "times":
         events = events.take(last_event_of_each_time(events.time_s))
@@ -150,7 +149,6 @@ def _scans_of_sight(scans: _Scans, sightings: Sightings | None, options: ScoreOp
 def _scored(
     scans: _Scans, tracks: Tracks, registration: Registration | None, options: ScoreOptions, tracks_path: Path
 ) -> Scored:
-    """Return all figures of scans."""
     estimates, points, time_s = scans.estimates, scans.points, scans.time_s
     order, cutoff, mahalanobis = options.order, options.known_cutoff, options.base == "mahalanobis"
     scores = score_scans(estimates, points, order, cutoff, mahalanobis=mahalanobis)

@@ -391,7 +391,6 @@ def _with_detectors(
 
 
 def _source_of_detector(entry: Mapping[str, Any]) -> str:
-    """Return the comment of an estimated detector."""
     tracks = f"{entry['residuals']:.0f} detections of tracks that two cameras saw"
     if not entry["confirmed"]:
         before = "the rays alone" if "sigma_px" in entry else "what is usual"

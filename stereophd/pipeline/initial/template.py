@@ -126,7 +126,6 @@ def scalar(value: Any) -> str:
 
 
 def _cameras(draft: Draft, cameras_file: str) -> Iterator[str]:
-    """Yield the section of the cameras."""
     if not draft.cameras:
         yield "# The file of the cameras, relative to this one; its form is described at"
         yield f"# {page('reference/formats')}"

@@ -137,7 +137,6 @@ class BridgeSampler:
         return after, _info("temper", after, share, float("nan"), state.step_size)
 
     def _move(self, state: BridgeState, rng: np.random.Generator) -> tuple[BridgeState, BridgeInfo]:
-        """Move every particle once."""
         count, size = state.values.shape
         factors = state.step_size * OPTIMAL_STEP / np.sqrt(size) * self._proposal_factors(state.values)
         mode = self._mode_of(state.values)

@@ -25,12 +25,6 @@ class UnknownSet:
     names: tuple[str, ...]  # Components that are free, each once, in the order of the parameters
 
 
-def _of_the_frame(parameters: ParameterSet) -> Booleans:
-    """Values that move a camera or set its clock."""
-    used = [parameter.quantity for parameter in parameters.parameters]
-    return np.array([quantity.of_the_frame or quantity.affects == MOVES for quantity in used])
-
-
 def _named(parameters: ParameterSet, names: Sequence[str]) -> Booleans:
     """Values whose component or quantity has one of the names."""
     return np.array([p.name in names or p.quantity.name in names for p in parameters.parameters])
@@ -48,7 +42,7 @@ def _distinct(parameters: ParameterSet, masks: Sequence[Booleans]) -> tuple[Unkn
 
 def default_stages(parameters: ParameterSet) -> tuple[UnknownSet, ...]:
     """Poses and clocks; then focal lengths and k1; then the rest: those that have an unknown."""
-    frame = _of_the_frame(parameters)
+    frame = np.array([p.quantity.of_the_frame or p.quantity.affects == MOVES for p in parameters.parameters])
     early = frame | _named(parameters, ("focal", "k1"))
     return _distinct(parameters, (frame, early, np.ones(parameters.size, dtype=np.bool_)))
 

@@ -133,7 +133,6 @@ def explain_rows(
 def _begin(
     rows: ClaimedRows, row: int, space: Array, prior: NewObjects, means: Array, covariances: Array, track: int
 ) -> None:
-    """Begin a track with a detection."""
     point, noise, camera = rows.points[row : row + 1], rows.noises[row : row + 1], rows.cameras[row]
     first = FirstSight(space, prior.means[camera], prior.stds[camera], prior.velocity_std, prior.region)
     born, spread = initial_moments(point, noise, first, means.shape[1], rows.readings[row : row + 1])

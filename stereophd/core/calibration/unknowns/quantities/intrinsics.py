@@ -23,7 +23,6 @@ class Focal(Quantity):
     description = "standard deviation of the focal length, relative; fx and fy together"
 
     def _apply(self, camera: Camera, values: Array) -> Camera:
-        """Multiply both focal lengths by exp(value)."""
         factor = float(np.exp(values[0]))
         return replace(camera, fx=camera.fx * factor, fy=camera.fy * factor)
 
@@ -48,7 +47,6 @@ class Aspect(Quantity):
     description = "standard deviation of fy over fx, relative"
 
     def _apply(self, camera: Camera, values: Array) -> Camera:
-        """Multiply fy by exp(value)."""
         return replace(camera, fy=camera.fy * float(np.exp(values[0])))
 
     def _difference(self, camera: Camera, other: Camera) -> Array:
@@ -73,7 +71,6 @@ class PrincipalPoint(Quantity):
     description = "standard deviation of the principal point, px; one value or u, v"
 
     def _apply(self, camera: Camera, values: Array) -> Camera:
-        """Move the principal point by values (2,), px."""
         return replace(camera, cx=camera.cx + float(values[0]), cy=camera.cy + float(values[1]))
 
     def _difference(self, camera: Camera, other: Camera) -> Array:
@@ -102,7 +99,6 @@ class Distortion(Quantity):
         return PARAMETERS[camera.lens.model]
 
     def _apply(self, camera: Camera, values: Array) -> Camera:
-        """Add values (8,) to the coefficients."""
         moved = {
             name: getattr(camera.lens, name) + float(value)
             for name, value in zip(DISTORTION, values, strict=True)

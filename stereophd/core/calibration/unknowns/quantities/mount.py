@@ -15,7 +15,6 @@ from stereophd.core.settings import LARGEST_DEGREES
 
 
 def _path(camera: Camera) -> MountedPath:
-    """Path of a camera that is known to follow one."""
     assert camera.pose.path is not None
     return camera.pose.path
 
@@ -38,7 +37,6 @@ class MountCenter(Quantity):
     on_path = True
 
     def _apply(self, camera: Camera, values: Array) -> Camera:
-        """Move the camera on its body by values (3,)."""
         return _mounted(camera, _path(camera).rotation, _path(camera).center + values)
 
     def _difference(self, camera: Camera, other: Camera) -> Array:
@@ -69,7 +67,6 @@ class MountRotation(Quantity):
     on_path = True
 
     def _apply(self, camera: Camera, values: Array) -> Camera:
-        """Turn the camera on its body by a rotation vector (3,), rad."""
         return _mounted(camera, rotation_from_vector(values) @ _path(camera).rotation, _path(camera).center)
 
     def _difference(self, camera: Camera, other: Camera) -> Array:

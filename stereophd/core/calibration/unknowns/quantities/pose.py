@@ -61,7 +61,6 @@ class Rotation(base.Quantity):
     of_the_frame = True
 
     def _apply(self, camera: Camera, values: Array) -> Camera:
-        """Turn the camera by a rotation vector (3,), rad."""
         turned_pose = replace(camera.pose, rotation=rotation_from_vector(values) @ camera.pose.rotation)
         return replace(camera, pose=turned_pose)
 
