@@ -78,6 +78,7 @@ class Seen(NamedTuple):
 
     placement: Placement
     world: Array  # (n, 3): The points
+    points: Array  # (n, 3): In the axes of the cameras
     velocities: Array  # (n, 3): Theirs; zeros where derivatives by values are not asked for
     errors: Array  # (n, 2): Residuals
     visible: Booleans  # (n,)
@@ -133,17 +134,10 @@ class Linearisation:
         coupling[:, scales] += np.outer(noise_coupling[:, 0], gradient[scales])
         matrix += noise_matrix[0, 0] * np.outer(gradient, gradient)
         value_vector += noise_vector[0] * gradient
-        # priors
-        scaled = (values - parameters.prior_mean) / parameters.prior_std
-        matrix += np.diag(parameters.prior_std**-2)
-        value_vector -= scaled / parameters.prior_std
-        cost = sums.cost + energy + float(scaled @ scaled)
-        if problem.scale is not None:
-            expected, slope = predicted(parameters, problem.reference, problem.scale, values)
-            residual = (problem.scale.value - expected) / problem.scale.std
-            matrix += np.outer(slope, slope) / problem.scale.std**2
-            value_vector += slope * residual / problem.scale.std
-            cost += residual**2
+        cost, of_priors, vector_of_priors = self.priors(values)
+        matrix += of_priors
+        value_vector += vector_of_priors
+        cost += sums.cost + energy
         if problem.held is not None:
             held = problem.held
             coupling[:, held], value_vector[held], gradient[held] = 0.0, 0.0, 0.0
@@ -157,6 +151,19 @@ class Linearisation:
             matrix=np.block([[matrix, with_scale], [with_scale.T, noise_matrix]]),
             value_vector=np.append(value_vector, noise_vector),
         )  # fmt: skip
+
+    def priors(self, values: Array) -> tuple[float, Array, Array]:
+        """Cost, matrix (m, m) and vector (m,) of the priors of values (m,), and of the measurement of the scale."""
+        parameters, scale = self.problem.parameters, self.problem.scale
+        scaled = (values - parameters.prior_mean) / parameters.prior_std
+        cost, matrix, vector = float(scaled @ scaled), np.diag(parameters.prior_std**-2), -scaled / parameters.prior_std
+        if scale is not None:
+            expected, slope = predicted(parameters, self.problem.reference, scale, values)
+            residual = (scale.value - expected) / scale.std
+            cost += residual**2
+            matrix += np.outer(slope, slope) / scale.std**2
+            vector += slope * residual / scale.std
+        return cost, matrix, vector
 
     def summed(self, seen: Seen, loss: Loss | None = None) -> NormalEquations:
         """Contributions of all detections, from what is seen of them; by default with the loss of the problem.
@@ -188,14 +195,16 @@ class Linearisation:
         return MotionNoise.of(noise + logarithm * OF_ALL, self.problem.knots.noise_std)
 
     def of_knots(
-        self, values: Array, states: Array, noise: Array = STATED, placement: Placement | None = None
-    ) -> tuple[float, Array, Array]:
+        self, values: Array, states: Array, noise: Array = STATED, placement: Placement | None = None,
+        seen: Seen | None = None,
+    ) -> tuple[float, Array, Array]:  # fmt: skip
         """Cost of detections and motion, matrix (12, size) and vector (size,) of the knots, as `at` has them, sooner.
 
         A placement of the values without velocities (`placed`) saves what several knots at the same values share.
+        `seen` is that of `residuals`, if it is known.
         """
-        placement = placement or self.placed(values, by_values=False)
-        sums = self.summed(self.residuals(values, states, placement, by_values=False))
+        seen = seen or self.residuals(values, states, placement or self.placed(values, by_values=False), False)
+        sums = self.summed(seen._replace(by_value=seen.by_value[:, :, :0]))
         energy, _, _ = self._add_motion(sums, states, self.noise_at(values, noise))
         return sums.cost + energy, sums.bands, sums.state_vector
 
@@ -245,9 +254,9 @@ class Linearisation:
                 ]
                 by_camera = np.concatenate(parts, axis=2)
                 by_value[here, :, : by_camera.shape[2]] = by_camera
-        bends = sights.bends(found) if with_bends else np.empty((count, 0, 3, 3))
+        bends = sights.bends(found.points, found.ahead) if with_bends else np.empty((count, 0, 3, 3))
         errors = observations.points - found.pixels
-        return Seen(placement, world, velocities, errors, found.ahead, found.by_world, by_value, bends)
+        return Seen(placement, world, found.points, velocities, errors, found.ahead, found.by_world, by_value, bends)
 
     def factor_of_knots(self, seen: Seen, bands: Array) -> Array:
         """Cholesky factor (12, size) of the second derivatives of the cost by the knots, where there is no loss.
@@ -267,14 +276,15 @@ class Linearisation:
         precisions, weights = self.problem.observations.precisions, self.problem.observations.weights
         return precisions if weights is None else weights[:, None, None] * precisions
 
-    def pulls(self, seen: Seen) -> Array:
-        """Return how the errors of detections pull at their pixels (n, 2), by the weights that the detections have."""
-        return np.where(seen.visible[:, None], (self.precisions @ seen.errors[:, :, None])[:, :, 0], 0.0)
+    def pulls(self, seen: Seen, errors: Array | None = None) -> Array:
+        """Return how errors (n, 2), those of detections by default, pull at pixels by the weights of the detections."""
+        errors = seen.errors if errors is None else errors
+        return np.where(seen.visible[:, None], (self.precisions @ errors[:, :, None])[:, :, 0], 0.0)
 
     def of_values(self, by_value: Array) -> Array:
-        """Sums (m,) over detections of their contributions (n, q) to the values of their cameras."""
+        """Sums (m,) over detections of their contributions (n, q) to the values of their cameras; q may be 0."""
         out = np.zeros(self.problem.parameters.size)
-        for columns, here in zip(self.columns, self.members, strict=True):
+        for columns, here in zip(self.columns[:, : by_value.shape[1]], self.members, strict=True):
             used = columns >= 0
             out[columns[used]] += by_value[here][:, used].sum(axis=0)
         return out

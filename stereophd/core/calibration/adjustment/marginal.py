@@ -262,25 +262,27 @@ class MarginalPosterior:
         values, noise = self.parted(unknowns)
         placement = self.linearisation.placed(values)
         states, _ = settled_knots(self.linearisation, values, states, noise, placement=placement)
-        return self._point(unknowns, states, self.linearisation.residuals(values, states, placement))
-
-    def _point(self, unknowns: Array, states: Array, seen: Seen) -> Point:
+        seen = self.linearisation.residuals(values, states, placement)
         equations = self.equations(unknowns, states, seen)
         factor = factor_knots(equations.bands)
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
         return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume, seen)
 
     def beside(self, at: Point, step: Array, curved: Array) -> Point:
-        """Return the point after a small step (size,), its knots at their minimum to second order of the step.
+        """Return a point after a small step (size,), of which `gradient` alone is asked: the rest is that of the other.
 
-        They take a step by their second derivatives at the other point, of the Cholesky factor `curved` (12, 6 k).
+        Its knots are at their minimum to second order of the step. They take a step by their second derivatives at the
+        other point, of the Cholesky factor `curved` (12, 6 k).
         """
         unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
-        values, noise = self.parted(unknowns)
-        placement = self.linearisation.placed(values)
-        _, _, vector = self.linearisation.of_knots(values, states, noise, placement)
+        (values, noise), linearisation = self.parted(unknowns), self.linearisation
+        placement = linearisation.placed(values)
+        _, _, vector = linearisation.of_knots(values, states, noise, placement)
         states += cho_solve_banded((curved, True), vector, check_finite=False).reshape(states.shape)
-        return self._point(unknowns, states, self.linearisation.residuals(values, states, placement))
+        seen = linearisation.residuals(values, states, placement)
+        _, bands, vector = linearisation.of_knots(values, states, noise, seen=seen)
+        equations = replace(at.equations, bands=bands, state_vector=vector)
+        return replace(at, unknowns=unknowns, states=states, equations=equations, factor=factor_knots(bands), seen=seen)
 
     def with_shown_motion(self, values: Array, states: Array, noise: Array) -> Point:
         """Return the point of held values (m,) at the noise of the motion that fits there, searched from one (6,)."""
@@ -294,30 +296,29 @@ class MarginalPosterior:
 
     def gradient(self, at: Point) -> Array:
         """Gradient (size,) of the objective."""
-        linearisation, equations = self.linearisation, at.equations
+        linearisation, seen = self.linearisation, at.seen
         problem, (values, noise) = linearisation.problem, self.parted(at.unknowns)
-        slopes = self.slopes(at)
-        path, rates = at.seen.placement.path, at.seen.placement.rates
+        slopes, path, rates = self.slopes(at), seen.placement.path, seen.placement.rates
         by_states = linearisation.of_states(path, slopes.by_point) + self._first_states(at.states)[1]
-        by_states -= equations.state_vector  # knots beside their minimum: the effect is removed to first order
-        curved = linearisation.factor_of_knots(slopes.seen, equations.bands)
+        by_states -= at.equations.state_vector  # knots beside their minimum: the effect is removed to first order
+        curved = linearisation.factor_of_knots(slopes.seen, at.equations.bands)
         across = cho_solve_banded((curved, True), by_states, check_finite=False).reshape(at.states.shape)
         # knots that follow move points and velocities, and with them what the errors pull at the values with
-        moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(at.seen.world)) for i in (path, rates))
-        pulls = linearisation.pulls(at.seen)
-        later = (pulls * (at.seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
+        moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(seen.world)) for i in (path, rates))
+        pulls, following = linearisation.pulls(seen), linearisation.pulls(seen, (seen.by_point @ moved[:, :, None])[:, :, 0])
+        later = (pulls * (seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
         by_value = slopes.by_value(linearisation, pulls[:, :, None] * moved[:, None, :], later)
-        products = linearisation.motion.pulls(at.states)[0].T @ across.reshape(-1, 3)
-        by_products = linearisation.noise_at(values, noise).by_unknowns(products + products.T)
-        of_noise = slopes.by_noise.sum(axis=0) - by_products + 6.0 * self.links * OF_ALL
-        coupled = equations.coupling[:, : len(values)].T @ across.ravel()
+        by_value -= np.einsum("nrq,nr->nq", seen.by_value, pulls + following)
+        moving, products = linearisation.motion.pulls(at.states)
+        products -= (followed := moving.T @ across.reshape(-1, 3)) + followed.T
+        of_noise = slopes.by_noise.sum(axis=0) + linearisation.noise_at(values, noise).by_unknowns(products)
+        of_noise += 6.0 * self.links * OF_ALL
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
-        if self.size > len(values):  # the motion is coupled to the scale by its noise
-            coupled -= by_scale * float(equations.coupling[:, len(values)] @ across.ravel())
-        direct = linearisation.of_values(by_value) + float(of_noise[0]) * by_scale - coupled
+        of_values = linearisation.of_values(by_value) + float(of_noise[0]) * by_scale - linearisation.priors(values)[2]
         if problem.held is not None:
-            direct[problem.held] = 0.0
-        return np.asarray(np.append(direct, of_noise[: self.size - len(values)]) - equations.value_vector)
+            of_values[problem.held] = 0.0
+        std = self.prior_std[len(values) :]
+        return np.append(of_values, of_noise[: len(std)] + noise[: len(std)] / std**2)
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""

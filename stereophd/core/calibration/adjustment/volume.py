@@ -16,7 +16,6 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, Seen
-from stereophd.core.calibration.adjustment.trajectories import motion_links
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Step of the differences, in pixels: to one side, so that they are wrong by this part of the focal length.
@@ -56,6 +55,43 @@ def summed_covariances(inverse: Array, knots: Integers, weights: Array, out: Arr
                             out[n, i, j] += weight * inverse[abs(row - column), min(row, column)]
 
 
+@compiled
+def _of_points(
+    inverse: Array, knots: Integers, weights: Array, rates: Array, by_point: Array, weighted: Array, bends: Array,
+    rows: Array, of_points: Array, by_time: Array,
+) -> None:  # fmt: skip
+    """Fill in `rows`, `by_point` and `by_time` of `VolumeSlopes`, from w P J (n, 2, 3) and what detections see.
+
+    Positions and velocities have weights and rates (n, 4); of the point and its later place S and S' are covariances.
+    """
+    size, spread, later = inverse.shape[1], np.empty((3, 3)), np.empty((3, 3))
+    for n in range(knots.shape[0]):
+        start = 6 * knots[n]
+        spread[:], later[:] = 0.0, 0.0
+        for b in range(4):
+            for c in range(b + 1):
+                row, column = start + 3 * b, start + 3 * c
+                if row >= size or (weights[n, b] == 0.0 and weights[n, c] == 0.0):
+                    continue
+                for i in range(3):
+                    for j in range(3):
+                        covariance = inverse[abs(row + i - column - j), min(row + i, column + j)]
+                        spread[i, j] += weights[n, b] * weights[n, c] * covariance
+                        later[i, j] += weights[n, b] * rates[n, c] * covariance
+                        if c < b:
+                            spread[j, i] += weights[n, b] * weights[n, c] * covariance
+                            later[j, i] += weights[n, c] * rates[n, b] * covariance
+        for r in range(2):
+            for a in range(3):
+                rows[n, r, a] = 0.0
+                for i in range(3):
+                    rows[n, r, a] += weighted[n, r, i] * spread[i, a]
+                    by_time[n] += by_point[n, r, i] * weighted[n, r, a] * later[i, a]
+            for a in range(3):
+                for i in range(3):
+                    of_points[n, a] += bends[n, r, a, i] * rows[n, r, i]
+
+
 @dataclass(frozen=True)
 class VolumeSlopes:
     """Derivatives of half of log det A at some values, its parts summing up to the whole."""
@@ -73,20 +109,18 @@ class VolumeSlopes:
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
         path, rates, sights = seen.placement.path, seen.placement.rates, seen.placement.sights
-        seen = seen._replace(bends=sights.bends(sights.project(seen.world)))
-        by_point = np.where(seen.visible[:, None, None], seen.by_point, 0.0)
-        spread = np.zeros((2, len(seen.world), 3, 3))
-        for of_points, weights in zip(spread, (path.weights, rates.weights), strict=True):
-            summed_covariances(inverse, path.knot, path.weights[:, :, None] * weights[:, None, :], of_points)
+        seen = seen._replace(bends=sights.bends(seen.points, seen.visible))
+        by_point, count = np.where(seen.visible[:, None, None], seen.by_point, 0.0), len(seen.world)
+        rows, of_points, by_time = np.empty((count, 2, 3)), np.zeros((count, 3)), np.zeros(count)
         weighted = linearisation.precisions @ by_point
-        rows = weighted @ spread[0]
-        by_time = (by_point * (weighted @ spread[1].swapaxes(1, 2))).sum(axis=(1, 2))
-        of_point = np.einsum("nrab,nrb->na", seen.bends, rows)
-        links = motion_links(linearisation.problem.knots)
+        _of_points(
+            inverse, path.knot, path.weights, rates.weights, by_point, weighted, seen.bends, rows, of_points, by_time
+        )
+        links = linearisation.motion.links
         covariances = np.zeros((len(links.knot), 3, 3))
         summed_covariances(inverse, links.knot, links.precisions, covariances)
         by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
-        return VolumeSlopes(values, seen, rows, of_point, by_time, by_noise)
+        return VolumeSlopes(values, seen, rows, of_points, by_time, by_noise)
 
     def by_value(self, linearisation: Linearisation, more: Array | float = 0.0, later: Array | float = 0.0) -> Array:
         """Return derivatives (n, q) by the values of the camera of each detection.
@@ -95,7 +129,7 @@ class VolumeSlopes:
         """
         before = self.seen
         if not before.by_value.shape[2]:  # all values are held
-            return np.zeros_like(linearisation.time_slopes)
+            return np.zeros((len(before.world), 0))
         rows, out = self.rows + more, (self.by_time + later)[:, None] * linearisation.time_slopes
         steps = STEP_PX / np.maximum(np.linalg.norm(before.by_point, axis=(1, 2)), LEAST_NORM)
         for r in (0, 1):
@@ -103,5 +137,5 @@ class VolumeSlopes:
             moved = rows[:, r] * (steps / np.maximum(size, LEAST_NORM))[:, None]
             after = linearisation.seen(before.placement, self.values, before.world + moved, before.velocities)
             length = np.where(before.visible & after.visible, size / steps, 0.0)
-            out += length[:, None] * (after.by_value - before.by_value)[:, r]
+            out += length[:, None] * (after.by_value[:, r] - before.by_value[:, r])
         return out
