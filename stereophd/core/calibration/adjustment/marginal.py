@@ -29,7 +29,7 @@ motion, where that hardly shows, to nothing.
 **Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it
 where the search begins, in the cost and in the volume. With the loss itself, a step that leaves detections out makes
 the volume smaller, which is no evidence, and the objective is not smooth. The weights at the optimum found replace
-them, and the optimum is looked for again from there, until they are the same or the search takes no step.
+them, and the optimum is looked for again from there, until they move it by no more than where the search settles.
 
 **Derivatives.** The residuals of the motion are proportional to e^-u / s, so that the logarithm of s enters the normal
 equations as u does (`Linearisation.at`). At knots that minimise the cost the gradient of J / 2 is minus the vector of
@@ -70,6 +70,8 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, Seen, factor_knots
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
+    KNOT_STEPS,
+    KNOTS_SETTLED,
     LEAST_SHARE,
     LONGER,
     Adjustment,
@@ -103,8 +105,10 @@ MOTION_SETTLED = 0.5
 DECREASE = 1e-4
 # Squared distance from which a detection is left out by the loss.
 LEFT_OUT = 50.0
-# Most times that the weights of detections are taken anew, and their change at which they are the same.
-MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
+# Most times that the weights of detections are taken anew.
+MOST_WEIGHTINGS = 4
+# Fall of the cost that knots leave in a search: it is wrong by half of that, and its gradient by what is of second order.
+KNOTS_IN_SEARCH = 1e-4
 # Steps of differences of the gradient, in standard deviations: for its first derivatives, and for second ones.
 DIFFERENCE, BEND_DIFFERENCE = 1e-3, 0.03
 # Directions of the posterior beyond this part of the prior are loose. Draws of several, beside which the bend of the
@@ -128,9 +132,8 @@ def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTL
         begins = posterior.at(unknowns, states)
         at, step, left = _minimised(posterior, begins, settled, secants)
         unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
-        before = weights
-        weights = problem.weights(at.equations.distances)
-        if (number and at is begins) or np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
+        before, weights = weights, problem.weights(at.equations.distances)
+        if (number and at is begins) or posterior.moved_by(at, weights - before) <= settled:
             break
     covariance = posterior.covariance(at)[:size, :size]
     values, noise = posterior.parted(unknowns)
@@ -254,14 +257,14 @@ class MarginalPosterior:
             slopes[:, part] = knots.count / len(states) * offsets @ inverse
         return total, slopes.ravel()
 
-    def at(self, unknowns: Array, states: Array) -> Point:
-        """Return the point of unknowns, its knots minimised from the given ones.
+    def at(self, unknowns: Array, states: Array, settled: float = KNOTS_SETTLED) -> Point:
+        """Return the point of unknowns, its knots minimised from the given ones, to a fall of the cost of `settled`.
 
         Raises LinAlgError when the normal equations are not positive definite, or the cost is not finite.
         """
         values, noise = self.parted(unknowns)
         placement = self.linearisation.placed(values)
-        states, _ = settled_knots(self.linearisation, values, states, noise, placement=placement)
+        states, _ = settled_knots(self.linearisation, values, states, noise, KNOT_STEPS, settled, placement)
         seen = self.linearisation.residuals(values, states, placement)
         equations = self.equations(unknowns, states, seen)
         factor = factor_knots(equations.bands)
@@ -319,6 +322,20 @@ class MarginalPosterior:
             of_values[problem.held] = 0.0
         std = self.prior_std[len(values) :]
         return np.append(of_values, of_noise[: len(std)] + noise[: len(std)] / std**2)
+
+    def moved_by(self, at: Point, more: Array) -> float:
+        """How far the optimum moves if detections count by so much `more` (n,), posterior standard deviations.
+
+        By the normal equations, and as if they counted in the cost alone.
+        """
+        linearisation = replace(self.linearisation, problem=self.linearisation.problem.weighted(more))
+        pulls, size = linearisation.pulls(at.seen)[:, :, None], linearisation.problem.parameters.size
+        of_states = linearisation.of_states(at.seen.placement.path, (at.seen.by_point * pulls).sum(axis=1))
+        gradient = -at.equations.coupling.T @ at.eliminated.of_knots(of_states[:, None])[:, 0]
+        gradient[:size] += linearisation.of_values((at.seen.by_value * pulls).sum(axis=1))
+        if linearisation.problem.held is not None:
+            gradient[:size][linearisation.problem.held] = 0.0
+        return float(np.linalg.norm(self.root(at).T @ gradient))
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""
@@ -414,5 +431,5 @@ def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tup
     following, share = at.eliminated.followed(step).reshape(at.states.shape), 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):
-            yield share, posterior.at(at.unknowns + share * step, at.states + share * following)
+            yield share, posterior.at(at.unknowns + share * step, at.states + share * following, KNOTS_IN_SEARCH)
         share *= 0.5
