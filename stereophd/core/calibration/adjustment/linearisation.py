@@ -12,7 +12,7 @@ from scipy.linalg import LinAlgError, cholesky_banded
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
-from stereophd.core.calibration.adjustment.problem import Loss, Problem, true_times
+from stereophd.core.calibration.adjustment.problem import Problem, true_times
 from stereophd.core.calibration.adjustment.trajectories import (
     OF_ALL,
     STATED,
@@ -73,7 +73,8 @@ class Placement(NamedTuple):
     rates: Interpolation  # Velocities
 
 
-class Seen(NamedTuple):
+@dataclass(frozen=True)
+class Seen:
     """What cameras see of the points of detections."""
 
     placement: Placement
@@ -84,7 +85,11 @@ class Seen(NamedTuple):
     visible: Booleans  # (n,)
     by_point: Array  # (n, 2, 3): Derivatives of the pixels by the points
     by_value: Array  # (n, 2, q): By the unknown values of the camera; q = 0 where they are not asked for
-    bends: Array  # (n, 2, 3, 3): Second derivatives by the points; (n, 0, 3, 3) where they are not asked for
+
+    @cached_property
+    def bends(self) -> Array:
+        """Second derivatives (n, 2, 3, 3) of the pixels by the points."""
+        return self.placement.sights.bends(self.points, self.visible)
 
 
 @dataclass(frozen=True)
@@ -134,10 +139,17 @@ class Linearisation:
         coupling[:, scales] += np.outer(noise_coupling[:, 0], gradient[scales])
         matrix += noise_matrix[0, 0] * np.outer(gradient, gradient)
         value_vector += noise_vector[0] * gradient
-        cost, of_priors, vector_of_priors = self.priors(values)
-        matrix += of_priors
-        value_vector += vector_of_priors
-        cost += sums.cost + energy
+        # priors
+        scaled = (values - parameters.prior_mean) / parameters.prior_std
+        matrix += np.diag(parameters.prior_std**-2)
+        value_vector -= scaled / parameters.prior_std
+        cost = sums.cost + energy + float(scaled @ scaled)
+        if problem.scale is not None:
+            expected, slope = predicted(parameters, problem.reference, problem.scale, values)
+            residual = (problem.scale.value - expected) / problem.scale.std
+            matrix += np.outer(slope, slope) / problem.scale.std**2
+            value_vector += slope * residual / problem.scale.std
+            cost += residual**2
         if problem.held is not None:
             held = problem.held
             coupling[:, held], value_vector[held], gradient[held] = 0.0, 0.0, 0.0
@@ -152,26 +164,10 @@ class Linearisation:
             value_vector=np.append(value_vector, noise_vector),
         )  # fmt: skip
 
-    def priors(self, values: Array) -> tuple[float, Array, Array]:
-        """Cost, matrix (m, m) and vector (m,) of the priors of values (m,), and of the measurement of the scale."""
-        parameters, scale = self.problem.parameters, self.problem.scale
-        scaled = (values - parameters.prior_mean) / parameters.prior_std
-        cost, matrix, vector = float(scaled @ scaled), np.diag(parameters.prior_std**-2), -scaled / parameters.prior_std
-        if scale is not None:
-            expected, slope = predicted(parameters, self.problem.reference, scale, values)
-            residual = (scale.value - expected) / scale.std
-            cost += residual**2
-            matrix += np.outer(slope, slope) / scale.std**2
-            vector += slope * residual / scale.std
-        return cost, matrix, vector
-
-    def summed(self, seen: Seen, loss: Loss | None = None) -> NormalEquations:
-        """Contributions of all detections, from what is seen of them; by default with the loss of the problem.
-
-        Those by values are zero where the derivatives by values are empty.
-        """
+    def summed(self, seen: Seen) -> NormalEquations:
+        """Contributions of all detections; those by values are zero where the derivatives by values are empty."""
         observations, size, path = self.problem.observations, self.problem.knots.size, seen.placement.path
-        count, loss = self.problem.parameters.size, loss or self.problem.loss
+        count, loss = self.problem.parameters.size, self.problem.loss
         counted = np.ones(len(observations)) if observations.weights is None else observations.weights
         bands, coupling, matrix = np.zeros((12, size)), np.zeros((size, count)), np.zeros((count, count))
         state_vector, value_vector, distances = np.zeros(size), np.zeros(count), np.zeros(len(observations))
@@ -195,16 +191,14 @@ class Linearisation:
         return MotionNoise.of(noise + logarithm * OF_ALL, self.problem.knots.noise_std)
 
     def of_knots(
-        self, values: Array, states: Array, noise: Array = STATED, placement: Placement | None = None,
-        seen: Seen | None = None,
-    ) -> tuple[float, Array, Array]:  # fmt: skip
+        self, values: Array, states: Array, noise: Array = STATED, placement: Placement | None = None
+    ) -> tuple[float, Array, Array]:
         """Cost of detections and motion, matrix (12, size) and vector (size,) of the knots, as `at` has them, sooner.
 
         A placement of the values without velocities (`placed`) saves what several knots at the same values share.
-        `seen` is that of `residuals`, if it is known.
         """
-        seen = seen or self.residuals(values, states, placement or self.placed(values, by_values=False), False)
-        sums = self.summed(seen._replace(by_value=seen.by_value[:, :, :0]))
+        placement = placement or self.placed(values, by_values=False)
+        sums = self.summed(self.residuals(values, states, placement, by_values=False))
         energy, _, _ = self._add_motion(sums, states, self.noise_at(values, noise))
         return sums.cost + energy, sums.bands, sums.state_vector
 
@@ -229,7 +223,7 @@ class Linearisation:
     def residuals(
         self, values: Array, states: Array, placement: Placement | None = None, by_values: bool = True
     ) -> Seen:
-        """What is seen of the points at the times of the values, without second derivatives."""
+        """What is seen of the points at the times of the values."""
         placement, held = placement or self.placed(values), self.problem.held
         by_values = by_values and (held is None or not held.all())
         world = positions(states, *placement.path)
@@ -237,9 +231,8 @@ class Linearisation:
         return self.seen(placement, values, world, velocities, by_values)
 
     def seen(
-        self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True,
-        with_bends: bool = False,
-    ) -> Seen:  # fmt: skip
+        self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True
+    ) -> Seen:
         """What is seen of points and velocities (n, 3)."""
         observations, parameters = self.problem.observations, self.problem.parameters
         sights, count = placement.sights, len(observations)
@@ -254,9 +247,8 @@ class Linearisation:
                 ]
                 by_camera = np.concatenate(parts, axis=2)
                 by_value[here, :, : by_camera.shape[2]] = by_camera
-        bends = sights.bends(found.points, found.ahead) if with_bends else np.empty((count, 0, 3, 3))
         errors = observations.points - found.pixels
-        return Seen(placement, world, found.points, velocities, errors, found.ahead, found.by_world, by_value, bends)
+        return Seen(placement, world, found.points, velocities, errors, found.ahead, found.by_world, by_value)
 
     def factor_of_knots(self, seen: Seen, bands: Array) -> Array:
         """Cholesky factor (12, size) of the second derivatives of the cost by the knots, where there is no loss.

@@ -29,7 +29,7 @@ motion, where that hardly shows, to nothing.
 **Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it
 where the search begins, in the cost and in the volume. With the loss itself, a step that leaves detections out makes
 the volume smaller, which is no evidence, and the objective is not smooth. The weights at the optimum found replace
-them, and the optimum is looked for again from there, until they move it by no more than where the search settles.
+them, and the optimum is looked for again from there, until they hardly change or the search takes no step.
 
 **Derivatives.** The residuals of the motion are proportional to e^-u / s, so that the logarithm of s enters the normal
 equations as u does (`Linearisation.at`). At knots that minimise the cost the gradient of J / 2 is minus the vector of
@@ -105,15 +105,16 @@ MOTION_SETTLED = 0.5
 DECREASE = 1e-4
 # Squared distance from which a detection is left out by the loss.
 LEFT_OUT = 50.0
-# Most times that the weights of detections are taken anew.
-MOST_WEIGHTINGS = 4
-# Fall of the cost that knots leave in a search: it is wrong by half of that, and its gradient by what is of second order.
+# Most times that the weights of detections are taken anew, and part of the step at which a search settles by which they
+# may move its optimum, as if they had changed at random.
+MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.3
+# Fall of the cost that knots leave in a search, whose gradient is then wrong by what is of second order.
 KNOTS_IN_SEARCH = 1e-4
 # Steps of differences of the gradient, in standard deviations: for its first derivatives, and for second ones.
 DIFFERENCE, BEND_DIFFERENCE = 1e-3, 0.03
 # Directions of the posterior beyond this part of the prior are loose. Draws of several, beside which the bend of the
-# others is looked at.
-LOOSE, BENDS = 0.1, 12
+# others is looked at; the first ones are enough where what they add to each variance is slight.
+LOOSE, BENDS, FIRST_BENDS, SLIGHT = 0.1, 12, 4, 0.02
 
 
 def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTLED) -> Adjustment:
@@ -133,7 +134,8 @@ def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTL
         at, step, left = _minimised(posterior, begins, settled, secants)
         unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
         before, weights = weights, problem.weights(at.equations.distances)
-        if (number and at is begins) or posterior.moved_by(at, weights - before) <= settled:
+        moved = np.sqrt(len(unknowns) * np.mean((weights - before) ** 2 * at.equations.distances))
+        if (number and at is begins) or moved <= SAME_WEIGHT * settled:
             break
     covariance = posterior.covariance(at)[:size, :size]
     values, noise = posterior.parted(unknowns)
@@ -149,7 +151,7 @@ def curvature_covariance(problem: Problem, adjustment: Adjustment, threads: int 
     """
     posterior, at = at_answer(problem, adjustment)
     root, size, gradient = posterior.root(at), len(adjustment.values), posterior.gradient(at)
-    curved = posterior.linearisation.factor_of_knots(posterior.slopes(at).seen, at.equations.bands)
+    curved = posterior.linearisation.factor_of_knots(at.seen, at.equations.bands)
     started = count(1)
 
     def difference(step: Array, length: float) -> Array:
@@ -177,8 +179,13 @@ def curvature_covariance(problem: Problem, adjustment: Adjustment, threads: int 
     several = loose.shape[1]
     draws = np.random.default_rng(BENDS_SEED).standard_normal((BENDS if several > 1 else several, several))
     draws *= (several * (several + 2.0)) ** 0.25 / np.linalg.norm(draws, axis=1, keepdims=True)
-    bends = np.array(in_threads(bend, draws @ loose.T, threads)).reshape(-1, len(std))
-    return np.asarray((covariance + bends.T @ bends / max(len(draws), 1))[:size, :size])
+    bends: Array = np.zeros((0, len(std)))
+    for some in (draws[:FIRST_BENDS], draws[FIRST_BENDS:]):
+        bends = np.vstack([bends, *in_threads(bend, some @ loose.T, threads)])
+        added = bends.T @ bends / max(len(bends), 1)
+        if (np.diag(added) <= SLIGHT * np.diag(covariance)).all():
+            break
+    return np.asarray((covariance + added)[:size, :size])
 
 
 @dataclass(frozen=True)
@@ -272,10 +279,10 @@ class MarginalPosterior:
         return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume, seen)
 
     def beside(self, at: Point, step: Array, curved: Array) -> Point:
-        """Return a point after a small step (size,), of which `gradient` alone is asked: the rest is that of the other.
+        """Return the point after a small step (size,), its knots at their minimum to second order of the step.
 
-        Its knots are at their minimum to second order of the step. They take a step by their second derivatives at the
-        other point, of the Cholesky factor `curved` (12, 6 k).
+        They take a step by their second derivatives at the other point, of the Cholesky factor `curved` (12, 6 k). It
+        is for `gradient` alone: it has no objective, and of its equations no matrices of the values.
         """
         unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
         (values, noise), linearisation = self.parted(unknowns), self.linearisation
@@ -283,9 +290,10 @@ class MarginalPosterior:
         _, _, vector = linearisation.of_knots(values, states, noise, placement)
         states += cho_solve_banded((curved, True), vector, check_finite=False).reshape(states.shape)
         seen = linearisation.residuals(values, states, placement)
-        _, bands, vector = linearisation.of_knots(values, states, noise, seen=seen)
-        equations = replace(at.equations, bands=bands, state_vector=vector)
-        return replace(at, unknowns=unknowns, states=states, equations=equations, factor=factor_knots(bands), seen=seen)
+        found = self.equations(unknowns, states, replace(seen, by_value=seen.by_value[:, :, :0]))
+        by_value = np.einsum("nrq,nr->nq", seen.by_value, linearisation.pulls(seen))
+        found.value_vector[: len(values)] += linearisation.of_values(by_value)
+        return Point(unknowns, states, found, factor_knots(found.bands), np.nan, seen)
 
     def with_shown_motion(self, values: Array, states: Array, noise: Array) -> Point:
         """Return the point of held values (m,) at the noise of the motion that fits there, searched from one (6,)."""
@@ -299,43 +307,29 @@ class MarginalPosterior:
 
     def gradient(self, at: Point) -> Array:
         """Gradient (size,) of the objective."""
-        linearisation, seen = self.linearisation, at.seen
+        linearisation, equations = self.linearisation, at.equations
         problem, (values, noise) = linearisation.problem, self.parted(at.unknowns)
-        slopes, path, rates = self.slopes(at), seen.placement.path, seen.placement.rates
+        slopes = self.slopes(at)
+        path, rates = at.seen.placement.path, at.seen.placement.rates
         by_states = linearisation.of_states(path, slopes.by_point) + self._first_states(at.states)[1]
-        by_states -= at.equations.state_vector  # knots beside their minimum: the effect is removed to first order
-        curved = linearisation.factor_of_knots(slopes.seen, at.equations.bands)
+        by_states -= equations.state_vector  # knots beside their minimum: the effect is removed to first order
+        curved = linearisation.factor_of_knots(at.seen, equations.bands)
         across = cho_solve_banded((curved, True), by_states, check_finite=False).reshape(at.states.shape)
         # knots that follow move points and velocities, and with them what the errors pull at the values with
-        moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(seen.world)) for i in (path, rates))
-        pulls, following = linearisation.pulls(seen), linearisation.pulls(seen, (seen.by_point @ moved[:, :, None])[:, :, 0])
-        later = (pulls * (seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
+        moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(at.seen.world)) for i in (path, rates))
+        pulls = linearisation.pulls(at.seen)
+        following = linearisation.pulls(at.seen, (at.seen.by_point @ moved[:, :, None])[:, :, 0])
+        later = (pulls * (at.seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
         by_value = slopes.by_value(linearisation, pulls[:, :, None] * moved[:, None, :], later)
-        by_value -= np.einsum("nrq,nr->nq", seen.by_value, pulls + following)
-        moving, products = linearisation.motion.pulls(at.states)
-        products -= (followed := moving.T @ across.reshape(-1, 3)) + followed.T
-        of_noise = slopes.by_noise.sum(axis=0) + linearisation.noise_at(values, noise).by_unknowns(products)
-        of_noise += 6.0 * self.links * OF_ALL
+        by_value -= np.einsum("nrq,nr->nq", at.seen.by_value, following)
+        products = linearisation.motion.pulls(at.states)[0].T @ across.reshape(-1, 3)
+        by_products = linearisation.noise_at(values, noise).by_unknowns(products + products.T)
+        of_noise = slopes.by_noise.sum(axis=0) - by_products + 6.0 * self.links * OF_ALL
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
-        of_values = linearisation.of_values(by_value) + float(of_noise[0]) * by_scale - linearisation.priors(values)[2]
+        direct = linearisation.of_values(by_value) + float(of_noise[0]) * by_scale
         if problem.held is not None:
-            of_values[problem.held] = 0.0
-        std = self.prior_std[len(values) :]
-        return np.append(of_values, of_noise[: len(std)] + noise[: len(std)] / std**2)
-
-    def moved_by(self, at: Point, more: Array) -> float:
-        """How far the optimum moves if detections count by so much `more` (n,), posterior standard deviations.
-
-        By the normal equations, and as if they counted in the cost alone.
-        """
-        linearisation = replace(self.linearisation, problem=self.linearisation.problem.weighted(more))
-        pulls, size = linearisation.pulls(at.seen)[:, :, None], linearisation.problem.parameters.size
-        of_states = linearisation.of_states(at.seen.placement.path, (at.seen.by_point * pulls).sum(axis=1))
-        gradient = -at.equations.coupling.T @ at.eliminated.of_knots(of_states[:, None])[:, 0]
-        gradient[:size] += linearisation.of_values((at.seen.by_value * pulls).sum(axis=1))
-        if linearisation.problem.held is not None:
-            gradient[:size][linearisation.problem.held] = 0.0
-        return float(np.linalg.norm(self.root(at).T @ gradient))
+            direct[problem.held] = 0.0
+        return np.asarray(np.append(direct, of_noise[: self.size - len(values)]) - equations.value_vector)
 
     def slopes(self, at: Point) -> VolumeSlopes:
         """Return how the volume changes with values and points, detection by detection."""

@@ -118,7 +118,6 @@ def accumulate(
     n_params, n_values = camera_vector.shape[0], by_value.shape[2]
     pj, jpj, pulled = np.empty((2, 3)), np.empty((3, 3)), np.empty(3)
     pc, across = np.empty((2, n_values)), np.empty((3, n_values))
-    products = np.zeros((len(columns), n_values, n_values))  # below the diagonal, camera by camera
     for n in range(cameras.shape[0]):
         share = counted[n]
         used = 4 if weights[n, 2] != 0.0 or weights[n, 3] != 0.0 else 2
@@ -156,9 +155,8 @@ def accumulate(
                 jpj[a, a2] = jp[0, a] * pj[0, a2] + jp[1, a] * pj[1, a2]
         start = 6 * knots[n]
         for b in range(used):
-            row = start + 3 * b
             for a in range(3):
-                state_vector[row + a] += weights[n, b] * pulled[a]
+                state_vector[start + 3 * b + a] += weights[n, b] * pulled[a]
             for b2 in range(b + 1):
                 both, below, column = weights[n, b] * weights[n, b2], 3 * (b - b2), start + 3 * b2
                 for a in range(3):
@@ -176,18 +174,13 @@ def accumulate(
             if column < 0:
                 continue
             camera_vector[column] += jc[0, i] * pe0 + jc[1, i] * pe1
-            of_value = products[cameras[n], i]
-            for i2 in range(i + 1):
-                of_value[i2] += jc[0, i] * pc[0, i2] + jc[1, i] * pc[1, i2]
+            for i2 in range(n_values):
+                if places[i2] >= 0:
+                    camera_matrix[column, places[i2]] += jc[0, i] * pc[0, i2] + jc[1, i] * pc[1, i2]
         for b in range(used):
             for a in range(3):
                 row = start + 3 * b + a
                 for i in range(n_values):
                     if places[i] >= 0:
                         coupling[row, places[i]] += weights[n, b] * across[a, i]
-    for c in range(len(columns)):
-        for i in range(n_values):
-            for i2 in range(n_values):
-                if columns[c, i] >= 0 and columns[c, i2] >= 0:
-                    camera_matrix[columns[c, i], columns[c, i2]] += products[c, max(i, i2), min(i, i2)]
     return cost

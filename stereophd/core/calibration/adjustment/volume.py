@@ -46,50 +46,12 @@ def summed_covariances(inverse: Array, knots: Integers, weights: Array, out: Arr
         for b in range(4):
             for c in range(4):
                 weight = weights[n, b, c]
-                if weight == 0.0:
+                if weight == 0.0 or start + 3 * max(b, c) >= size:
                     continue
                 for i in range(3):
                     for j in range(3):
                         row, column = start + 3 * b + i, start + 3 * c + j
-                        if row < size and column < size:
-                            out[n, i, j] += weight * inverse[abs(row - column), min(row, column)]
-
-
-@compiled
-def _of_points(
-    inverse: Array, knots: Integers, weights: Array, rates: Array, by_point: Array, weighted: Array, bends: Array,
-    rows: Array, of_points: Array, by_time: Array,
-) -> None:  # fmt: skip
-    """Fill in `rows`, `by_point` and `by_time` of `VolumeSlopes`, from w P J (n, 2, 3) and what detections see.
-
-    Positions and velocities have weights and rates (n, 4); of the point and its later place S and S' are covariances.
-    """
-    size, spread, later = inverse.shape[1], np.empty((3, 3)), np.empty((3, 3))
-    for n in range(knots.shape[0]):
-        start = 6 * knots[n]
-        spread[:], later[:] = 0.0, 0.0
-        for b in range(4):
-            for c in range(b + 1):
-                row, column = start + 3 * b, start + 3 * c
-                if row >= size or (weights[n, b] == 0.0 and weights[n, c] == 0.0):
-                    continue
-                for i in range(3):
-                    for j in range(3):
-                        covariance = inverse[abs(row + i - column - j), min(row + i, column + j)]
-                        spread[i, j] += weights[n, b] * weights[n, c] * covariance
-                        later[i, j] += weights[n, b] * rates[n, c] * covariance
-                        if c < b:
-                            spread[j, i] += weights[n, b] * weights[n, c] * covariance
-                            later[j, i] += weights[n, c] * rates[n, b] * covariance
-        for r in range(2):
-            for a in range(3):
-                rows[n, r, a] = 0.0
-                for i in range(3):
-                    rows[n, r, a] += weighted[n, r, i] * spread[i, a]
-                    by_time[n] += by_point[n, r, i] * weighted[n, r, a] * later[i, a]
-            for a in range(3):
-                for i in range(3):
-                    of_points[n, a] += bends[n, r, a, i] * rows[n, r, i]
+                        out[n, i, j] += weight * inverse[abs(row - column), min(row, column)]
 
 
 @dataclass(frozen=True)
@@ -97,7 +59,7 @@ class VolumeSlopes:
     """Derivatives of half of log det A at some values, its parts summing up to the whole."""
 
     values: Array
-    seen: Seen  # What is seen of the detections, with second derivatives
+    seen: Seen  # What is seen of the detections
     rows: Array  # (n, 2, 3): by the derivatives of the pixels of each detection by its point
     by_point: Array  # (n, 3): by the point of each detection
     by_time: Array  # (n,): by its time, through the weights of its knots
@@ -108,19 +70,20 @@ class VolumeSlopes:
         """Return the derivatives at values (m,); `factor` (12, 6 k) is that of A, lower banded."""
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
-        path, rates, sights = seen.placement.path, seen.placement.rates, seen.placement.sights
-        seen = seen._replace(bends=sights.bends(seen.points, seen.visible))
-        by_point, count = np.where(seen.visible[:, None, None], seen.by_point, 0.0), len(seen.world)
-        rows, of_points, by_time = np.empty((count, 2, 3)), np.zeros((count, 3)), np.zeros(count)
+        path, rates = seen.placement.path, seen.placement.rates
+        by_point = np.where(seen.visible[:, None, None], seen.by_point, 0.0)
+        spread = np.zeros((2, len(seen.world), 3, 3))
+        for of_points, weights in zip(spread, (path.weights, rates.weights), strict=True):
+            summed_covariances(inverse, path.knot, path.weights[:, :, None] * weights[:, None, :], of_points)
         weighted = linearisation.precisions @ by_point
-        _of_points(
-            inverse, path.knot, path.weights, rates.weights, by_point, weighted, seen.bends, rows, of_points, by_time
-        )
+        rows = weighted @ spread[0]
+        by_time = (by_point * (weighted @ spread[1].swapaxes(1, 2))).sum(axis=(1, 2))
+        of_point = np.einsum("nrab,nrb->na", seen.bends, rows)
         links = linearisation.motion.links
         covariances = np.zeros((len(links.knot), 3, 3))
         summed_covariances(inverse, links.knot, links.precisions, covariances)
         by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
-        return VolumeSlopes(values, seen, rows, of_points, by_time, by_noise)
+        return VolumeSlopes(values, seen, rows, of_point, by_time, by_noise)
 
     def by_value(self, linearisation: Linearisation, more: Array | float = 0.0, later: Array | float = 0.0) -> Array:
         """Return derivatives (n, q) by the values of the camera of each detection.
