@@ -105,11 +105,9 @@ MOTION_SETTLED = 0.5
 DECREASE = 1e-4
 # Squared distance from which a detection is left out by the loss.
 LEFT_OUT = 50.0
-# Most times that the weights of detections are taken anew, and part of the step at which a search settles by which they
-# may move its optimum, as if they had changed at random.
-MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.3
-# Fall of the cost that knots leave in a search, whose gradient is then wrong by what is of second order.
-KNOTS_IN_SEARCH = 1e-4
+# Most times that weights of detections are taken anew. Changed at random they may move the optimum by this part of a
+# step at which a search settles. Fall of the cost that knots leave in a search: its gradient misses its second order.
+MOST_WEIGHTINGS, SAME_WEIGHT, KNOTS_IN_SEARCH = 4, 0.3, 1e-4
 # Steps of differences of the gradient, in standard deviations: for its first derivatives, and for second ones.
 DIFFERENCE, BEND_DIFFERENCE = 1e-3, 0.03
 # Directions of the posterior beyond this part of the prior are loose. Draws of several, beside which the bend of the

@@ -138,7 +138,8 @@ def test_a_rig_is_seen_as_its_cameras_one_by_one() -> None:
         one = Sights.of((camera,), np.zeros(len(here), dtype=np.int64), times[here])
         # else kernels are compiled once more
         assert all(values.flags.c_contiguous for values in (*sights.places.motions, *one.places.motions))
-        np.testing.assert_allclose(bends[here], one.bends(one.project(world[here])), rtol=1e-9, atol=1e-9)
+        seen = one.project(world[here])
+        np.testing.assert_allclose(bends[here], one.bends(seen.points, seen.ahead), rtol=1e-9, atol=1e-9)
 
 
 def test_what_lies_beyond_the_edge_of_a_lens_is_imaged_on_it() -> None:
