@@ -12,7 +12,7 @@ from scipy.linalg import LinAlgError, cholesky_banded
 
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.adjustment import normal_equations
-from stereophd.core.calibration.adjustment.problem import Loss, Problem, true_times
+from stereophd.core.calibration.adjustment.problem import Problem, true_times
 from stereophd.core.calibration.adjustment.trajectories import (
     OF_ALL,
     STATED,
@@ -73,17 +73,23 @@ class Placement(NamedTuple):
     rates: Interpolation  # Velocities
 
 
-class Seen(NamedTuple):
+@dataclass(frozen=True)
+class Seen:
     """What cameras see of the points of detections."""
 
     placement: Placement
     world: Array  # (n, 3): The points
+    points: Array  # (n, 3): In the axes of the cameras
     velocities: Array  # (n, 3): Theirs; zeros where derivatives by values are not asked for
     errors: Array  # (n, 2): Residuals
     visible: Booleans  # (n,)
     by_point: Array  # (n, 2, 3): Derivatives of the pixels by the points
     by_value: Array  # (n, 2, q): By the unknown values of the camera; q = 0 where they are not asked for
-    bends: Array  # (n, 2, 3, 3): Second derivatives by the points; (n, 0, 3, 3) where they are not asked for
+
+    @cached_property
+    def bends(self) -> Array:
+        """Second derivatives (n, 2, 3, 3) of the pixels by the points."""
+        return self.placement.sights.bends(self.points, self.visible)
 
 
 @dataclass(frozen=True)
@@ -158,13 +164,10 @@ class Linearisation:
             value_vector=np.append(value_vector, noise_vector),
         )  # fmt: skip
 
-    def summed(self, seen: Seen, loss: Loss | None = None) -> NormalEquations:
-        """Contributions of all detections, from what is seen of them; by default with the loss of the problem.
-
-        Those by values are zero where the derivatives by values are empty.
-        """
+    def summed(self, seen: Seen) -> NormalEquations:
+        """Contributions of all detections; those by values are zero where the derivatives by values are empty."""
         observations, size, path = self.problem.observations, self.problem.knots.size, seen.placement.path
-        count, loss = self.problem.parameters.size, loss or self.problem.loss
+        count, loss = self.problem.parameters.size, self.problem.loss
         counted = np.ones(len(observations)) if observations.weights is None else observations.weights
         bands, coupling, matrix = np.zeros((12, size)), np.zeros((size, count)), np.zeros((count, count))
         state_vector, value_vector, distances = np.zeros(size), np.zeros(count), np.zeros(len(observations))
@@ -220,7 +223,7 @@ class Linearisation:
     def residuals(
         self, values: Array, states: Array, placement: Placement | None = None, by_values: bool = True
     ) -> Seen:
-        """What is seen of the points at the times of the values, without second derivatives."""
+        """What is seen of the points at the times of the values."""
         placement, held = placement or self.placed(values), self.problem.held
         by_values = by_values and (held is None or not held.all())
         world = positions(states, *placement.path)
@@ -228,9 +231,8 @@ class Linearisation:
         return self.seen(placement, values, world, velocities, by_values)
 
     def seen(
-        self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True,
-        with_bends: bool = False,
-    ) -> Seen:  # fmt: skip
+        self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True
+    ) -> Seen:
         """What is seen of points and velocities (n, 3)."""
         observations, parameters = self.problem.observations, self.problem.parameters
         sights, count = placement.sights, len(observations)
@@ -245,9 +247,8 @@ class Linearisation:
                 ]
                 by_camera = np.concatenate(parts, axis=2)
                 by_value[here, :, : by_camera.shape[2]] = by_camera
-        bends = sights.bends(found) if with_bends else np.empty((count, 0, 3, 3))
         errors = observations.points - found.pixels
-        return Seen(placement, world, velocities, errors, found.ahead, found.by_world, by_value, bends)
+        return Seen(placement, world, found.points, velocities, errors, found.ahead, found.by_world, by_value)
 
     def factor_of_knots(self, seen: Seen, bands: Array) -> Array:
         """Cholesky factor (12, size) of the second derivatives of the cost by the knots, where there is no loss.
@@ -267,14 +268,15 @@ class Linearisation:
         precisions, weights = self.problem.observations.precisions, self.problem.observations.weights
         return precisions if weights is None else weights[:, None, None] * precisions
 
-    def pulls(self, seen: Seen) -> Array:
-        """Return how the errors of detections pull at their pixels (n, 2), by the weights that the detections have."""
-        return np.where(seen.visible[:, None], (self.precisions @ seen.errors[:, :, None])[:, :, 0], 0.0)
+    def pulls(self, seen: Seen, errors: Array | None = None) -> Array:
+        """Return how errors (n, 2), those of detections by default, pull at pixels by the weights of the detections."""
+        errors = seen.errors if errors is None else errors
+        return np.where(seen.visible[:, None], (self.precisions @ errors[:, :, None])[:, :, 0], 0.0)
 
     def of_values(self, by_value: Array) -> Array:
-        """Sums (m,) over detections of their contributions (n, q) to the values of their cameras."""
+        """Sums (m,) over detections of their contributions (n, q) to the values of their cameras; q may be 0."""
         out = np.zeros(self.problem.parameters.size)
-        for columns, here in zip(self.columns, self.members, strict=True):
+        for columns, here in zip(self.columns[:, : by_value.shape[1]], self.members, strict=True):
             used = columns >= 0
             out[columns[used]] += by_value[here][:, used].sum(axis=0)
         return out

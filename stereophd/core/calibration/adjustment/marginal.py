@@ -29,7 +29,7 @@ motion, where that hardly shows, to nothing.
 **Detections.** Which ones count is fixed while the cameras move: each has the weight that its robust loss gives it
 where the search begins, in the cost and in the volume. With the loss itself, a step that leaves detections out makes
 the volume smaller, which is no evidence, and the objective is not smooth. The weights at the optimum found replace
-them, and the optimum is looked for again from there, until they are the same or the search takes no step.
+them, and the optimum is looked for again from there, until they hardly change or the search takes no step.
 
 **Derivatives.** The residuals of the motion are proportional to e^-u / s, so that the logarithm of s enters the normal
 equations as u does (`Linearisation.at`). At knots that minimise the cost the gradient of J / 2 is minus the vector of
@@ -70,6 +70,8 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, Seen, factor_knots
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import (
+    KNOT_STEPS,
+    KNOTS_SETTLED,
     LEAST_SHARE,
     LONGER,
     Adjustment,
@@ -103,13 +105,14 @@ MOTION_SETTLED = 0.5
 DECREASE = 1e-4
 # Squared distance from which a detection is left out by the loss.
 LEFT_OUT = 50.0
-# Most times that the weights of detections are taken anew, and their change at which they are the same.
-MOST_WEIGHTINGS, SAME_WEIGHT = 4, 0.05
+# Most times that weights of detections are taken anew. Changed at random they may move the optimum by this part of a
+# step at which a search settles. Fall of the cost that knots leave in a search: its gradient misses its second order.
+MOST_WEIGHTINGS, SAME_WEIGHT, KNOTS_IN_SEARCH = 4, 0.3, 1e-4
 # Steps of differences of the gradient, in standard deviations: for its first derivatives, and for second ones.
 DIFFERENCE, BEND_DIFFERENCE = 1e-3, 0.03
 # Directions of the posterior beyond this part of the prior are loose. Draws of several, beside which the bend of the
-# others is looked at.
-LOOSE, BENDS = 0.1, 12
+# others is looked at; the first ones are enough where what they add to each variance is slight.
+LOOSE, BENDS, FIRST_BENDS, SLIGHT = 0.1, 12, 4, 0.02
 
 
 def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTLED) -> Adjustment:
@@ -128,9 +131,9 @@ def marginal_optimum(problem: Problem, begun: Adjustment, settled: float = SETTL
         begins = posterior.at(unknowns, states)
         at, step, left = _minimised(posterior, begins, settled, secants)
         unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
-        before = weights
-        weights = problem.weights(at.equations.distances)
-        if (number and at is begins) or np.abs(weights - before).max(initial=0.0) <= SAME_WEIGHT:
+        before, weights = weights, problem.weights(at.equations.distances)
+        moved = np.sqrt(len(unknowns) * np.mean((weights - before) ** 2 * at.equations.distances))
+        if (number and at is begins) or moved <= SAME_WEIGHT * settled:
             break
     covariance = posterior.covariance(at)[:size, :size]
     values, noise = posterior.parted(unknowns)
@@ -146,7 +149,7 @@ def curvature_covariance(problem: Problem, adjustment: Adjustment, threads: int 
     """
     posterior, at = at_answer(problem, adjustment)
     root, size, gradient = posterior.root(at), len(adjustment.values), posterior.gradient(at)
-    curved = posterior.linearisation.factor_of_knots(posterior.slopes(at).seen, at.equations.bands)
+    curved = posterior.linearisation.factor_of_knots(at.seen, at.equations.bands)
     started = count(1)
 
     def difference(step: Array, length: float) -> Array:
@@ -174,8 +177,13 @@ def curvature_covariance(problem: Problem, adjustment: Adjustment, threads: int 
     several = loose.shape[1]
     draws = np.random.default_rng(BENDS_SEED).standard_normal((BENDS if several > 1 else several, several))
     draws *= (several * (several + 2.0)) ** 0.25 / np.linalg.norm(draws, axis=1, keepdims=True)
-    bends = np.array(in_threads(bend, draws @ loose.T, threads)).reshape(-1, len(std))
-    return np.asarray((covariance + bends.T @ bends / max(len(draws), 1))[:size, :size])
+    bends: Array = np.zeros((0, len(std)))
+    for some in (draws[:FIRST_BENDS], draws[FIRST_BENDS:]):
+        bends = np.vstack([bends, *in_threads(bend, some @ loose.T, threads)])
+        added = bends.T @ bends / max(len(bends), 1)
+        if (np.diag(added) <= SLIGHT * np.diag(covariance)).all():
+            break
+    return np.asarray((covariance + added)[:size, :size])
 
 
 @dataclass(frozen=True)
@@ -254,17 +262,15 @@ class MarginalPosterior:
             slopes[:, part] = knots.count / len(states) * offsets @ inverse
         return total, slopes.ravel()
 
-    def at(self, unknowns: Array, states: Array) -> Point:
-        """Return the point of unknowns, its knots minimised from the given ones.
+    def at(self, unknowns: Array, states: Array, settled: float = KNOTS_SETTLED) -> Point:
+        """Return the point of unknowns, its knots minimised from the given ones, to a fall of the cost of `settled`.
 
         Raises LinAlgError when the normal equations are not positive definite, or the cost is not finite.
         """
         values, noise = self.parted(unknowns)
         placement = self.linearisation.placed(values)
-        states, _ = settled_knots(self.linearisation, values, states, noise, placement=placement)
-        return self._point(unknowns, states, self.linearisation.residuals(values, states, placement))
-
-    def _point(self, unknowns: Array, states: Array, seen: Seen) -> Point:
+        states, _ = settled_knots(self.linearisation, values, states, noise, KNOT_STEPS, settled, placement)
+        seen = self.linearisation.residuals(values, states, placement)
         equations = self.equations(unknowns, states, seen)
         factor = factor_knots(equations.bands)
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
@@ -273,14 +279,19 @@ class MarginalPosterior:
     def beside(self, at: Point, step: Array, curved: Array) -> Point:
         """Return the point after a small step (size,), its knots at their minimum to second order of the step.
 
-        They take a step by their second derivatives at the other point, of the Cholesky factor `curved` (12, 6 k).
+        They take a step by their second derivatives at the other point, of the Cholesky factor `curved` (12, 6 k). It
+        is for `gradient` alone: it has no objective, and of its equations no matrices of the values.
         """
         unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
-        values, noise = self.parted(unknowns)
-        placement = self.linearisation.placed(values)
-        _, _, vector = self.linearisation.of_knots(values, states, noise, placement)
+        (values, noise), linearisation = self.parted(unknowns), self.linearisation
+        placement = linearisation.placed(values)
+        _, _, vector = linearisation.of_knots(values, states, noise, placement)
         states += cho_solve_banded((curved, True), vector, check_finite=False).reshape(states.shape)
-        return self._point(unknowns, states, self.linearisation.residuals(values, states, placement))
+        seen = linearisation.residuals(values, states, placement)
+        found = self.equations(unknowns, states, replace(seen, by_value=seen.by_value[:, :, :0]))
+        by_value = np.einsum("nrq,nr->nq", seen.by_value, linearisation.pulls(seen))
+        found.value_vector[: len(values)] += linearisation.of_values(by_value)
+        return Point(unknowns, states, found, factor_knots(found.bands), np.nan, seen)
 
     def with_shown_motion(self, values: Array, states: Array, noise: Array) -> Point:
         """Return the point of held values (m,) at the noise of the motion that fits there, searched from one (6,)."""
@@ -300,21 +311,20 @@ class MarginalPosterior:
         path, rates = at.seen.placement.path, at.seen.placement.rates
         by_states = linearisation.of_states(path, slopes.by_point) + self._first_states(at.states)[1]
         by_states -= equations.state_vector  # knots beside their minimum: the effect is removed to first order
-        curved = linearisation.factor_of_knots(slopes.seen, equations.bands)
+        curved = linearisation.factor_of_knots(at.seen, equations.bands)
         across = cho_solve_banded((curved, True), by_states, check_finite=False).reshape(at.states.shape)
         # knots that follow move points and velocities, and with them what the errors pull at the values with
         moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(at.seen.world)) for i in (path, rates))
         pulls = linearisation.pulls(at.seen)
+        following = linearisation.pulls(at.seen, (at.seen.by_point @ moved[:, :, None])[:, :, 0])
         later = (pulls * (at.seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
         by_value = slopes.by_value(linearisation, pulls[:, :, None] * moved[:, None, :], later)
+        by_value -= np.einsum("nrq,nr->nq", at.seen.by_value, following)
         products = linearisation.motion.pulls(at.states)[0].T @ across.reshape(-1, 3)
         by_products = linearisation.noise_at(values, noise).by_unknowns(products + products.T)
         of_noise = slopes.by_noise.sum(axis=0) - by_products + 6.0 * self.links * OF_ALL
-        coupled = equations.coupling[:, : len(values)].T @ across.ravel()
         _, by_scale = log_scale(problem.parameters, problem.reference, values)
-        if self.size > len(values):  # the motion is coupled to the scale by its noise
-            coupled -= by_scale * float(equations.coupling[:, len(values)] @ across.ravel())
-        direct = linearisation.of_values(by_value) + float(of_noise[0]) * by_scale - coupled
+        direct = linearisation.of_values(by_value) + float(of_noise[0]) * by_scale
         if problem.held is not None:
             direct[problem.held] = 0.0
         return np.asarray(np.append(direct, of_noise[: self.size - len(values)]) - equations.value_vector)
@@ -413,5 +423,5 @@ def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tup
     following, share = at.eliminated.followed(step).reshape(at.states.shape), 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):
-            yield share, posterior.at(at.unknowns + share * step, at.states + share * following)
+            yield share, posterior.at(at.unknowns + share * step, at.states + share * following, KNOTS_IN_SEARCH)
         share *= 0.5

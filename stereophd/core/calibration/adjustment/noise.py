@@ -200,10 +200,12 @@ def remaining_errors(
     for problem in (counted,) if counted is linearisation else (counted, linearisation):
         equations = problem.at(values, states)
         eliminated = Eliminated.of(equations, factor_knots(equations.bands, DAMPING))
-        sums = [problem.summed(seen._replace(errors=one)) for one in errors]
-        steps = eliminated.of_knots(np.stack([one.state_vector for one in sums], axis=1))
+        pulls = [problem.pulls(seen, one)[:, :, None] for one in errors]
+        of_states = [problem.of_states(path, (seen.by_point * each).sum(axis=1)) for each in pulls]
+        steps = eliminated.of_knots(np.stack(of_states, axis=1))
         if problem is counted:
-            right = np.stack([one.value_vector for one in sums], axis=1) - equations.coupling.T @ steps
+            of_values = [problem.of_values((seen.by_value * each).sum(axis=1)) for each in pulls]
+            right = np.stack(of_values, axis=1) - equations.coupling.T @ steps
             value_steps = within_prior(eliminated.schur, problem.problem.parameters.prior_std) @ right
         steps = steps + eliminated.followed(value_steps)
     left, still = errors.copy(), np.zeros((len(errors[0]), 3))

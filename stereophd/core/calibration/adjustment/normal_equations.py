@@ -115,14 +115,12 @@ def accumulate(
         Set to the squared Mahalanobis distance of every detection, `BEHIND` where the camera cannot see the point.
     """
     cost = 0.0
-    n_weights = 4
     n_params, n_values = camera_vector.shape[0], by_value.shape[2]
-    pj = np.empty((2, 3))
+    pj, jpj, pulled = np.empty((2, 3)), np.empty((3, 3)), np.empty(3)
+    pc, across = np.empty((2, n_values)), np.empty((3, n_values))
     for n in range(cameras.shape[0]):
-        c = cameras[n]
-        k = knots[n]
         share = counted[n]
-        used = n_weights if weights[n, 2] != 0.0 or weights[n, 3] != 0.0 else 2
+        used = 4 if weights[n, 2] != 0.0 or weights[n, 3] != 0.0 else 2
         if not visible[n]:
             distances[n] = BEHIND
             if loss == FLOOR:
@@ -132,7 +130,7 @@ def accumulate(
             else:
                 cost += share * BEHIND
             continue
-        e, jp, jc = errors[n], by_point[n], by_value[n]
+        e, jp, jc, places = errors[n], by_point[n], by_value[n], columns[cameras[n]]
         p00, p01, p11 = precisions[n, 0, 0], precisions[n, 0, 1], precisions[n, 1, 1]
         distance = p00 * e[0] * e[0] + 2.0 * p01 * e[0] * e[1] + p11 * e[1] * e[1]
         distances[n] = distance
@@ -146,38 +144,43 @@ def accumulate(
             w = share * peak / (peak + loss_scale)
         else:
             cost += share * distance
-        pe0 = w * (p00 * e[0] + p01 * e[1])
-        pe1 = w * (p01 * e[0] + p11 * e[1])
+        p00, p01, p11 = w * p00, w * p01, w * p11
+        pe0, pe1 = p00 * e[0] + p01 * e[1], p01 * e[0] + p11 * e[1]
         for a in range(3):
-            pj[0, a] = w * (p00 * jp[0, a] + p01 * jp[1, a])
-            pj[1, a] = w * (p01 * jp[0, a] + p11 * jp[1, a])
-        start = 6 * k
+            pj[0, a] = p00 * jp[0, a] + p01 * jp[1, a]
+            pj[1, a] = p01 * jp[0, a] + p11 * jp[1, a]
+            pulled[a] = jp[0, a] * pe0 + jp[1, a] * pe1
+        for a in range(3):
+            for a2 in range(3):
+                jpj[a, a2] = jp[0, a] * pj[0, a2] + jp[1, a] * pj[1, a2]
+        start = 6 * knots[n]
         for b in range(used):
-            wb = weights[n, b]
             for a in range(3):
-                row = start + 3 * b + a
-                state_vector[row] += wb * (jp[0, a] * pe0 + jp[1, a] * pe1)
-                for b2 in range(b + 1):
-                    for a2 in range(3):
-                        column = start + 3 * b2 + a2
-                        if column <= row:
-                            bands[row - column, column] += (
-                                wb * weights[n, b2] * (jp[0, a] * pj[0, a2] + jp[1, a] * pj[1, a2])
-                            )
+                state_vector[start + 3 * b + a] += weights[n, b] * pulled[a]
+            for b2 in range(b + 1):
+                both, below, column = weights[n, b] * weights[n, b2], 3 * (b - b2), start + 3 * b2
+                for a in range(3):
+                    for a2 in range(3 if b2 < b else a + 1):
+                        bands[below + a - a2, column + a2] += both * jpj[a, a2]
         if n_params == 0:
             continue
         for i in range(n_values):
-            column = columns[c, i]
+            pc[0, i] = p00 * jc[0, i] + p01 * jc[1, i]
+            pc[1, i] = p01 * jc[0, i] + p11 * jc[1, i]
+            for a in range(3):
+                across[a, i] = pj[0, a] * jc[0, i] + pj[1, a] * jc[1, i]
+        for i in range(n_values):
+            column = places[i]
             if column < 0:
                 continue
             camera_vector[column] += jc[0, i] * pe0 + jc[1, i] * pe1
-            for b in range(used):
-                for a in range(3):
-                    coupling[start + 3 * b + a, column] += weights[n, b] * (pj[0, a] * jc[0, i] + pj[1, a] * jc[1, i])
             for i2 in range(n_values):
-                other = columns[c, i2]
-                if other >= 0:
-                    camera_matrix[column, other] += w * (
-                        jc[0, i] * (p00 * jc[0, i2] + p01 * jc[1, i2]) + jc[1, i] * (p01 * jc[0, i2] + p11 * jc[1, i2])
-                    )
+                if places[i2] >= 0:
+                    camera_matrix[column, places[i2]] += jc[0, i] * pc[0, i2] + jc[1, i] * pc[1, i2]
+        for b in range(used):
+            for a in range(3):
+                row = start + 3 * b + a
+                for i in range(n_values):
+                    if places[i] >= 0:
+                        coupling[row, places[i]] += weights[n, b] * across[a, i]
     return cost

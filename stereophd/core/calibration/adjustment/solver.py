@@ -31,7 +31,7 @@ from stereophd.core.arrays import Array, Booleans
 from stereophd.core.calibration.adjustment import normal_equations
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, NormalEquations, Placement, factor_knots
 from stereophd.core.calibration.adjustment.problem import Problem
-from stereophd.core.calibration.adjustment.trajectories import STATED, positions
+from stereophd.core.calibration.adjustment.trajectories import STATED
 from stereophd.core.calibration.time_limit import within
 
 # Most steps of the knots at given values, and the fall of the cost that is left; most of them that follow a step. Steps
@@ -148,8 +148,7 @@ def settled_knots(
         if (promised := float(vector @ step)) <= settled:
             break
         if promised <= KNOTS_NEAR:
-            at = positions(states, *placement.path)
-            seen = linearisation.seen(placement, values, at, np.zeros_like(at), by_values=False, with_bends=True)
+            seen = linearisation.residuals(values, states, placement, by_values=False)
             step = cho_solve_banded((linearisation.factor_of_knots(seen, bands), True), vector)
         share = 1.0
         while share >= LEAST_SHARE:

@@ -19,7 +19,7 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment.marginal import MarginalPosterior, Point, at_answer
 from stereophd.core.calibration.adjustment.problem import Problem
 from stereophd.core.calibration.adjustment.solver import Adjustment
-from stereophd.core.calibration.adjustment.trajectories import OF_ALL, motion_links
+from stereophd.core.calibration.adjustment.trajectories import OF_ALL
 from stereophd.core.calibration.unknowns.scale import log_scale
 from stereophd.core.numerics.covariance_factors import covariance_factor
 
@@ -85,7 +85,7 @@ def _scores(posterior: MarginalPosterior, point: Point) -> Array:
     for columns, here in zip(linearisation.columns, linearisation.members, strict=True):
         used = columns >= 0
         np.add.at(scores, (rows_of[here][:, None], columns[used]), direct[here][:, used])
-    links, knots = motion_links(problem.knots), problem.knots
+    links, knots = linearisation.motion.links, problem.knots
     if not len(links.knot):
         return scores
     motion = linearisation.noise_at(values, noise)

@@ -237,6 +237,7 @@ class MotionPrior:
     pull: Array  # (2 k, 3)
     energy: Array  # (3, 3)
     moves: bool  # Whether objects have a velocity; if not, it is held at zero.
+    links: Links
 
     @staticmethod
     def of(knots: Knots) -> MotionPrior:
@@ -247,7 +248,7 @@ class MotionPrior:
             np.add.at(pull, 2 * links.knot + row, links.pull[:, row])
             for column in range(row + 1):
                 np.add.at(bands[row - column], 2 * links.knot + column, links.precisions[:, row, column])
-        return MotionPrior(bands, pull, links.energy.sum(axis=0), knots.motion.moves)
+        return MotionPrior(bands, pull, links.energy.sum(axis=0), knots.motion.moves, links)
 
     def with_axes(self, precision: Array) -> Array:
         """Return the matrix of all unknowns, lower banded (12, 6 k), at a precision (3, 3) of the noise."""

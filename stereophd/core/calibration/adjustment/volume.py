@@ -16,7 +16,6 @@ import numpy as np
 
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, Seen
-from stereophd.core.calibration.adjustment.trajectories import motion_links
 from stereophd.core.numerics.compilation.compiled import compiled
 
 # Step of the differences, in pixels: to one side, so that they are wrong by this part of the focal length.
@@ -47,13 +46,12 @@ def summed_covariances(inverse: Array, knots: Integers, weights: Array, out: Arr
         for b in range(4):
             for c in range(4):
                 weight = weights[n, b, c]
-                if weight == 0.0:
+                if weight == 0.0 or start + 3 * max(b, c) >= size:
                     continue
                 for i in range(3):
                     for j in range(3):
                         row, column = start + 3 * b + i, start + 3 * c + j
-                        if row < size and column < size:
-                            out[n, i, j] += weight * inverse[abs(row - column), min(row, column)]
+                        out[n, i, j] += weight * inverse[abs(row - column), min(row, column)]
 
 
 @dataclass(frozen=True)
@@ -61,7 +59,7 @@ class VolumeSlopes:
     """Derivatives of half of log det A at some values, its parts summing up to the whole."""
 
     values: Array
-    seen: Seen  # What is seen of the detections, with second derivatives
+    seen: Seen  # What is seen of the detections
     rows: Array  # (n, 2, 3): by the derivatives of the pixels of each detection by its point
     by_point: Array  # (n, 3): by the point of each detection
     by_time: Array  # (n,): by its time, through the weights of its knots
@@ -72,8 +70,7 @@ class VolumeSlopes:
         """Return the derivatives at values (m,); `factor` (12, 6 k) is that of A, lower banded."""
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
-        path, rates, sights = seen.placement.path, seen.placement.rates, seen.placement.sights
-        seen = seen._replace(bends=sights.bends(sights.project(seen.world)))
+        path, rates = seen.placement.path, seen.placement.rates
         by_point = np.where(seen.visible[:, None, None], seen.by_point, 0.0)
         spread = np.zeros((2, len(seen.world), 3, 3))
         for of_points, weights in zip(spread, (path.weights, rates.weights), strict=True):
@@ -82,7 +79,7 @@ class VolumeSlopes:
         rows = weighted @ spread[0]
         by_time = (by_point * (weighted @ spread[1].swapaxes(1, 2))).sum(axis=(1, 2))
         of_point = np.einsum("nrab,nrb->na", seen.bends, rows)
-        links = motion_links(linearisation.problem.knots)
+        links = linearisation.motion.links
         covariances = np.zeros((len(links.knot), 3, 3))
         summed_covariances(inverse, links.knot, links.precisions, covariances)
         by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
@@ -95,7 +92,7 @@ class VolumeSlopes:
         """
         before = self.seen
         if not before.by_value.shape[2]:  # all values are held
-            return np.zeros_like(linearisation.time_slopes)
+            return np.zeros((len(before.world), 0))
         rows, out = self.rows + more, (self.by_time + later)[:, None] * linearisation.time_slopes
         steps = STEP_PX / np.maximum(np.linalg.norm(before.by_point, axis=(1, 2)), LEAST_NORM)
         for r in (0, 1):
@@ -103,5 +100,5 @@ class VolumeSlopes:
             moved = rows[:, r] * (steps / np.maximum(size, LEAST_NORM))[:, None]
             after = linearisation.seen(before.placement, self.values, before.world + moved, before.velocities)
             length = np.where(before.visible & after.visible, size / steps, 0.0)
-            out += length[:, None] * (after.by_value - before.by_value)[:, r]
+            out += length[:, None] * (after.by_value[:, r] - before.by_value[:, r])
         return out

@@ -363,7 +363,8 @@ def _can_settle(problem: Problem, begun: Adjustment) -> bool:
 
 def _at(problem: Problem, values: Array, states: Array, noise: Array) -> Adjustment:
     """Return values (m,), knots (k, 2, 3) and a noise of the motion (6,) as an adjustment that has not begun."""
-    there = Linearisation.of(problem).at(values, states)
+    linearisation = Linearisation.of(problem)
+    there = linearisation.summed(linearisation.residuals(values, states, by_values=False))
     prior = np.diag(problem.parameters.prior_std**2)
     return Adjustment(values, states, prior, there.cost, there.distances, False, noise)
 

@@ -105,6 +105,11 @@ def test_the_exact_covariance_is_that_of_the_objective_where_velocities_follow_t
     assert ahead + behind - 2.0 * at.objective == pytest.approx(1.0, abs=0.02)
     in_threads = curvature_covariance(problem, found, threads=2)
     np.testing.assert_array_equal(in_threads, covariance)
+    # bends are looked at beside few draws where they are slight
+    beside, calls = MarginalPosterior.beside, []
+    monkeypatch.setattr(MarginalPosterior, "beside", lambda *of: calls.append(of) or beside(*of))
+    curvature_covariance(problem, found)
+    assert len(calls) == posterior.size + marginal.FIRST_BENDS
 
 
 def test_the_exact_covariance_is_that_of_the_floor_of_a_valley_that_bends(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -106,7 +106,8 @@ def test_second_derivatives_by_the_point_are_those_of_first_ones(lens: str, movi
 
     numeric = np.stack([(slopes(world + step * e) - slopes(world - step * e)) / (2.0 * step) for e in np.eye(3)], 1)
     sights = Sights.of((camera,), np.zeros(count, dtype=np.int64), when)
-    found = np.einsum("nr,nrab->nab", pulls, sights.bends(sights.project(world)))
+    seen = sights.project(world)
+    found = np.einsum("nr,nrab->nab", pulls, sights.bends(seen.points, seen.ahead))
     np.testing.assert_allclose(found, numeric, atol=1e-5 * np.abs(numeric).max())
 
 
@@ -124,7 +125,7 @@ def test_a_rig_is_seen_as_its_cameras_one_by_one() -> None:
     velocities = rng.normal(0.0, 0.3, (count, 3))
     sights = Sights.of(tuple(rig), of_row, times)
     found = sights.project(world)
-    bends = sights.bends(found)
+    bends = sights.bends(found.points, found.ahead)
     for number, camera in enumerate(rig):
         here = np.flatnonzero(of_row == number)
         view = sights.view(number, here, found, velocities, times, times, times)
@@ -137,7 +138,8 @@ def test_a_rig_is_seen_as_its_cameras_one_by_one() -> None:
         one = Sights.of((camera,), np.zeros(len(here), dtype=np.int64), times[here])
         # else kernels are compiled once more
         assert all(values.flags.c_contiguous for values in (*sights.places.motions, *one.places.motions))
-        np.testing.assert_allclose(bends[here], one.bends(one.project(world[here])), rtol=1e-9, atol=1e-9)
+        seen = one.project(world[here])
+        np.testing.assert_allclose(bends[here], one.bends(seen.points, seen.ahead), rtol=1e-9, atol=1e-9)
 
 
 def test_what_lies_beyond_the_edge_of_a_lens_is_imaged_on_it() -> None:

@@ -111,29 +111,28 @@ class Distortion(Quantity):
 
     def derivative(self, view: CameraView, values: Array) -> Array:
         """Derivative of the distorted point with respect to each coefficient, in pixels."""
-        lens = view.camera.lens
+        camera, lens = view.camera, view.camera.lens
         x, y = view.undistorted[:, 0], view.undistorted[:, 1]
-        s = x * x + y * y
-        out = np.zeros((len(s), 2, len(DISTORTION)))
+        s, u, v = x * x + y * y, camera.fx * x, camera.fy * y
+        out = np.zeros((len(DISTORTION), 2, len(s)))
         if lens.model == "fisheye":
             radius = np.sqrt(s)
             angle = np.arctan(radius)
-            part = angle / np.where(radius > 0.0, radius, 1.0)
-            for power, name in enumerate(PARAMETERS["fisheye"], 1):
-                scale = part * angle ** (2 * power)
-                column = DISTORTION.index(name)
-                out[:, 0, column], out[:, 1, column] = scale * x, scale * y
+            scale = angle / np.where(radius > 0.0, radius, 1.0)
+            for name in PARAMETERS["fisheye"]:
+                scale = scale * angle**2
+                out[DISTORTION.index(name)] = scale * u, scale * v
         else:
             denominator = 1.0 + s * (lens.k4 + s * (lens.k5 + s * lens.k6))
             ratio = (1.0 + s * (lens.k1 + s * (lens.k2 + s * lens.k3))) / denominator
+            scale = 1.0 / denominator
             for power in (1, 2, 3):
-                above, below = s**power / denominator, -ratio * s**power / denominator
-                column, other = DISTORTION.index(f"k{power}"), DISTORTION.index(f"k{power + 3}")
-                out[:, 0, column], out[:, 1, column] = above * x, above * y
-                out[:, 0, other], out[:, 1, other] = below * x, below * y
-            out[:, 0, 2], out[:, 1, 2] = 2.0 * x * y, s + 2.0 * y * y
-            out[:, 0, 3], out[:, 1, 3] = s + 2.0 * x * x, 2.0 * x * y
-        return np.asarray(out * np.array([view.camera.fx, view.camera.fy])[:, None])
+                scale = scale * s
+                out[DISTORTION.index(f"k{power}")] = scale * u, scale * v
+                out[DISTORTION.index(f"k{power + 3}")] = -ratio * scale * u, -ratio * scale * v
+            out[2] = 2.0 * u * y, camera.fy * (s + 2.0 * y * y)
+            out[3] = camera.fx * (s + 2.0 * x * x), 2.0 * x * v
+        return out.transpose(2, 1, 0)
 
     def _entry(self, camera: Camera) -> Entry:
         return {

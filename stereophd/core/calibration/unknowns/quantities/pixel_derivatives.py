@@ -57,9 +57,9 @@ class Sights:
         """Project points (n, 3) of the world."""
         return Projection(*_projected(world, self.places))
 
-    def bends(self, seen: Projection) -> Array:
-        """Second derivatives (n, 2, 3, 3) of the raw pixels by the point in the world."""
-        return np.asarray(_bends(seen.points, seen.ahead, self.places))
+    def bends(self, points: Array, ahead: Booleans) -> Array:
+        """Second derivatives (n, 2, 3, 3) of the raw pixels by the point in the world, from `Projection`."""
+        return np.asarray(_bends(points, ahead, self.places))
 
     def view(self, number: int, here: Integers | slice, seen: Projection, velocities: Array, *at: Array) -> CameraView:
         """View of a camera on its rows `here`, with all that derivatives by its values need.
