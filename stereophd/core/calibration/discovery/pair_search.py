@@ -8,8 +8,11 @@ mean over its times of
     log((1 - e) N(distance; 0, tolerance) / density by chance + e),
 
 times the number of quadratic pieces that the common part of the curves needs. Chance gains nothing, a short straight
-track little, a long curved one much.
+track little, a long curved one much. At a tolerance that raw hypotheses need, wrong ones gain as much as the right
+one; those of the greatest scores are refined together, and scored again at a narrower one.
 """
+
+from __future__ import annotations
 
 import math
 from dataclasses import dataclass
@@ -22,6 +25,7 @@ from numpy.typing import NDArray
 from stereophd.core.arrays import Array, Booleans, Integers
 from stereophd.core.calibration.discovery.essential import constraint_rows, eight_point, five_point, nearest_essential
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
+from stereophd.core.geometry.rotations import cross_matrices
 
 # Share of detections whose distance is chance's, and the range of distances by chance.
 OUTLIERS, CHANCE_RANGE_PX = 0.1, 200.0
@@ -34,11 +38,16 @@ PAIR_SAMPLES, LEAST_ROWS, CURVED = 96, 10, 3.0
 # Eight-point hypotheses and five-point ones that are made at most, over all offsets, and pairs of tracks at one offset.
 MOST_EIGHT, MOST_FIVE, MOST_PAIRS = 6000, 20_000, 64
 # Right five-point hypotheses that an offset needs (its neighbours have them too); those of all offsets, at least.
-RIGHT_FIVE, LEAST_FIVE = 3.0, 4000
+RIGHT_FIVE, LEAST_FIVE = 6.0, 4000
 # Solutions of the five-point method that are scored, those that fit their samples best; offsets, at most.
 SCORED, MOST_OFFSETS = 3, 1600
-# Hypotheses that are kept at offsets within some steps of one another.
-MOST_NEAR, NEAR = 4, 3
+# Hypotheses that are kept at offsets within some steps of one another, and the cosine of E from which two are alike.
+MOST_NEAR, NEAR, ALIKE = 4, 3, 0.996
+# Hypotheses of an offset that are refined, those of the greatest scores; the tolerances, px, of their steps, and the
+# turn, rad, that a step is to stay below.
+MOST_REFINED, REFINED_TOLERANCES, LARGEST_TURN = 64, (20.0, 20.0, 10.0, 10.0, 5.0), 0.3
+# Derivatives (3, 3, 3) of a small turn about each axis.
+GENERATORS = cross_matrices(np.eye(3))
 # Share of the shorter record of tracks that must overlap at an offset.
 LEAST_OVERLAP = 0.25
 
@@ -111,6 +120,59 @@ def total_gain(table: Array) -> Array:
 
 
 @dataclass(frozen=True)
+class _Compared:
+    """Samples of pairs of tracks at one offset."""
+
+    rows: NDArray[np.float32]  # (9, n): of the constraints on E, times the focal length
+    pair: Integers  # (n,): pair of each, i * tracks of b + j
+    begin: Integers  # (p,): the first sample of each pair
+    count: Integers  # (i, j): samples of a pair
+    weight: Array  # (i, j): quadratic pieces of the common part
+    focal: float
+
+    def distances(self, essential: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+        """Signed distances (h, n), px, of essential matrices (h, 3, 3), and what divides their constraints."""
+        a, b = self.rows[6:], self.rows[2::3]
+        line_b = (essential[:, :2].reshape(-1, 3) @ a).reshape(len(essential), 2, -1)
+        line_a = (np.swapaxes(essential[:, :, :2], 1, 2).reshape(-1, 3) @ b).reshape(len(essential), 2, -1)
+        scale = np.sqrt((line_a**2).sum(axis=1) + (line_b**2).sum(axis=1)) / self.focal + np.float32(1e-12)
+        return essential.reshape(-1, 9) @ self.rows / scale, scale
+
+    def table(self, distances: NDArray[np.float32], tolerance: float) -> Array:
+        """Gains (h, i, j) of pairs of tracks."""
+        out = np.zeros((len(distances), self.count.size))
+        index = self.pair[self.begin]
+        gains = np.add.reduceat(log_gains(distances**2, tolerance), self.begin, axis=1)
+        out[:, index] = gains * (self.weight / np.maximum(self.count, 1)).ravel()[index]
+        return out.reshape(len(distances), *self.count.shape)
+
+    def scores(self, essential: Array, tolerance: float) -> Array:
+        """Scores (h,) of essential matrices (h, 3, 3)."""
+        if not len(self.pair) or not len(essential):
+            return np.zeros(len(essential))
+        chunk = max(1, 500_000 // len(self.pair))
+        parts = [essential[low : low + chunk].astype(np.float32) for low in range(0, len(essential), chunk)]
+        return np.concatenate([total_gain(self.table(self.distances(part)[0], tolerance)) for part in parts])
+
+    def refined(self, essential: Array, tolerance: float) -> Array:
+        """Essential matrices (h, 3, 3) after a Gauss-Newton step (Cauchy weights) on pairs that are best partners."""
+        if not len(self.pair) or not len(essential):
+            return essential
+        distances, scale = self.distances(essential.astype(np.float32))
+        table = self.table(distances, tolerance)
+        best = (table == table.max(axis=1, keepdims=True)) | (table == table.max(axis=2, keepdims=True))
+        chosen = ((table > 0.0) & best).reshape(len(table), -1)[:, self.pair]
+        weights = chosen / (1.0 + (distances / tolerance) ** 2) / tolerance**2
+        turned = np.concatenate([GENERATORS @ essential[:, None], essential[:, None] @ GENERATORS], axis=1)
+        jacobian = (turned.reshape(-1, 9).astype(np.float32) @ self.rows).reshape(len(essential), 6, -1)
+        jacobian /= scale[:, None]
+        weighted = jacobian * weights[:, None]
+        precision = weighted @ np.swapaxes(jacobian, 1, 2) + np.eye(6) * LARGEST_TURN**-2
+        step = -np.linalg.solve(precision, weighted @ distances[:, :, None])
+        return nearest_essential(essential + (step * turned.reshape(-1, 6, 9)).sum(axis=1).reshape(-1, 3, 3))
+
+
+@dataclass(frozen=True)
 class PairSearch:
     """The search for two cameras: their tracks, the grid, and the focal length that turns slopes into pixels."""
 
@@ -135,10 +197,9 @@ class PairSearch:
             parts = [np.empty((0, 3, 3)), eight[:, place], *([self._five_point(shift, five, rng)] if five else [])]
             essential = np.concatenate(parts)
             essential = essential[np.isfinite(essential).all(axis=(1, 2))]
-            scores = self.scores(essential, shift)
             scored += [
-                (shift, Hypothesis(essential[k], shift * self.grid.step, float(scores[k])))
-                for k in np.argsort(-scores, kind="stable")[:MOST_NEAR]
+                (shift, Hypothesis(matrix, shift * self.grid.step, float(score)))
+                for matrix, score in zip(*self._best(essential, shift), strict=True)
             ]
         kept: list[tuple[int, Hypothesis]] = []
         for shift, hypothesis in sorted(scored, key=lambda entry: -entry[1].score):
@@ -218,32 +279,34 @@ class PairSearch:
         here = np.isfinite(np.take_along_axis(self.grid.first[..., 0], self._places, axis=1))
         return self._places, np.isfinite(slopes[..., 0]).transpose(1, 0, 2) & here[:, None], slopes
 
-    def scores(self, essential: Array, shift: int) -> Array:
-        """Scores (h,) of essential matrices (h, 3, 3) at an offset."""
+    def _compared(self, shift: int) -> _Compared:
+        """Return the samples of all pairs of tracks at an offset."""
         places, valid, slopes = self._samples(shift)
         i, j, s = np.nonzero(valid)
-        if not len(i) or not len(essential):
-            return np.zeros(len(essential))
-        count = np.bincount(i * valid.shape[1] + j, minlength=valid.shape[0] * valid.shape[1]).reshape(valid.shape[:2])
+        count, pair = valid.sum(axis=2), i * valid.shape[1] + j
         # single precision is enough for a tolerance of pixels
         rows = constraint_rows(self.grid.first[i, places[i, s]], slopes[j, i, s]).astype(np.float32).T
-        a, b = rows[6:], rows[2::3]
-        weight = self._weights(count)
-        pair = i * valid.shape[1] + j
-        begin = np.flatnonzero(np.diff(pair, prepend=-1))
-        out = np.empty(len(essential))
-        chunk = max(1, 500_000 // len(i))
-        for low in range(0, len(essential), chunk):
-            part = essential[low : low + chunk].astype(np.float32)
-            line_b = (part[:, :2].reshape(-1, 3) @ a).reshape(len(part), 2, -1)
-            line_a = (np.swapaxes(part[:, :, :2], 1, 2).reshape(-1, 3) @ b).reshape(len(part), 2, -1)
-            squared = (part.reshape(-1, 9) @ rows) ** 2
-            squared *= self.focal**2 / ((line_a**2).sum(axis=1) + (line_b**2).sum(axis=1))
-            gains = np.add.reduceat(log_gains(squared, TOLERANCE), begin, axis=1) / count[i[begin], j[begin]]
-            table = np.zeros((len(part), *count.shape))
-            table[:, i[begin], j[begin]] = gains * weight[i[begin], j[begin]]
-            out[low : low + chunk] = total_gain(table)
-        return out
+        return _Compared(
+            self.focal * rows, pair, np.flatnonzero(np.diff(pair, prepend=-1)), count, self._weights(count), self.focal
+        )
+
+    def scores(self, essential: Array, shift: int) -> Array:
+        """Scores (h,) of essential matrices (h, 3, 3) at an offset."""
+        return self._compared(shift).scores(essential, TOLERANCE)
+
+    def _best(self, essential: Array, shift: int) -> tuple[Array, Array]:
+        """Refine the essential matrices (h, 3, 3) of the greatest scores at an offset: the best, and their scores."""
+        at = self._compared(shift)
+        essential = essential[np.argsort(-at.scores(essential, TOLERANCE), kind="stable")[:MOST_REFINED]]
+        for tolerance in REFINED_TOLERANCES:
+            essential = at.refined(essential, tolerance)
+        scores = at.scores(essential, REFINED_TOLERANCES[-1])
+        unit = essential.reshape(-1, 9) / math.sqrt(2.0)
+        kept: list[int] = []
+        for k in np.argsort(-scores, kind="stable").tolist():
+            if len(kept) < MOST_NEAR and np.abs(unit[kept] @ unit[k]).max(initial=0.0) < ALIKE:
+                kept.append(k)
+        return essential[kept], scores[kept]
 
     def _weights(self, count: Integers) -> Array:
         """Quadratic pieces (i, j) of the common part of two tracks, from the number of their common samples (i, j)."""

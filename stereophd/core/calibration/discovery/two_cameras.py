@@ -20,7 +20,7 @@ from stereophd.core.calibration.discovery.tracks import SlopeTracks
 
 # Hypotheses are refined in rounds: how many of the greatest gains each takes, and its tolerances, px. The last ones are
 # below the noise of smoothed tracks, which right cameras fit to and others do not.
-ROUNDS = ((40, (40.0,)), (16, (20.0, 10.0)), (8, (10.0, 5.0, 2.5, 1.25, 0.625, 0.3125)))
+ROUNDS = ((24, (20.0, 10.0)), (8, (10.0, 5.0, 2.5, 1.25, 0.625, 0.3125)))
 # Optima that are kept.
 MOST_OPTIMA = 4
 # First radial coefficients that are tried where a lens is unknown, and factors of focal lengths known worse than this.

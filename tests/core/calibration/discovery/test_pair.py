@@ -9,7 +9,13 @@ import pytest
 
 from stereophd.core.calibration.discovery.essential import essential_of
 from stereophd.core.calibration.discovery.pair_fit import OFFSET, SIZE, PairPrior, PairProblem, PairState, distance_of
-from stereophd.core.calibration.discovery.pair_search import TOLERANCE, PairSearch, log_gains, make_grid
+from stereophd.core.calibration.discovery.pair_search import (
+    REFINED_TOLERANCES,
+    TOLERANCE,
+    PairSearch,
+    log_gains,
+    make_grid,
+)
 from stereophd.core.calibration.discovery.tracks import SlopeTracks, slope_tracks
 
 from .rooms import cameras, straight, tracks_of, views_of
@@ -83,3 +89,16 @@ def test_scores_are_the_gains_of_the_distances() -> None:
             table[i, j] = log_gains(squared, TOLERANCE).mean() if len(a) else 0.0
         table = np.maximum(table * search._weights(valid.sum(axis=2)), 0.0)
         assert score == pytest.approx(0.5 * (table.max(axis=0).sum() + table.max(axis=1).sum()), rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("turned", [(0, 0.01), (1, 0.01), (2, 0.005), (4, 0.05)])
+def test_hypotheses_that_are_refined_end_at_the_right_one(turned: tuple[int, float]) -> None:
+    found = tracks()
+    at = PairSearch(found, (0, 1), make_grid(found, (0, 1), 0.0))._compared(0)
+    matrices = np.stack([essential_of(one.rotation, one.direction) for one in (truth(), moved(turned))])
+    refined = matrices
+    for tolerance in REFINED_TOLERANCES:
+        refined = at.refined(refined, tolerance)
+    right, found_again = at.scores(refined, REFINED_TOLERANCES[-1])
+    assert found_again == pytest.approx(right, rel=1e-4)
+    assert at.scores(matrices, REFINED_TOLERANCES[-1])[1] < 0.999 * right
