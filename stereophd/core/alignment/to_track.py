@@ -135,7 +135,7 @@ def _refuse_rival_track(fits: list[CurveFit], members: Integers, names: list[Int
     if rivals:
         raise ValueError(
             f"tracks {names[best.curve][0]} and {names[rivals[0].curve][0]} fit the control track alike: the objects "
-            "move together, and which of them it belongs to cannot be told"
+            "move together, and which of them it belongs to cannot be decided"
         )
 
 

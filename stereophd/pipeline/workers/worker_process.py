@@ -124,7 +124,7 @@ def end_with(parent: int) -> None:
 
 
 def _is_ended_by_system() -> bool:
-    """Whether the system has been told to kill this process with the one that started it."""
+    """Whether the system is to kill this process with the one that started it."""
     try:
         return bool(ctypes.CDLL(None).prctl(PR_SET_PDEATHSIG, signal.SIGKILL) == 0)
     except (AttributeError, OSError, TypeError):

@@ -47,7 +47,7 @@ def check_geometry(geometry: Geometry, is_blurred: bool = False) -> Iterator[Fin
 
 
 def _deficit(geometry: Geometry, k: int) -> float | str:
-    """Return by how many standard deviations pair k meets less often than it must, or why that cannot be told.
+    """Return by how many standard deviations pair k meets less often than it must, or why that cannot be decided.
 
     It must meet by `LEAST_SHARE` of what the settings promise: the objects may be elsewhere than the settings expect.
     Rays of right cameras meet at the tightest tolerance, at which chance gives least.

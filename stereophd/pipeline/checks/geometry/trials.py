@@ -53,7 +53,7 @@ SHIFTS_AT_ONCE = 40
 FINER = 4.0
 # Clocks that are tried, and pairs of cameras for each: each is a search through many offsets.
 MOST_CLOCKS, MOST_CLOCK_PAIRS = 12, 6
-# Frames with detections below which no clock offset or rate can be told.
+# Frames with detections below which no clock offset or rate can be estimated.
 LEAST_CLOCK_FRAMES = 8
 # Detections and shifted times of the first trial of an alternative, and alternatives that get a second one.
 FEW_DETECTIONS, FEW_SHIFTS, FINALISTS = 50, 2, 6

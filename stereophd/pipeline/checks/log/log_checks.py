@@ -220,7 +220,7 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
             "detector.pairs", "warning",
             f"{camera.name}: {percent(close)} of the detections have another one of their frame within "
             f"{CLOSE:g} deviations of the noise, beyond chance: the detector reports objects twice, or they are too "
-            "near one another to be told apart; tracks multiply, and swap", round(close, 3), 0.0, camera.name,
+            "near one another to be distinguished; tracks multiply, and swap", round(close, 3), 0.0, camera.name,
             "let the detector suppress all but the best of detections that overlap (non-maximum suppression)",
             "detections_doubled",
         )  # fmt: skip

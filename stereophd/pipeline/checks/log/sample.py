@@ -189,7 +189,7 @@ class CameraSample:
 
     @property
     def close_share(self) -> float:
-        """Share of the detections with another of their frame nearer than objects are told apart, beyond chance.
+        """Share of the detections with another of their frame nearer than objects are distinguished, beyond chance.
 
         Every other detection of a frame is compared with those between: of many in one place, half are found. Chance
         is how many have one as near in a frame that lies far apart; what rests has as many there.
