@@ -279,7 +279,7 @@ class PairSearch:
         here = np.isfinite(np.take_along_axis(self.grid.first[..., 0], self._places, axis=1))
         return self._places, np.isfinite(slopes[..., 0]).transpose(1, 0, 2) & here[:, None], slopes
 
-    def _compared(self, shift: int) -> _Compared:
+    def compared(self, shift: int) -> _Compared:
         """Return the samples of all pairs of tracks at an offset."""
         places, valid, slopes = self._samples(shift)
         i, j, s = np.nonzero(valid)
@@ -290,13 +290,9 @@ class PairSearch:
             self.focal * rows, pair, np.flatnonzero(np.diff(pair, prepend=-1)), count, self._weights(count), self.focal
         )
 
-    def scores(self, essential: Array, shift: int) -> Array:
-        """Scores (h,) of essential matrices (h, 3, 3) at an offset."""
-        return self._compared(shift).scores(essential, TOLERANCE)
-
     def _best(self, essential: Array, shift: int) -> tuple[Array, Array]:
         """Refine the essential matrices (h, 3, 3) of the greatest scores at an offset: the best, and their scores."""
-        at = self._compared(shift)
+        at = self.compared(shift)
         essential = essential[np.argsort(-at.scores(essential, TOLERANCE), kind="stable")[:MOST_REFINED]]
         for tolerance in REFINED_TOLERANCES:
             essential = at.refined(essential, tolerance)

@@ -78,7 +78,7 @@ def test_scores_are_the_gains_of_the_distances() -> None:
     wrong = moved((1, 0.5))
     matrices = np.stack([essential_of(one.rotation, one.direction) for one in (state, wrong)])
     places, valid, slopes = search._samples(0)
-    for matrix, score in zip(matrices, search.scores(matrices, 0), strict=True):
+    for matrix, score in zip(matrices, search.compared(0).scores(matrices, TOLERANCE), strict=True):
         table = np.zeros(valid.shape[:2])
         for i, j in np.ndindex(*table.shape):
             a, b = search.grid.first[i, places[i][valid[i, j]]], slopes[j, i, valid[i, j]]
@@ -94,7 +94,7 @@ def test_scores_are_the_gains_of_the_distances() -> None:
 @pytest.mark.parametrize("turned", [(0, 0.01), (1, 0.01), (2, 0.005), (4, 0.05)])
 def test_hypotheses_that_are_refined_end_at_the_right_one(turned: tuple[int, float]) -> None:
     found = tracks()
-    at = PairSearch(found, (0, 1), make_grid(found, (0, 1), 0.0))._compared(0)
+    at = PairSearch(found, (0, 1), make_grid(found, (0, 1), 0.0)).compared(0)
     matrices = np.stack([essential_of(one.rotation, one.direction) for one in (truth(), moved(turned))])
     refined = matrices
     for tolerance in REFINED_TOLERANCES:
