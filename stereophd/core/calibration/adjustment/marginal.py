@@ -54,7 +54,8 @@ times the change of the knots' weights with time. The normal equations believe t
 and state clocks up to four times too sure. `curvature_covariance` differentiates the gradient of the objective instead.
 Beside the optimum the knots take one step by the second derivatives of the cost there, and the gradient removes what is
 left of their pull to first order. It is then wrong by the square of an error of second order, so that steps may be so
-small that a difference to one side does, and no valley is left.
+small that a difference to one side does, and no valley is left. The bends of the posterior need longer steps, along
+which the knots are minimised.
 """
 
 from collections.abc import Iterator
@@ -152,12 +153,10 @@ def curvature_covariance(problem: Problem, adjustment: Adjustment, threads: int 
     curved = posterior.linearisation.factor_of_knots(at.seen, at.equations.bands)
     started = count(1)
 
-    def difference(step: Array, length: float) -> Array:
-        return np.asarray((posterior.gradient(posterior.beside(at, length * step, curved)) - gradient) / length)
-
     def column(step: Array) -> Array:
         within(f"column {next(started)} of {len(root)}")
-        return np.asarray(root.T @ difference(step, DIFFERENCE))
+        beside = posterior.beside(at, DIFFERENCE * step, curved)
+        return np.asarray(root.T @ (posterior.gradient(beside) - gradient) / DIFFERENCE)
 
     columns: Array = np.column_stack(in_threads(column, root.T, threads))
     inverse = solve_triangular(root, np.eye(len(root)), lower=True)
@@ -170,7 +169,9 @@ def curvature_covariance(problem: Problem, adjustment: Adjustment, threads: int 
     loose, known = directions[:, is_loose], directions[:, ~is_loose]
 
     def bend(draw: Array) -> Array:
-        return np.asarray(-known @ (known.T @ (difference(draw, BEND_DIFFERENCE) - precision @ draw))) / BEND_DIFFERENCE
+        step = BEND_DIFFERENCE * draw
+        left = posterior.gradient(posterior.along(at, step)) - gradient - precision @ step
+        return np.asarray(-known @ (known.T @ left)) / BEND_DIFFERENCE**2
 
     # a bend grows with the square of a draw: all have the length whose fourth power is that in the mean, so that one
     # is exact along one direction
@@ -275,6 +276,10 @@ class MarginalPosterior:
         factor = factor_knots(equations.bands)
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
         return Point(unknowns, states, equations, factor, 0.5 * equations.cost + volume, seen)
+
+    def along(self, at: Point, step: Array, settled: float = KNOTS_SETTLED) -> Point:
+        """Return the point after a step (size,). The knots begin where they follow it to first order; see `at`."""
+        return self.at(at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape), settled)
 
     def beside(self, at: Point, step: Array, curved: Array) -> Point:
         """Return the point after a small step (size,), its knots at their minimum to second order of the step.
@@ -416,12 +421,9 @@ def _bent(covariance: Array, secants: list[tuple[Array, Array]]) -> Array:
 
 
 def _tried(posterior: MarginalPosterior, at: Point, step: Array) -> Iterator[tuple[float, Point]]:
-    """Points after a step and shorter and shorter shares of it, where there are cameras and regular equations.
-
-    The knots begin where they follow the step to first order, near their minimum.
-    """
-    following, share = at.eliminated.followed(step).reshape(at.states.shape), 1.0
+    """Points after a step and shorter and shorter shares of it, where there are cameras and regular equations."""
+    share = 1.0
     while share >= LEAST_SHARE:
         with suppress(LinAlgError):
-            yield share, posterior.at(at.unknowns + share * step, at.states + share * following, KNOTS_IN_SEARCH)
+            yield share, posterior.along(at, share * step, KNOTS_IN_SEARCH)
         share *= 0.5
