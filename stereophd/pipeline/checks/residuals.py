@@ -153,7 +153,7 @@ def check_residuals(geometry: Geometry, stated: Mapping[str, Array] | None = Non
             f"standard deviations, {max(variance, 0.0) ** 0.5:.2f} of which last from frame to frame"
         )
         if lasts:
-            apart = variance > min(larger[pair.a], larger[pair.b]) ** 2
+            apart = variance > max(1.0, min(larger[pair.a], larger[pair.b])) ** 2
             yield Finding(
                 "geometry.residuals", "warning", f"{text}: poses, clocks or lenses seem to be off, none of them "
                 "alone explains it, or the errors of detections last, as those of smoothed labels do, or of objects at "

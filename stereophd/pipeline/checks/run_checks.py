@@ -23,8 +23,8 @@ OF_KNOCKS = ("pose_inaccurate", "detections_shifted", "errors_last")
 # Share of the rays that met before a knock which must meet again with another clock, to call it a jump of times.
 MET_AGAIN = 0.7
 # Squares of errors of tracks beyond those that they state, over these, and their standard errors, from which tracks are
-# too sure.
-TOO_SURE, TOO_SURE_ERRORS = 0.25, 4.0
+# too sure; and what a camera shows of them by itself, over what cameras show together, from which both agree.
+TOO_SURE, TOO_SURE_ERRORS, AGREE = 0.25, 4.0, 0.5
 # Frames of a camera from which unexplained detections are judged: against this many times the stated clutter, so many
 # standard errors, and this share of all detections, which tracks need to begin and to end.
 LEAST_FRAMES, CLUTTER_FACTOR, CLUTTER_ERRORS, LEAST_UNEXPLAINED = 30, 2.0, 4.0, 0.3
@@ -150,13 +150,13 @@ def check_errors(summary: Mapping[str, Any], can_estimate: bool) -> Iterator[Fin
         text = "successive residuals show no errors of tracks beyond those that they state"
         yield Finding("tracking.errors", "ok", text, round(max(same[0], other[0]), 3), 0.0)
         return
-    most = max(same[0], other[0])
+    most = max(excess for (excess, _), is_sure in zip((same, other), too_sure, strict=True) if is_sure)
     text, cause, change = f"tracks err by about {np.sqrt(1.0 + most):.2g} times what they state: ", ERRORS_LAST, None
     remedy = LASTING_REMEDY
     if other[0] < 0.0:
         text += "residuals of a camera agree from frame to frame, against those of the others: errors of detections "
         text += "last, or a clock or lens is off"
-    elif not too_sure[0]:
+    elif not too_sure[0] and same[0] < AGREE * other[0]:
         text += "residuals of a camera agree with those of the others just before, but not with its own: cameras share "
         text += "their errors, as where one camera is in the log under two names"
         cause, remedy = "errors_shared", "leave out one of two cameras that have the same detections"

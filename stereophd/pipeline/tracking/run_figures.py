@@ -48,19 +48,21 @@ class CameraSums:
     expected: float = 0.0
     of_points: bool = True
     waiting: list[SeenTrack] = field(default_factory=list)  # Whose residuals are still to be computed
-    # Events at which a track is in view, and those at which it is detected, of tracks that the record before reported:
-    # what an event shows does not decide whether it counts. Whether they are in view is still to be computed.
+    # Events at which a track is in view that the record before reported: what an event shows does not decide whether it
+    # counts. It does where the track is in view of this camera's next event too, and any camera detects it later: of an
+    # object that is gone all are misses. Those that miss it, and those of which the next one misses it, too.
     in_view: int = 0
-    detected: float = 0.0
-    placed: list[tuple[float, Integers, Array, Array]] = field(default_factory=list)  # Times, ids, positions, claims
-    # Pairs of successive events of this camera with the same track in view: those that miss it at the first, and at
-    # both; and the numbers of the tracks of the last batch, with the last miss of each.
     missed: float = 0.0
     missed_twice: float = 0.0
+    # Events still to be asked: times, and of tracks ids, positions, claims, and detections before by any camera.
+    placed: list[tuple[float, Integers, Array, Array, Integers]] = field(default_factory=list)
+    # The tracks in view at the last event of the last batch, and its misses.
     known: tuple[Integers, Array] = field(default_factory=lambda: (np.empty(0, dtype=np.int64), np.empty(0)))
 
-    def expect(self, before: Reported, record: Record, camera: Camera) -> None:
-        """Take in which of the tracks reported before an event of this camera it detects."""
+    def expect(
+        self, before: Reported, record: Record, camera: Camera, detections: Mapping[int, Mapping[str, int]]
+    ) -> None:
+        """Take in which of the tracks reported before an event of this camera it detects; `detections` were theirs."""
         moved = (record.time_s - before.time_s) * before.states[:, 3:]
         place, claimed = {track: row for row, track in enumerate(before.track_ids.tolist())}, np.zeros(len(moved))
         for one in record.associations:
@@ -69,26 +71,29 @@ class CameraSums:
                     if (row := place.get(track)) is not None:
                         claimed[row] += probability
         positions, claims = before.states[:, :3] + moved, np.minimum(claimed, 1.0)
-        self.placed.append((record.time_s, before.track_ids, positions, claims))
+        counts = np.array([sum(detections.get(track, {}).values()) for track in place], dtype=np.int64)
+        self.placed.append((record.time_s, before.track_ids, positions, claims, counts))
         if len(self.placed) * len(moved) >= BATCH:
             self._look(camera)
 
     def _look(self, camera: Camera) -> None:
         """Find out which of the tracks that are placed are in view."""
         if self.placed:
-            times, ids, positions, claimed = zip(*self.placed, strict=True)
+            times, ids, positions, claimed, counts = zip(*self.placed, strict=True)
             at = np.repeat(times, [len(one) for one in positions])
             is_seen = camera.contains(camera.project_at(np.concatenate(positions), at))
             claims = np.concatenate(claimed)[is_seen]
-            self.in_view += len(claims)
-            self.detected += float(claims.sum())
             self.placed = []
-            seen = np.concatenate(ids)[is_seen]
+            seen, before = np.concatenate(ids)[is_seen], np.concatenate(counts)[is_seen]
+            before = np.append(np.zeros_like(self.known[0]), before)
             tracks, misses = np.append(self.known[0], seen), np.append(self.known[1], 1.0 - claims)
             order = np.argsort(tracks, kind="stable")
-            tracks, misses = tracks[order], misses[order]
+            tracks, misses, before = tracks[order], misses[order], before[order]
             goes_on = np.append(tracks[1:] == tracks[:-1], False)[: len(tracks)]
+            last = before[np.searchsorted(tracks, tracks, side="right") - 1]
             first = np.flatnonzero(goes_on)
+            first = first[before[first + 1] < last[first]]
+            self.in_view += len(first)
             self.missed += float(misses[first].sum())
             self.missed_twice += float((misses[first] * misses[first + 1]).sum())
             is_last = ~goes_on & np.isin(tracks, seen)  # others have gone
@@ -125,7 +130,7 @@ class CameraSums:
             "explained_detections": self.explained,
             "explained_share": finite_or_none(self.explained / self.detections) if self.detections else None,
             "in_view": self.in_view,
-            "detected_share": finite_or_none(self.detected / self.in_view) if self.in_view else None,
+            "detected_share": finite_or_none(1.0 - self.missed / self.in_view) if self.in_view else None,
             "missed_again": finite_or_none(self.missed_twice / self.missed) if self.missed else None,
             "residuals": count,
             "outlier_share": self.outliers / (count + self.outliers) if count else None,
@@ -210,7 +215,7 @@ class RunFigures:
             sums.detections += record.n_detections
             sums.outside += record.outside
             if self.reported is not None:
-                sums.expect(self.reported, record, cameras[record.camera])
+                sums.expect(self.reported, record, cameras[record.camera], self.detections)
         self.log_likelihood += record.info.log_likelihood
         self.new_detections += record.n_detections
         self.new_log_likelihood += record.info.log_likelihood

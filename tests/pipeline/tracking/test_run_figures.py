@@ -82,6 +82,22 @@ def test_an_error_of_a_pixel_moves_tracks_in_depth() -> None:
     assert RunFigures().report({}, 0, 0)["camera_error"] == {"move_per_px": None, "stds_per_px": None}
 
 
+@pytest.mark.parametrize(("is_gone", "share", "again"), [(True, 0.5, 0.0), (False, 0.25, 2.0 / 3.0)])
+def test_misses_of_a_track_that_no_camera_detects_any_more_are_not_asked(
+    is_gone: bool, share: float, again: float
+) -> None:
+    """Of short-lived objects, which end in view, the last misses were called detections that are hidden for long."""
+    camera, sums, track, place = build_camera("left", (0.0, 0.0, -5.0)), CameraSums(), np.array([7]), np.zeros((1, 3))
+    for event in range(82):
+        claim = np.array([1.0 - event % 2 if event < 40 else 0.0])
+        sums.placed.append((0.1 * event, track, place, claim, np.array([min(event, 40) if is_gone else event])))
+        if event % 9 == 0:
+            sums._look(camera)
+    report = sums.report(camera)
+    assert report["detected_share"] == pytest.approx(share, abs=0.02)
+    assert report["missed_again"] == pytest.approx(again, abs=0.07)
+
+
 @pytest.mark.usefixtures("without_checks")  # what is warned of is found after the run
 @pytest.mark.parametrize("kind", ["pmb", "phd"])
 @pytest.mark.parametrize(("true", "stated"), [(0.5, 0.95), (0.95, 0.6)])

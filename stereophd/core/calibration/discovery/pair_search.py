@@ -110,7 +110,7 @@ def make_grid(found: SlopeTracks, cameras: tuple[int, int], reach: float) -> _Gr
 def log_gains(squared: Array | NDArray[np.float32], tolerance: float) -> Array:
     """Gain of distances, px^2, by their logarithmic density over that by chance; that of an outlier where NaN."""
     density = np.exp(-0.5 * squared / tolerance**2) / (math.sqrt(2.0 * math.pi) * tolerance)
-    return np.asarray(np.log((1.0 - OUTLIERS) * CHANCE_RANGE_PX * np.nan_to_num(density) + OUTLIERS))
+    return np.asarray(np.log((1.0 - OUTLIERS) * CHANCE_RANGE_PX * np.fmax(density, 0.0) + OUTLIERS))
 
 
 def total_gain(table: Array) -> Array:
@@ -146,6 +146,11 @@ class _Compared:
         out[:, index] = gains * (self.weight / np.maximum(self.count, 1)).ravel()[index]
         return out.reshape(len(distances), *self.count.shape)
 
+    @cached_property
+    def products(self) -> NDArray[np.float32]:
+        """Products (n, 81) of all constraints of a sample with each other."""
+        return (self.rows.T[:, :, None] * self.rows.T[:, None]).reshape(-1, 81)
+
     def scores(self, essential: Array, tolerance: float) -> Array:
         """Scores (h,) of essential matrices (h, 3, 3)."""
         if not len(self.pair) or not len(essential):
@@ -162,14 +167,13 @@ class _Compared:
         table = self.table(distances, tolerance)
         best = (table == table.max(axis=1, keepdims=True)) | (table == table.max(axis=2, keepdims=True))
         chosen = ((table > 0.0) & best).reshape(len(table), -1)[:, self.pair]
-        weights = chosen / (1.0 + (distances / tolerance) ** 2) / tolerance**2
+        weights = chosen / (1.0 + (distances / tolerance) ** 2) / (tolerance * scale) ** 2
         turned = np.concatenate([GENERATORS @ essential[:, None], essential[:, None] @ GENERATORS], axis=1)
-        jacobian = (turned.reshape(-1, 9).astype(np.float32) @ self.rows).reshape(len(essential), 6, -1)
-        jacobian /= scale[:, None]
-        weighted = jacobian * weights[:, None]
-        precision = weighted @ np.swapaxes(jacobian, 1, 2) + np.eye(6) * LARGEST_TURN**-2
-        step = -np.linalg.solve(precision, weighted @ distances[:, :, None])
-        return nearest_essential(essential + (step * turned.reshape(-1, 6, 9)).sum(axis=1).reshape(-1, 3, 3))
+        turned = turned.reshape(-1, 6, 9)
+        normal = (weights @ self.products).reshape(-1, 9, 9)
+        precision = turned @ normal @ np.swapaxes(turned, 1, 2) + np.eye(6) * LARGEST_TURN**-2
+        step = -np.linalg.solve(precision, turned @ normal @ essential.reshape(-1, 9, 1))
+        return nearest_essential(essential + (step * turned).sum(axis=1).reshape(-1, 3, 3))
 
 
 @dataclass(frozen=True)

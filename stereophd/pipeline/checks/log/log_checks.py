@@ -219,9 +219,10 @@ def _detector(sample: CameraSample) -> Iterator[Finding]:
         yield Finding(
             "detector.pairs", "warning",
             f"{camera.name}: {percent(close)} of the detections have another one of their frame within "
-            f"{CLOSE:g} deviations of the noise, beyond chance: the detector reports objects twice, or they are too "
-            "near one another to be distinguished; tracks multiply, and swap", round(close, 3), 0.0, camera.name,
-            "let the detector suppress all but the best of detections that overlap (non-maximum suppression)",
+            f"{CLOSE:g} deviations of the noise, beyond chance: the detector reports objects twice, so that tracks "
+            "multiply, or objects move so near one another that tracks may swap", round(close, 3), 0.0, camera.name,
+            "if it reports one object twice, let it suppress all but the best of detections that overlap "
+            "(non-maximum suppression)",
             "detections_doubled",
         )  # fmt: skip
     yield _noise(sample, is_linked)
