@@ -228,7 +228,7 @@ class _Camera:
         if self._interval_s is not None:
             recording.assumed.append(
                 f"{name}: frames come every {self._interval_s:.4g} s, and have no detection where the source has none: "
-                "it has no frame numbers (`fill` turns it off)"
+                "it has no frame numbers (turn `fill` off if they were not recorded)"
             )
         elif not spool.has_frames:
             recording.assumed.append(
