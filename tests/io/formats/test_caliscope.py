@@ -110,6 +110,14 @@ def test_points_whose_columns_have_other_names_are_not_left_out(tmp_path: Path, 
         imported("caliscope", tmp_path)
 
 
+def test_a_word_among_the_numbers_is_refused_by_its_column(tmp_path: Path, imported: Import) -> None:
+    write_session(tmp_path, 1)
+    points = tmp_path / "xy.csv"
+    points.write_text(points.read_text().replace("100.75", "late"))
+    with pytest.raises(InputError, match=r"xy\.csv: .* in column frame_time: .*'late'"):
+        imported("caliscope", tmp_path)
+
+
 def test_times_in_milliseconds(tmp_path: Path, imported: Import) -> None:
     """The remedy of the check names this option, which the format refused."""
     write_session(tmp_path, 1)
