@@ -184,8 +184,8 @@ def check_knocks(
     """Yield a warning for a camera that was knocked during the recording (``knocks`` of the figures of the run).
 
     A noise stated too small, a lens or a clock of these cameras, the pose of another one, or rays that do not meet, of
-    which the checks `before` the run warn, look like a knock; clutter does not. So do times that jump, as where frames were lost: the
-    same checks, `since` a time, tell a clock of these cameras that is off from then on.
+    which the checks `before` the run warn, look like a knock; clutter does not. So do times that jump, as where frames
+    were lost: the same checks, `since` a time, tell a clock of these cameras that is off from then on.
     """
     alike = [one for one in before if misleads(one) and one.cause != "clutter"]
     rays = [one.value for one in before if one.name == "geometry.rays" and isinstance(one.value, float)]

@@ -328,7 +328,8 @@ def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, float, tuple
     adjustment = replace(adjustment, covariance=adjustment.covariance + more + doubtful @ doubtful.T)
     text = (
         f"stretches of the log disagree by up to {factor:.1f} times what their noise allows ({of_cameras:.1f} times "
-        f"about the cameras): the stated deviations were widened; errors of detections last, or something stated is wrong"
+        "about the cameras): the stated deviations were widened; errors of detections last, or something stated is "
+        "wrong"
     )
     remark = Remark("stretches", text, factor > LARGEST_WIDENING)
     return replace(answer, adjustment=adjustment), of_cameras, (remark,) if factor > SAID_FACTOR else ()
