@@ -126,8 +126,10 @@ def dltdv(folder: Path) -> None:
     np.savetxt(folder / "flight-dltCoefs.csv", coefficients, delimiter=",", fmt="%.12g")
 
 
-def main(kind: str, target: str) -> None:
+def main(kind: str = "", target: str = "") -> None:
     """Write the files of one kind into a new folder."""
+    if kind not in ("insects", "dltdv") or not target:
+        raise SystemExit(__doc__)
     folder = Path(target)
     folder.mkdir(parents=True, exist_ok=True)
     {"insects": insects, "dltdv": dltdv}[kind](folder)

@@ -49,6 +49,11 @@ def instant(time_s: float, digits: int = 6) -> str:
     return f"{time_s:.{max(digits, before + 4)}g}"
 
 
+def span(low: float, high: float, digits: int = 4) -> str:
+    """Return a range of numbers, or one number where both look alike: ``1.1 to 1.8``, ``2.14``."""
+    return " to ".join(dict.fromkeys((number(low, digits), number(high, digits))))
+
+
 def percent(share: float) -> str:
     """Return a share in per cent, with a space before the sign."""
     return f"{100.0 * share:.0f} %"

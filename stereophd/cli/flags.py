@@ -10,7 +10,7 @@ from stereophd.commands.options import OPTIONS
 from stereophd.options import declarations
 
 # Parameter -> option, where no class of options declares it; other words in backquotes, such as sections, stay.
-_SHELL = {"detector": "--sigma-px", "out_dir": "--out", "overrides": "--set", "seed": "--seed"}
+_SHELL = {"detector": "--sigma-px", "out_dir": "--out", "overrides": "--set", "seed": "--seed", "to": "--to"}
 _DECLARED = [item for kind in OPTIONS.values() for item in declarations(kind).items()]
 FLAGS = _SHELL | {name: declared.flag_of(name) for name, declared in _DECLARED}
 _PARAMETER = re.compile(r"(?<!`)`([a-z][a-z0-9_]*)(?:=True)?`(?!`)")

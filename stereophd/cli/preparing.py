@@ -12,7 +12,7 @@ from stereophd.cli.terminal import again, exit_if_strict, load, print_report, pr
 from stereophd.cli.unused_options import refuse
 from stereophd.commands.options import InitOptions, Replacing
 from stereophd.io.interchange.options import ImportOptions
-from stereophd.wording import counted, instant
+from stereophd.wording import counted, instant, span
 
 Sources = Annotated[list[Path], argument("SOURCE", "Files or folders of that format.")]
 SourceCameras = Annotated[
@@ -78,8 +78,8 @@ def _imported(report: dict[str, Any], out: Path) -> list[str]:
             f"{rate}, {size}"
         )
     if (between := report["distances"]) is not None:
-        near, far = f"{between['nearest']:.4g}", f"{between['farthest']:.4g}"
-        lines.append(f"distances between cameras: {near} to {far} {report['length_unit']}")
+        distances = span(between["nearest"], between["farthest"])
+        lines.append(f"distances between cameras: {distances} {report['length_unit']}")
     files = [name for name in ("detections.parquet", "cameras.yaml", "truth.parquet") if (out / name).exists()]
     return [*lines, f"Written to {out}: {', '.join(files)}, report.json"]
 

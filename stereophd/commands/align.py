@@ -123,7 +123,7 @@ def _alignment(
     if control is None and str(to) not in (FLOOR, FALL):
         raise InputError(
             f"`to`: expected a control track or points (Parquet or CSV), {FLOOR}, {FALL}, or a camera "
-            f"({', '.join(built)}), found {to}"
+            f"({', '.join(built)}), found {to}; there is no such file"
         )
     # a control without a unit has that of the cameras
     target = (control.length_unit if control is not None else None) or ("m" if unit == NO_LENGTH else unit)

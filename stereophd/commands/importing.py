@@ -184,7 +184,8 @@ def _check(
         }
         if len(renames) == len(summaries):
             raise InputError(
-                f"cameras: expected a name of {known}, found only others; use {' '.join(renames.values())}"
+                f"{recording.source}: expected detections of the cameras {known}, found those of "
+                f"{', '.join(renames)}; use {' '.join(renames.values())}{recording.unnamed}"
             )
         for name, use in renames.items():
             warn(f"camera {name} has detections, but the cameras ({known}) have none of that name ({use})")

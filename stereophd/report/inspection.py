@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from stereophd.report.tables import aligned
-from stereophd.wording import counted, instant
+from stereophd.wording import counted, instant, span
 
 # Lengths of this part of the largest are round-off.
 ROUND_OFF = 1e-9
@@ -113,8 +113,7 @@ def _cameras(found: Mapping[str, Any]) -> Iterator[str]:
         )
     yield from aligned(rows)
     if found["distances"] is not None:
-        near, far = found["distances"]["nearest"], found["distances"]["farthest"]
-        yield f"distances between cameras: {near:.4g} to {far:.4g} {unit}"
+        yield f"distances between cameras: {span(found['distances']['nearest'], found['distances']['farthest'])} {unit}"
     if found["axes_meet_near"] is not None:
         centers = [camera["center"] for camera in found["cameras"].values() if camera["center"] is not None]
         least = ROUND_OFF * max(abs(x) for place in (found["axes_meet_near"], *centers) for x in place)

@@ -466,3 +466,13 @@ def test_a_motion_of_the_user_stays(scene: Path, tmp_path: Path) -> None:
 def test_only_track_estimates_an_acceleration(scene: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="only track estimates it"):
         init(tmp_path / "study", scene / "detections.parquet", overrides=["motion.acceleration_std=estimate"])
+
+
+def test_a_log_without_detections_is_refused(scene: Path, tmp_path: Path) -> None:
+    """The acceleration was 15,000 m/s^2, "from the likelihood of 14 values over 500 events"."""
+    log = pd.read_parquet(scene / "detections.parquet").drop_duplicates(["camera", "frame"])
+    log[["u_px", "v_px"]] = np.nan
+    log.to_parquet(tmp_path / "log.parquet", index=False)
+    with pytest.raises(InputError, match=r"log\.parquet: expected detections, found none in \d+ frames of all cameras"):
+        init(tmp_path / "study", tmp_path / "log.parquet", scene / "cameras.yaml")
+    assert not (tmp_path / "study").exists()

@@ -66,7 +66,7 @@ def floor_frame(position: Array, pose: Pose) -> Alignment:
     scatter, extent = np.sqrt(np.maximum(spread[:2], 0.0))
     if not scatter <= MOST_SCATTER * extent:
         raise ValueError(
-            f"the objects are on no floor: they scatter by {scatter:.3g} about the best plane, and by {extent:.3g} "
+            f"the objects are on no floor: they scatter {scatter / extent:.2g} times as much about the best plane as "
             "along it; record objects that move on the floor, in two directions"
         )
     down = -axes[:, 0] * np.sign((pose.center - middle) @ axes[:, 0])

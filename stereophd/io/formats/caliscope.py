@@ -9,7 +9,7 @@ and keypoint. Points in space (``xyz_....csv``) are the truth.
 
 Conventions: pixels and camera axes are the native ones; points are as detected, lens distortion included; ``x_camera
 = rotation x_world + translation``, the rotation a matrix or a rotation vector. Lengths are in metres, times in
-seconds of the recording computer's clock.
+seconds (or `time_unit`) of the recording computer's clock.
 """
 
 from collections.abc import Iterator, Sequence
@@ -23,7 +23,7 @@ from stereophd.errors import InputError
 from stereophd.io.interchange.base import ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.documents.text_tables import header_of, number_batches
 from stereophd.io.interchange.documents.toml_cameras import read_toml, toml_camera
-from stereophd.io.interchange.truth import POINTS_OF_A_GROUP, long_truth, read_columns
+from stereophd.io.interchange.truth import POINTS_OF_A_GROUP, in_seconds, long_truth, read_columns
 
 CAMERA_FILES = ("camera_array.toml", "config.toml")
 POINT_FILES = "xy*.csv"
@@ -75,6 +75,9 @@ def _files_of(folder: Path, recording: ForeignRecording) -> list[Path]:
     files = [path for place in places for path in sorted(place.glob(POINT_FILES)) if path.is_file()]
     tables = [path for path in files if _column(path, U, None) is not None]
     if not tables:
+        # a table of points whose columns have other names is not left out, unlike one of points in space
+        for path in files:
+            _column(path, (*U, *IN_SPACE["x"]), U[0])
         if not cameras:
             raise InputError(
                 f"{folder}: expected {' or '.join(CAMERA_FILES)}, or points ({POINT_FILES}) there or in "
@@ -149,7 +152,7 @@ def _counted(path: Path, options: ImportOptions) -> Iterator[Piece]:
     camera, time = read_columns(path, [_column(path, names, names[0]) or "" for names in (CAMERA, TIME)]).T
     for number in np.unique(camera):
         mine = np.sort(time[camera == number])
-        frames = np.arange(len(mine), dtype=np.float64)
+        frames, mine = np.arange(len(mine), dtype=np.float64), in_seconds(mine, options, f"{path}: column {TIME[0]}")
         yield Piece(path, options.name(f"cam{number:.0f}"), np.full((len(mine), 2), np.nan), frames, mine)
 
 
@@ -163,6 +166,7 @@ def _rows(path: Path, options: ImportOptions, has_points: bool, sync: Sequence[s
         column["object"] = objects
     for batch in number_batches(path, ",", column.values(), str(path)):
         values = {key: batch[name] for key, name in column.items()}
+        values["time"] = in_seconds(values["time"], options, f"{path}: column {column['time']}")
         for camera in np.unique(values["camera"]):
             mine = {key: value[values["camera"] == camera] for key, value in values.items()}
             extra: dict[str, Array] = {}

@@ -92,6 +92,7 @@ def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: Impor
             recording.assumed.append(
                 f"{path.name}: all rows are of one camera, {options.name(path.stem)}, named as the file"
             )
+            recording.unnamed = f", or `columns` camera=COLUMN if one of {', '.join(header)} names it"
         kinds = {column: pa.string() if name == "camera" else pa.float64() for name, column in columns.items()}
         taken = ", ".join(f"{name} from {column}" for name, column in columns.items())
         for batch in read_batches(path, separator, kinds, f"{path} ({taken})", list(header), skip=1):

@@ -67,7 +67,7 @@ def _csv(path: Path) -> tuple[list[Column], Iterator[tuple[Array, Array]]]:
     if list(heads)[: len(expected)] != expected:
         raise InputError(f"{path}: expected the header lines scorer, bodyparts and coords, found {list(heads)}")
     columns = _named(heads["bodyparts"], heads["coords"], individuals)
-    names = ["frame", *(f"c{k}" for k in range(len(columns)))]
+    names = ["frame", *(f"{k} ({part} {axis})" for k, (part, axis) in enumerate(columns, start=2))]
     batches = number_batches(path, ",", names, str(path), names, skip=len(expected))
     return columns, ((b["frame"], np.stack([b[name] for name in names[1:]], axis=1)) for b in batches)
 

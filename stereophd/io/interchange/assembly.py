@@ -50,6 +50,7 @@ class Spool:
     # `half`, `first_half`: Rows with one coordinate, which are bad ones of the log, too, and the place of the first.
     half: int = 0
     first_half: str = ""
+    low: int = 0  # Detections of a score that is too low
     extra: set[str] = field(default_factory=set)  # Extra columns that have a value in some row
 
     def discard(self) -> None:
@@ -70,6 +71,7 @@ def spool_pieces(recording: ForeignRecording, folder: Path, options: ImportOptio
             spool = spools[piece.camera] = Spool(path, open(path, "w+b"))  # noqa: SIM115 (closed by discard)
         if "score" in piece.extra and options.least_score is not None:
             is_low = piece.extra["score"] < options.least_score
+            spool.low += int((is_low & ~np.isnan(piece.pixels[:, 0])).sum())
             gaps = {name: np.where(is_low, np.nan, values) for name, values in piece.extra.items()}
             piece = replace(piece, pixels=np.where(is_low[:, None], np.nan, piece.pixels), extra=gaps)
         _append(spool, piece, f"{piece.file}: camera {piece.camera}")
@@ -206,6 +208,8 @@ class _Camera:
                 f"{where}: {counted(spool.half, 'row')} with one of u and v, the first at {spool.first_half}: correct "
                 "the source, or let runs drop such rows (input.on_bad_row: drop)"
             )
+        if spool.low:
+            recording.assumed.append(f"{name}: {counted(spool.low, 'detection')} below `least_score` left out")
         stated = options.rates.get(name)
         self._rate = stated if stated is not None else recording.rates.get(name)
         if self._rate is not None and not 0.0 < self._rate < math.inf:
@@ -228,7 +232,7 @@ class _Camera:
         if self._interval_s is not None:
             recording.assumed.append(
                 f"{name}: frames come every {self._interval_s:.4g} s, and have no detection where the source has none: "
-                "it has no frame numbers (`fill` turns it off)"
+                "it has no frame numbers (turn `fill` off if they were not recorded)"
             )
         elif not spool.has_frames:
             recording.assumed.append(

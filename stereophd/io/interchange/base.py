@@ -72,7 +72,9 @@ class ForeignRecording:
     frames: dict[str, tuple[int, int]] = field(default_factory=dict)
     lists_frames: bool = False  # Whether it has a row for every recorded frame: what is missing was not recorded
     first_frame: int = 0  # Number of a frame at time 0, for times by rate
-    untimed: str = ""  # Where a table has no times: how to name the column that has them
+    # `untimed`, `unnamed`: Where a table has no times, or no cameras: how to name the column that has them.
+    untimed: str = ""
+    unnamed: str = ""
     sought: str = "detections"  # What was looked for, of a source without detections
 
     @property

@@ -135,7 +135,7 @@ def build_scale(loaded: LoadedConfig, parameters: ParameterSet) -> ScaleMeasurem
 
 
 def read_problem(loaded: LoadedConfig, log_path: Path | str, is_placed: bool = True) -> CalibrationProblem:
-    """Read a log, and check that it can constrain the unknown cameras, if poses and clocks of all are known or found.
+    """Read a log, and check that it can constrain the unknown cameras; `is_placed` if poses and clocks are stated.
 
     The noise of a camera is what its tracks show, where that is far more than the configuration states.
 
@@ -151,8 +151,7 @@ def read_problem(loaded: LoadedConfig, log_path: Path | str, is_placed: bool = T
         cameras, remarks = _with_shown_noise(sample_log(frames, cameras))
     parameters = replace(parameters, cameras=cameras)
     recording = Recording.of(parameters.cameras, [(f.camera, f.time_s, f.pixels, f.sigma) for f in frames])
-    if is_placed:
-        _check_overlap(parameters, recording, log_path)
+    _check_overlap(parameters, recording, log_path, is_placed)
     counts = {**stream.counts, "not_invertible": recording.not_invertible(parameters.cameras)}
     _check_method(loaded, parameters)
     return CalibrationProblem(
@@ -231,8 +230,8 @@ def phd_filter(loaded: LoadedConfig, cameras: tuple[Camera, ...], samples: int |
     return built
 
 
-def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | str) -> None:
-    """Refuse a log in which an unknown camera shares no time with another."""
+def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | str, is_placed: bool) -> None:
+    """Refuse a log in which an unknown camera saw nothing, or, if its clock is known, shares no time with another."""
     spans: dict[int, tuple[float, float]] = {}
     seen = np.diff(recording.first) > 0
     for number in range(len(parameters.cameras)):
@@ -240,10 +239,12 @@ def _check_overlap(parameters: ParameterSet, recording: Recording, path: Path | 
         if len(times):
             spans[number] = (float(times[0]), float(times[-1]))
     for number, camera in enumerate(parameters.cameras):
-        if not parameters.unknown(camera.name):
+        if is_placed and not parameters.unknown(camera.name):
             continue
         if number not in spans:
-            raise InputError(f"{path}: expected detections of camera {camera.name}, which is unknown, found none")
+            raise InputError(f"{path}: expected detections of camera {camera.name}, found none")
+        if not is_placed:
+            continue
         start, end = spans[number]
         others = [span for other, span in spans.items() if other != number]
         if not any(span[0] <= end and span[1] >= start for span in others):

@@ -8,7 +8,15 @@ import numpy as np
 
 from stereophd.core.geometry.camera import Camera
 from stereophd.io.logs.checks import REMEDIES, bad_rows
-from stereophd.pipeline.checks.finding import ERRORS_LAST, LASTING_REMEDY, Finding, misleads, once_mended, warnings_of
+from stereophd.pipeline.checks.finding import (
+    DO_NOT_MEET,
+    ERRORS_LAST,
+    LASTING_REMEDY,
+    Finding,
+    misleads,
+    once_mended,
+    warnings_of,
+)
 from stereophd.wording import instant, percent
 
 # Share of the detections of objects that tracks must explain, and detections from which it is judged.
@@ -175,9 +183,9 @@ def check_knocks(
 ) -> Iterator[Finding]:  # fmt: skip
     """Yield a warning for a camera that was knocked during the recording (``knocks`` of the figures of the run).
 
-    A noise stated too small, a lens or a clock of these cameras, or the pose of another one, of which the checks
-    `before` the run warn, looks like a knock; clutter does not. So do times that jump, as where frames were lost: the
-    same checks, `since` a time, tell a clock of these cameras that is off from then on.
+    A noise stated too small, a lens or a clock of these cameras, the pose of another one, or rays that do not meet, of
+    which the checks `before` the run warn, look like a knock; clutter does not. So do times that jump, as where frames
+    were lost: the same checks, `since` a time, tell a clock of these cameras that is off from then on.
     """
     alike = [one for one in before if misleads(one) and one.cause != "clutter"]
     rays = [one.value for one in before if one.name == "geometry.rays" and isinstance(one.value, float)]
@@ -185,7 +193,10 @@ def check_knocks(
     since = cache(since)
     for knock in summary["knocks"]:
         names, when = (knock["camera"], *knock["others"]), f"from {instant(knock['since_s'])} s on"
-        doubts = tuple(one for one in alike if (one.camera in (None, *names)) != (one.cause in OF_KNOCKS))
+        doubts = tuple(
+            one for one in alike
+            if one.cause == DO_NOT_MEET or (one.camera in (None, *names)) != (one.cause in OF_KNOCKS)
+        )  # fmt: skip
         jumped = [
             one for one in (() if doubts else warnings_of(since(knock["time_s"])))
             if one.cause == "clock_offset" and one.camera in (None, *names) and isinstance(one.expected, float)

@@ -17,7 +17,7 @@ from stereophd.pipeline.checks.finding import Finding
 from stereophd.pipeline.checks.geometry.rays import LEAST_SCORE, TOLERANCES, Geometry, distances
 from stereophd.pipeline.checks.log.sample import MOST_BY_CHANCE, CameraSample
 from stereophd.validated import METRES
-from stereophd.wording import number
+from stereophd.wording import number, span
 
 # Share of the depths that the region must cover, and the births, be it those of this first share of the time alone:
 # objects move away from where they appear.
@@ -196,7 +196,7 @@ def _depths(config: Config, scene: MeasuredScene, samples: list[CameraSample], u
         centers = np.array([sample.camera.pose.center for sample in samples])
         apart = np.linalg.norm(centers[:, None] - centers, axis=2)[np.triu_indices(len(centers), 1)]
         # the name of the unit leaves no trace in the data: only the user can tell
-        size = f"the cameras are {number(apart.min())} to {number(apart.max())} {unit} apart"
+        size = f"the cameras are {span(apart.min(), apart.max(), 3)} {unit} apart"
         yield Finding("settings.depth_range", "ok", f"rays meet at depths {where}, {size}", round(covered, 3), 1.0)
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from stereophd.config.loading import LoadedConfig, make_config
 from stereophd.core.disparity.events import Event
 from stereophd.core.geometry.camera import Camera
+from stereophd.errors import InputError
 from stereophd.io.cameras.models import DetectorConfig
 from stereophd.pipeline.build import build_labelled_filter
 from stereophd.pipeline.checks.finding import CHECK_CAMERAS, DO_NOT_MEET, Finding, is_mistake
@@ -67,6 +68,9 @@ def draft_from_log(draft: Draft, log_path: Path | str) -> Draft:
     cameras = tuple(camera.build(name) for name, camera in draft.cameras.items())
     reader = open_log(bare.config.input, cameras, log_path)
     samples = sample_log(reader, cameras)
+    if not any(len(sample.pixels) for sample in samples):
+        frames = sum(len(sample.times) for sample in samples)
+        raise InputError(f"{log_path}: expected detections, found none in {counted(frames, 'frame')} of all cameras")
     draft, unknown = _with_known_detectors(draft, samples)
     only_boxes, is_placed = all(sample.box_height_px is not None for sample in samples), not draft.is_unplaced
     bodies = _with_bodies(draft, samples, unknown, log_path) if only_boxes and is_placed else None

@@ -177,9 +177,8 @@
       const c = numbers(camera.corners);
       for (let k = 0; k < 3; k++) forward[k] += (c[3 + k] + c[6 + k] + c[9 + k] + c[12 + k]) / 4 - c[k];
     }
-    const length = Math.hypot(forward[a], forward[b]) || 1;
-    const ahead = [forward[a] / length, forward[b] / length];
-    const along = Math.hypot(...forward) > 0 && length > 0.2 * Math.hypot(...forward) ? ahead : [0.6, 0.8];
+    const length = Math.hypot(forward[a], forward[b]);
+    const along = length > 0.2 * Math.hypot(...forward) ? [forward[a] / length, forward[b] / length] : [0.6, 0.8];
     const upright = { x: up[0], y: up[1], z: up[2] };
     if (kind === "top") {
       const heading = [0, 0, 0]; heading[a] = along[0]; heading[b] = along[1];
@@ -281,7 +280,7 @@
       }
       traces.push({ type: "scatter", mode: p.ids.length > MARKERS / 20 ? "lines" : "lines+markers", x, y, text, hoverinfo: "text", showlegend: false, line: { width: Math.max(0.5, Math.min(8, 240 / p.ids.length)), color: colour(c) }, marker: { size: 4, color: colour(c) } });
     }
-    const step = Math.ceil(p.ids.length / 30), ticks = p.ids.map((_, k) => k).filter((k) => k % step === 0);
+    const step = Math.ceil(p.ids.length / 20), ticks = p.ids.map((_, k) => k).filter((k) => k % step === 0);
     draw("lives", traces, layout("When each track was reported", "time [s]", "track", {
       yaxis: axis("track", { tickvals: ticks, ticktext: ticks.map((k) => `${p.ids[k]}`), autorange: "reversed" }), shapes: cursor(),
     }));

@@ -12,6 +12,7 @@ import pytest
 
 from stereophd.config.loading import load_cameras
 from stereophd.core.geometry.pose import rotation_to_vector
+from stereophd.errors import InputError
 from stereophd.io.interchange.cameras import take_apart
 from tests.shared_data import shared_data
 
@@ -98,6 +99,36 @@ def test_a_session_without_points_says_so(tmp_path: Path, imported: Import) -> N
     report, out = imported("caliscope", tmp_path)
     assert any("cameras only" in sentence for sentence in report["assumed"])
     assert not (out / "detections.parquet").exists()
+
+
+def test_points_whose_columns_have_other_names_are_not_left_out(tmp_path: Path, imported: Import) -> None:
+    """The import wrote the cameras alone, and its note said that there was no file of points."""
+    write_session(tmp_path, 1)
+    points = tmp_path / "xy.csv"
+    points.write_text(points.read_text().replace("img_loc_x", "u"))
+    with pytest.raises(InputError, match=r"xy\.csv: expected a column img_loc_x, found sync_index, .*, u, img_loc_y"):
+        imported("caliscope", tmp_path)
+
+
+def test_a_word_among_the_numbers_is_refused_by_its_column(tmp_path: Path, imported: Import) -> None:
+    write_session(tmp_path, 1)
+    points = tmp_path / "xy.csv"
+    points.write_text(points.read_text().replace("100.75", "late"))
+    with pytest.raises(InputError, match=r"xy\.csv: .* in column frame_time: .*'late'"):
+        imported("caliscope", tmp_path)
+
+
+def test_times_in_milliseconds(tmp_path: Path, imported: Import) -> None:
+    """The remedy of the check names this option, which the format refused."""
+    write_session(tmp_path, 1)
+    for name, column in (("xy.csv", 3), ("timestamps.csv", 2)):
+        head, *rows = [line.split(",") for line in (tmp_path / name).read_text().splitlines()]
+        rows = [[*row[:column], f"{1000.0 * float(row[column])}", *row[column + 1 :]] for row in rows]
+        (tmp_path / name).write_text("".join(",".join(row) + "\n" for row in [head, *rows]))
+    _, out = imported("caliscope", tmp_path, time_unit="ms")
+    assert [row[0] for row in log_rows(out / "detections.parquet")] == [
+        100.25, 100.25, 100.3125, 100.5, 100.5, 100.75, 100.8125
+    ]  # fmt: skip
 
 
 def test_times_without_a_common_index_count_the_frames(tmp_path: Path, imported: Import) -> None:

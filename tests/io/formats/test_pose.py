@@ -38,7 +38,14 @@ def test_deeplabcut_csv(tmp_path: Path, imported: Import) -> None:
     report, out = imported("deeplabcut", next(tmp_path.glob("*.csv")), rates=2.0, least_score=0.5)
     assert log_rows(out / "detections.parquet") == EXPECTED
     assert report["labels"] == {"0": "nose", "1": "tail"}
+    assert "top: 2 detections below `least_score` left out" in report["assumed"]
     assert pq.read_table(out / "detections.parquet").column("object_id").to_pylist() == [0, 1, None, 0]
+
+
+def test_a_word_among_the_numbers_is_refused_by_its_column(tmp_path: Path, imported: Import) -> None:
+    (tmp_path / "top.csv").write_text(SINGLE.replace("3.6", "soon"))
+    with pytest.raises(InputError, match=r"in column 5 \(tail x\): .*'soon'"):
+        imported("deeplabcut", tmp_path / "top.csv", rates=2.0)
 
 
 def test_two_files_of_the_same_frames_are_warned_of(tmp_path: Path, imported: Import) -> None:

@@ -68,6 +68,24 @@ def test_logs_of_unknown_clocks_that_show_nothing_are_undetermined(tmp_path: Pat
     assert "no object can be followed" in report["reason"]
 
 
+@pytest.mark.parametrize("empty", ["left", "right"])
+def test_an_empty_camera_is_refused_by_its_name(tmp_path: Path, log: Path, empty: str) -> None:
+    """The remedy was to record fewer false detections with it; `left` is the reference."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    from stereophd.commands.calibrate import calibrate
+
+    table = pq.read_table(log).to_pandas()
+    table.loc[table["camera"] == empty, ["u_px", "v_px"]] = None
+    table = table[(table["camera"] != empty) | ~table.duplicated(["camera", "frame"])]
+    pq.write_table(pa.Table.from_pandas(table, preserve_index=False), tmp_path / "log.parquet")
+    loaded = load_config(PAPER, ("calibration.priors={}",), None, unknown_cameras(tmp_path))
+    with pytest.raises(InputError, match=f"expected detections of camera {empty}, found none"):
+        calibrate(loaded, tmp_path / "log.parquet", tmp_path / "out", plots=False, jobs=1)
+    assert not (tmp_path / "out").exists()
+
+
 def test_an_unknown_pose_is_refused_where_one_is_needed(tmp_path: Path) -> None:
     with pytest.raises(
         InputError, match=r"cameras\.left\.pose: expected a value, found unknown: run `calibrate` first"

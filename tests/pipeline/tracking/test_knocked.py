@@ -109,6 +109,7 @@ def test_a_knocked_camera_is_named(
         ("log.pixels", "pixels", None, "warning"),
         ("geometry.residuals", "pose_inaccurate", name, "warning"),
         ("geometry.residuals", "pose_inaccurate", "another", "not checked"),
+        ("geometry.cause", "rays_do_not_meet", "another", "not checked"),
     ):
         before = Finding(doubt, "warning", "it is wrong", camera=of, cause=cause)
         (finding,) = check_knocks(figures.report({}, 0, 0), (before,))

@@ -136,7 +136,7 @@ def calibrated(task: Task, starts: list[Start], choices: Choices) -> Calibrated:
     remarks += remark
     believed = believe(task, fit, choices)
     task, answer = believed.task, believed.answer
-    remarks += (*motion_remarks(answer), *believed.remarks)
+    remarks += (*motion_remarks(answer, choices.known), *believed.remarks)
     widening = 1.0
     if not choices.is_sampled:
         answer, widening, remark = widened(task, answer, believed.doubtful)
@@ -327,8 +327,9 @@ def widened(task: Task, answer: Fit, doubtful: Array) -> tuple[Fit, float, tuple
         return replace(answer, adjustment=replace(adjustment, converged=False)), 1.0, ()
     adjustment = replace(adjustment, covariance=adjustment.covariance + more + doubtful @ doubtful.T)
     text = (
-        f"stretches of the log disagree by up to {factor:.1f} times what their noise allows, on the cameras by "
-        f"{of_cameras:.1f}: the stated deviations were widened; errors of detections last, or something stated is wrong"
+        f"stretches of the log disagree by up to {factor:.1f} times what their noise allows ({of_cameras:.1f} times "
+        "about the cameras): the stated deviations were widened; errors of detections last, or something stated is "
+        "wrong"
     )
     remark = Remark("stretches", text, factor > LARGEST_WIDENING)
     return replace(answer, adjustment=adjustment), of_cameras, (remark,) if factor > SAID_FACTOR else ()
@@ -372,16 +373,17 @@ def spread_remarks(moves: TrackMoves, covariance: Array) -> tuple[Remark, ...]:
     return (Remark("spread", text, is_reservation=True),)
 
 
-def motion_remarks(answer: Fit) -> tuple[Remark, ...]:
-    """Return a remark if the noise of the motion is far from the stated one."""
+def motion_remarks(answer: Fit, known: ScaleMeasurement | None) -> tuple[Remark, ...]:
+    """Return a remark if the noise of the motion is far from the stated one; it proposes no length that is `known`."""
     factor = float(np.exp(np.log(answer.motion_factors).mean()))
     if abs(np.log(factor)) <= np.log(MOTION_FACTOR):
         return ()
     text = (
-        f"the objects accelerate {factor:.2g} times as much as motion.acceleration_std states; what they "
-        "show was used: motion.acceleration_std is wrong, or objects move together (corners of a board: state their "
-        "known distance, calibration.scale.kind: length)"
+        f"the objects accelerate {factor:.2g} times as much as motion.acceleration_std states; what they show was "
+        "used: motion.acceleration_std is wrong, or objects move together"
     )
+    if known is None or known.kind != "length":
+        text += " (corners of a board: state their known distance, calibration.scale.kind: length)"
     return (Remark("motion", text),)
 
 

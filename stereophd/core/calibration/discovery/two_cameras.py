@@ -17,6 +17,7 @@ from stereophd.core.calibration.discovery.pair_fit import (
 )
 from stereophd.core.calibration.discovery.pair_search import PairSearch, make_grid
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
+from stereophd.core.calibration.time_limit import within
 
 # Hypotheses are refined in rounds: how many of the greatest gains each takes, and its tolerances, px. The last ones are
 # below the noise of smoothed tracks, which right cameras fit to and others do not.
@@ -66,14 +67,17 @@ def find_pair(
     free = np.array(prior.focal_std) > KNOWN_FOCAL
     starts: list[tuple[float, PairState]] = []
     most = ROUNDS[0][0]
-    for lens, factor in product(lenses, factors):
+    guesses = list(product(lenses, factors))
+    for number, (lens, factor) in enumerate(guesses, start=1):
+        within(f"hypotheses by lens and focal length {number} of {len(guesses)}")
         focal = np.where(free, factor, 1.0)
         tracks = _with_intrinsics(found, cameras, focal, lens)
         search = PairSearch(tracks, cameras, make_grid(tracks, cameras, reach))
         starts += [(one.score, problem.start(one, focal, lens)) for one in search.hypotheses(most, rng)]
     starts.sort(key=lambda start: -start[0])
     states, fits = [state for _, state in starts], []
-    for most, tolerances in ROUNDS:
+    for number, (most, tolerances) in enumerate(ROUNDS, start=1):
+        within(f"the best {min(most, len(states))} are fitted, round {number} of {len(ROUNDS)}")
         refined = [fit for state in states[:most] if (fit := problem.fitted(state, tolerances)) is not None]
         fits = _distinct(refined, grid.step)
         states = [fit.state for fit in fits]

@@ -98,6 +98,7 @@ def read_batches(
     except pa.ArrowException as error:
         reason = str(error).splitlines()[0]
         column = re.match(r"In CSV column #(\d+): ", reason)
+        names = header_of(source)[1] if names is None and not skip and isinstance(source, Path) else names
         if column is not None and names is not None and int(column[1]) < len(names):
             reason = f"in column {names[int(column[1])]}: {reason.removeprefix(column[0])}"
         hint = "; the last line is too short: the file seems to be cut off" if _is_cut_off(source, reason) else ""

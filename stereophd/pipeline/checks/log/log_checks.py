@@ -9,7 +9,7 @@ from stereophd.core.geometry.pose import Pose
 from stereophd.core.settings import LATEST_S
 from stereophd.pipeline.checks.finding import Finding, Status, is_mistake
 from stereophd.pipeline.checks.log.sample import CLOSE, MOST_BY_CHANCE, CameraSample
-from stereophd.wording import instant, percent
+from stereophd.wording import instant, percent, span
 
 # Relative difference of frame rates that is reported.
 RATE_TOLERANCE = 0.02
@@ -286,5 +286,5 @@ def _periods(samples: list[CameraSample]) -> Iterator[Finding]:
             )  # fmt: skip
             return
     lengths = sorted(sample.times[-1] - sample.times[0] for sample in samples)
-    text = f"the periods of the cameras overlap; frames of {lengths[0]:.4g} to {lengths[-1]:.4g} s were examined"
+    text = f"the periods of the cameras overlap; frames of {span(lengths[0], lengths[-1])} s were examined"
     yield Finding("log.periods", "ok", text)

@@ -17,6 +17,7 @@ from stereophd.core.calibration.annealing.method import (
     Remark,
     doubt_of_starts,
     fitting,
+    motion_remarks,
     statement_remarks,
     why_none_succeeded,
 )
@@ -25,6 +26,7 @@ from stereophd.core.calibration.annealing.task import SUCCEEDED, Fit, Start, Tas
 from stereophd.core.calibration.pairing.choice import Pairing
 from stereophd.core.calibration.settings import AnnealedSettings
 from stereophd.core.calibration.time_limit import ENDLESS
+from stereophd.core.calibration.unknowns.scale import ScaleMeasurement
 
 SIZE = 6
 FAILED = "residuals are 3.0 times the detector's noise"
@@ -51,6 +53,13 @@ def most_starts(settings: AnnealedSettings, parameters: SimpleNamespace) -> int:
     """`Task.most_starts` of a task with these."""
     assert Task.most_starts.fget is not None
     return int(Task.most_starts.fget(SimpleNamespace(settings=settings, parameters=parameters)))
+
+
+@pytest.mark.parametrize(("kind", "is_proposed"), [(None, True), ("speed", True), ("length", False)])
+def test_a_length_is_not_proposed_where_one_is_known(kind: str | None, is_proposed: bool) -> None:
+    known = None if kind is None else ScaleMeasurement(kind, 1.0, 0.1)
+    (remark,) = motion_remarks(cast("Fit", SimpleNamespace(motion_factors=np.full(3, 0.05))), known)
+    assert ("scale.kind: length" in remark.text) == is_proposed
 
 
 def test_more_starts_are_made_where_they_are_cheap() -> None:
