@@ -7,8 +7,6 @@ A message names a parameter of the function that was called in backquotes (`forc
 the command line: `stereophd.cli.flags` translates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 

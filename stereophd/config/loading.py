@@ -1,7 +1,5 @@
 """Load a configuration: defaults < file < overrides < seed, with errors that name the place."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import json

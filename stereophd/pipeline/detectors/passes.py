@@ -1,7 +1,5 @@
 """Estimate the detectors of cameras from a log (``detector: estimate``), in a few runs of the filter."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
