@@ -56,7 +56,6 @@ def evaluate(
 
 
 def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | None, draw: bool) -> dict[str, Any]:
-    """Read, score, and write all files of the output folder."""
     tracks = read_tracks(inputs["tracks"])
     truth, truth_unit = read_truth(inputs["truth"])
     cameras, cameras_unit = _cameras(inputs.get("cameras"), tracks)

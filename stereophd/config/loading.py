@@ -346,7 +346,6 @@ def _validate(model: type[AnyModel], tree: Tree) -> AnyModel:
 
 
 def _check_camera_of_reports(config: Config, tree: Tree) -> None:
-    """Refuse estimates after the frames of a camera that does not exist."""
     times, cameras = config.report.times, config.cameras
     if isinstance(times, CameraTimes) and isinstance(cameras, dict) and times.camera not in cameras:
         path = ("report", "times")

@@ -96,7 +96,6 @@ class EventStream:
         self._report(done=True)
 
     def _check_dropped(self) -> None:
-        """Refuse a log of which far more than a few rows were dropped."""
         counts = self.counts
         dropped, each = bad_rows({**counts, "unknown_camera": 0})
         if dropped > MOST_DROPPED * counts.get("rows", 0):
