@@ -1,5 +1,7 @@
 """Normal equations of the bundle adjustment, accumulated detection by detection (compiled)."""
 
+from __future__ import annotations
+
 import numpy as np
 from numpy.typing import NDArray
 
