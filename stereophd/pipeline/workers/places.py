@@ -54,27 +54,25 @@ def processes(jobs: int) -> int:
 
 
 def on_processes(
-    function: Callable[[Argument], Result], arguments: Iterable[Argument], jobs: int, ordered: bool = True
-) -> Generator[Result]:
+    function: Callable[[Argument], Result], arguments: Iterable[Argument], jobs: int, ordered: bool = True,
+    tell: Callable[[str], None] | None = None,
+) -> Generator[Result]:  # fmt: skip
     """Call a function of a module for each argument, on several processes (-1: as many as cores); yield the results.
 
     One is this process, which does a call when its result is asked for. Results come in the order of the arguments, or
     as they are ready. A thread for each process waits for its calls: what is not needed any more, when the iterator is
-    closed, is not begun. Raises WorkersLostError when a process died.
+    closed, is not begun. The progress of the calls goes to `tell`. Raises WorkersLostError when a process died.
     """
     if jobs == 1:
         yield from map(function, arguments)
     elif calls := list(arguments):
-        with worker_processes(min(processes(jobs), len(calls))) as results_of:
+        with worker_processes(min(processes(jobs), len(calls)), tell) as results_of:
             yield from results_of(function, calls, ordered)
 
 
 @contextmanager
 def worker_processes(count: int, tell: Callable[[str], None] | None = None) -> Iterator[Callable[..., Iterator[Any]]]:
-    """Begin processes that end with the block; yield what calls a function for arguments on them (`on_processes`).
-
-    The progress of the calls goes to `tell`.
-    """
+    """Begin processes that end with the block; yield what calls a function for arguments on them (`on_processes`)."""
     from joblib import cpu_count
 
     workers: list[WorkerProcess] = []
