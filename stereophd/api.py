@@ -100,8 +100,7 @@ class Outputs:
         if view == "residuals":
             self.table("associations")  # an error names what is missing
         whether_to_draw(True)
-        # Costly to import, and matplotlib is an extra.
-        import matplotlib.pyplot
+        import matplotlib.pyplot  # costly to import, and an extra
 
         from stereophd.pipeline.inspection.runs import read_run
         from stereophd.report.plots.track_plots import draw_track_plot

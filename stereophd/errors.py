@@ -7,8 +7,6 @@ A message names a parameter of the function that was called in backquotes (`forc
 the command line: `stereophd.cli.flags` translates.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -32,10 +30,7 @@ class SizeError(InputError):
 class GateError(StereophdError):
     """The run is done, and a figure is beyond the limit that the user set (exit code 1).
 
-    Attributes
-    ----------
-    report : mapping or None
-        The report of the run, which has been written.
+    `report` is that of the run, which has been written, or None.
     """
 
     exit_code = 1

@@ -12,8 +12,6 @@ its fields by name, and its docstring lists them. A field without `option` is no
 declared is checked when an object is made. Nothing heavy may be imported here: the help must be quick.
 """
 
-from __future__ import annotations
-
 import inspect
 import math
 import textwrap

@@ -8,8 +8,6 @@ A distribution adds a module to one of `GROUPS`, for example in its `pyproject.t
 The module offers what a module of the package itself offers (`FORMAT`, `SETTINGS` or `LENS`).
 """
 
-from __future__ import annotations
-
 import pkgutil
 from collections.abc import Mapping
 from functools import cache

@@ -1,7 +1,5 @@
 """Shared parts of the configuration models: their base, sections of several kinds, units and boxes."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal, Union

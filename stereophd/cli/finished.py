@@ -1,7 +1,5 @@
 """``stereophd info``, ``align``, ``report`` and ``export``: commands about files that exist."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -38,7 +38,6 @@ def demo_command(session: Session, folder: Folder, replacing: Replacing) -> None
 
 
 def _lines(folder: Path, result: dict[str, Any]) -> list[str]:
-    """Return what was found, and what to run next."""
     log, study = folder / "simulated" / "detections.parquet", folder / "study"
     commands = [
         ["stereophd", "init", str(study), "--log", str(log)],

@@ -64,7 +64,6 @@ def align(
 
 
 def _aligned(path: Path, to: Path | str, out_dir: Path | None, options: AlignOptions) -> dict[str, Any]:
-    """Align the files of one run, and write them."""
     file = load_cameras(path)
     built = {name: camera.build(name) for name, camera in file.cameras.items()}
     tracks_path = Path(options.tracks_path or path.with_name(TRACKS_FILE))

@@ -37,7 +37,6 @@ Report = Mapping[str, Any]
 
 
 def _largest(report: Report, key: str) -> float | None:
-    """Return the largest figure of the cameras."""
     return max((camera[key] for camera in report.get("cameras", {}).values()), default=None)
 
 
@@ -139,7 +138,6 @@ def _run(
     command: str, items: Sequence[Item], work: Any, files: Sequence[str], record: Any, out_dir: Path | str,
     options: TrackOptions | CalibrateOptions | EvaluateOptions, progress: Progress,
 ) -> dict[str, Any]:  # fmt: skip
-    """Do the work of a command for all items."""
     columns = {name: kind for name, (kind, _) in COLUMNS[command].items()}
     resume = not isinstance(options, EvaluateOptions) and options.resume
     files = files if isinstance(options, EvaluateOptions) else (*files, *UNFINISHED_FILES)
@@ -151,7 +149,6 @@ def _one_log(
     command: Callable[..., Report], loaded: LoadedConfig, options: TrackOptions | CalibrateOptions, item: Item,
     out: Path, progress: Progress,
 ) -> Report:  # fmt: skip
-    """Track or calibrate from one log."""
     tidy(out)  # of a run that was killed while it moved its files, or before it had kept anything
     return command(loaded, item.paths[0], out, options=options, progress=progress)
 

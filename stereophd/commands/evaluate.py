@@ -56,7 +56,6 @@ def evaluate(
 
 
 def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | None, draw: bool) -> dict[str, Any]:
-    """Read, score, and write all files of the output folder."""
     tracks = read_tracks(inputs["tracks"])
     truth, truth_unit = read_truth(inputs["truth"])
     cameras, cameras_unit = _cameras(inputs.get("cameras"), tracks)
@@ -79,8 +78,7 @@ def _run(inputs: dict[str, Path], options: EvaluateOptions, out: OutputFolder | 
         write_json(out.path(REPORT_NAME), report)
         write_per_scan(out.path(PER_SCAN_NAME), scored.columns, to_metadata(record))
         if draw:
-            # Costly to import, and matplotlib is an extra.
-            from stereophd.report.plots.scene_plots import Pictures, write_plots
+            from stereophd.report.plots.scene_plots import Pictures, write_plots  # costly to import, and an extra
 
             if options.align != "none" and "cameras" not in inputs:
                 cameras = None  # those of the tracks stand in the frame of these

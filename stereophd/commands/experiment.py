@@ -67,7 +67,6 @@ def _draw(results: result_files.Results, out: OutputFolder) -> None:
     if not can_draw():
         LOGGER.info("no figure: it needs matplotlib (pip install matplotlib)")
         return
-    # Costly to import, and matplotlib is an extra.
-    from stereophd.report.plots.experiment_plots import write_figure
+    from stereophd.report.plots.experiment_plots import write_figure  # costly to import, and an extra
 
     write_figure(results, {name: out.path(name) for name in FIGURE_FILES})

@@ -174,7 +174,6 @@ def _write_truth(
 def _check(
     recording: ForeignRecording, summaries: Mapping[str, CameraSummary], rates: Mapping[str, float | None]
 ) -> None:
-    """Add warnings about what does not fit together."""
     warn = recording.warnings.append
     if summaries and recording.cameras:
         known = ", ".join(recording.cameras)

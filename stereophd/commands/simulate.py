@@ -104,8 +104,7 @@ def _simulate_runs(
     loaded: LoadedConfig, paths: list[dict[str, Path]], jobs: int, progress: Progress
 ) -> list[dict[str, int]]:
     tasks = [(loaded, run, files) for run, files in enumerate(paths)]
-    # Only here: a single run starts without it.
-    from stereophd.pipeline.workers.places import on_processes
+    from stereophd.pipeline.workers.places import on_processes  # only here: a single run starts without it
 
     counts = []
     for count in on_processes(_simulate_run, tasks, jobs):

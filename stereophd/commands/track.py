@@ -184,9 +184,8 @@ class _Outputs:
 
 def _draw(report: dict[str, Any], out: OutputFolder) -> None:
     """Draw the plots of a run from the files that it has written."""
-    # Costly to import, and matplotlib is an extra.
     from stereophd.pipeline.inspection.runs import read_run
-    from stereophd.report.plots.track_plots import write_track_plots
+    from stereophd.report.plots.track_plots import write_track_plots  # costly to import, and an extra
 
     run = read_run(out.path(TRACKS_FILE).parent, "track", report)
     kept = [name for name in PLOTS if run.associations is not None or not name.startswith("residuals")]

@@ -45,7 +45,6 @@ class PriorBase(Model):
 
 
 def _numbers(values: Any) -> Iterator[float]:
-    """All numbers in nested values."""
     if isinstance(values, (dict, tuple, list)):
         for value in values.values() if isinstance(values, dict) else values:
             yield from _numbers(value)

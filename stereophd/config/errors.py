@@ -51,7 +51,6 @@ def show(value: Any) -> str:
 
 
 def _part(part: str | int) -> str:
-    """Return a part of a key path, shortened."""
     text = str(part)
     return text if len(text) <= _MAX_SHOWN else text[: _MAX_SHOWN - 3] + "..."
 

@@ -1,8 +1,6 @@
 """The ``experiment`` section of a configuration: its scenario, its methods, its cases and the number of runs."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from annotated_types import Interval
 from pydantic import Field, model_validator
@@ -139,7 +137,7 @@ class AxisConfig(Model):
     )
 
     @model_validator(mode="after")
-    def _one_form(self) -> AxisConfig:
+    def _one_form(self) -> Self:
         if (self.key is None) != (self.values is None) or (self.key is None) == (self.settings is None):
             raise ValueError("expected key and values, or settings")
         return self
@@ -192,7 +190,7 @@ class ExperimentConfig(Model):
     figure: FigureConfig = parameter("what the figure shows", default_factory=FigureConfig)
 
     @model_validator(mode="after")
-    def _order(self) -> ExperimentConfig:
+    def _order(self) -> Self:
         if self.figure.over is not None and self.figure.over not in self.cases:
             raise ValueError(f"figure.over: expected the name of an axis of cases, found {self.figure.over}")
         return self

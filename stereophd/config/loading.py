@@ -1,7 +1,5 @@
 """Load a configuration: defaults < file < overrides < seed, with errors that name the place."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import json
@@ -22,7 +20,7 @@ from stereophd.core.geometry.camera import Camera
 from stereophd.errors import InputError, unknown_camera
 from stereophd.io.cameras.models import CameraConfig, CamerasFile
 from stereophd.io.interchange.options import ImportOptions
-from stereophd.io.outputs.json_text import infinity_as_text
+from stereophd.io.outputs.json_text import infinity_as_text, plain
 from stereophd.io.outputs.provenance import ConfigRecord, sha256_of
 from stereophd.io.tables.trajectories import pack_poses, read_trajectory
 from stereophd.wording import LOGGER
@@ -218,17 +216,8 @@ def make_config(
     Messages call the configuration by the name. The other parameters are those of `load_config`. Raises InputError, as
     it does, if a value is not valid.
     """
-    tree = Tree(_as_data(values), {(): Place(name)})
+    tree = Tree(plain(values, float), {(): Place(name)})  # as a file holds them: mappings, lists and scalars
     return _completed(tree, Path(name), {}, Path(), overrides, seed, cameras_path)
-
-
-def _as_data(value: Any) -> Any:
-    """Return values as a file holds them: mappings, lists and scalars."""
-    if isinstance(value, Mapping):
-        return {str(key): _as_data(one) for key, one in value.items()}
-    if isinstance(value, list | tuple):
-        return [_as_data(one) for one in value]
-    return value.tolist() if hasattr(value, "tolist") else value
 
 
 def variant(loaded: LoadedConfig, settings: Sequence[tuple[str, Mapping[str, Any]]]) -> LoadedConfig:
@@ -348,7 +337,6 @@ def _validate(model: type[AnyModel], tree: Tree) -> AnyModel:
 
 
 def _check_camera_of_reports(config: Config, tree: Tree) -> None:
-    """Refuse estimates after the frames of a camera that does not exist."""
     times, cameras = config.report.times, config.cameras
     if isinstance(times, CameraTimes) and isinstance(cameras, dict) and times.camera not in cameras:
         path = ("report", "times")

@@ -5,9 +5,7 @@ at the centre of the top-left pixel; angles are in degrees where the key ends in
 keys are errors. Reading files, overrides and error messages live in `stereophd.config.loading`.
 """
 
-from __future__ import annotations
-
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 from annotated_types import Interval
 from pydantic import Field, model_validator
@@ -64,14 +62,14 @@ class Config(Model):
     experiment: ExperimentConfig | None = Field(None, description="Monte Carlo runs of a scenario (experiment)")
 
     @model_validator(mode="after")
-    def _covariance_of_cameras(self) -> Config:
+    def _covariance_of_cameras(self) -> Self:
         """Refuse a covariance that is none of these cameras."""
         if self.cameras_covariance and isinstance(self.cameras, dict):
             covariance_of(self.cameras_covariance, tuple(self.cameras))
         return self
 
     @model_validator(mode="after")
-    def _depth_of_points(self) -> Config:
+    def _depth_of_points(self) -> Self:
         """Refuse births of points without a prior of their depth."""
         if isinstance(self.object, PointSettings) and isinstance(self.filter, FilterSettings):
             birth = self.filter.birth

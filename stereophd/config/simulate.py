@@ -1,8 +1,6 @@
 """The scene that `simulate` makes, in a configuration."""
 
-from __future__ import annotations
-
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from annotated_types import Interval, Len
@@ -141,7 +139,7 @@ class SimulateConfig(Model):
         return value
 
     @model_validator(mode="after")
-    def _some_objects(self) -> SimulateConfig:
+    def _some_objects(self) -> Self:
         if self.objects is None and not self.given and not self.bodies and self.walkers is None:
             raise ValueError("expected objects, given, bodies or walkers, found none of them")
         if self.motion is not None and np.any(self.acceleration_std):

@@ -1,8 +1,6 @@
 """Tracking in a configuration: disparity space, motion, region, and the filter."""
 
-from __future__ import annotations
-
-from typing import Annotated, Literal
+from typing import Annotated, Literal, Self
 
 import numpy as np
 from pydantic import model_validator
@@ -46,7 +44,7 @@ class PolygonConfig(Model):
     up: Vector3 = parameter("the side of the plane on which heights are positive", default=(0.0, -1.0, 0.0))
 
     @model_validator(mode="after")
-    def _shape(self) -> PolygonConfig:
+    def _shape(self) -> Self:
         self.half_spaces()
         return self
 

@@ -1,7 +1,5 @@
 """The types of arrays: one name for each kind of element, used in every signature."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

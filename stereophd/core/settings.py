@@ -16,8 +16,6 @@ What exists in several kinds (filters, lenses, motion models) has a class of set
 `kind` (or `model`) holds its word; `members` finds them by the modules of a package and of its plug-ins.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import MISSING, dataclass, field

@@ -64,8 +64,7 @@ def build_bodies(config: Config, cameras: tuple[Camera, ...], path: Path | str) 
 
     Raises InputError unless the filter is `pmb`, objects move and no camera has a rolling shutter.
     """
-    # imported here: what it needs of SciPy is costly to import
-    from stereophd.core.bodies.filter import BodyFilter
+    from stereophd.core.bodies.filter import BodyFilter  # needs parts of SciPy that are costly to import
 
     where, shape = "where object.shape is ellipsoid", config.object
     assert isinstance(shape, EllipsoidSettings)

@@ -24,41 +24,18 @@ _OF_DETECTIONS = frozenset({"u_px", "v_px", *_OPTIONAL})
 
 
 def read_cameras(path: Path | str) -> tuple[Camera, ...]:
-    """Read a ``cameras.yaml``.
+    """Read a ``cameras.yaml``: its cameras in the order of the file, with lengths in the unit of the file.
 
-    Parameters
-    ----------
-    path : path
-
-    Returns
-    -------
-    tuple of Camera
-        In the order of the file. Lengths are in the unit of the file.
-
-    Raises
-    ------
-    InputError
-        The file cannot be read or is not valid.
+    Raises InputError when it cannot be read or is not valid.
     """
     return tuple(camera.build(name) for name, camera in load_cameras(path).cameras.items())
 
 
 def write_cameras(path: Path | str, cameras: Sequence[Camera], length_unit: str, force: bool = False) -> None:
-    """Write a ``cameras.yaml``; reading it gives equal cameras.
+    """Write a ``cameras.yaml``, whose centres are in ``m``, ``cm``, ``mm`` and so on; reading it gives equal cameras.
 
-    Parameters
-    ----------
-    path : path
-    cameras : sequence of Camera
-    length_unit : str
-        Unit of the camera centres: ``m``, ``cm``, ``mm`` and so on.
-    force : bool
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    InputError
-        The file exists, or a camera has a value that a configuration does not allow.
+    Raises InputError when the file exists and `force` does not allow to replace it, or a camera has a value that a
+    configuration does not allow.
     """
     with atomic_write(path, replace=force) as temporary:
         described = {camera.name: camera_config(camera) for camera in cameras}

@@ -130,7 +130,6 @@ def _body_points(
 
 
 def _check_covered(cameras: Sequence[Camera], schedules: Sequence[Schedule], start_s: float, end_s: float) -> None:
-    """Refuse a run that is longer than the known trajectory of a camera."""
     for camera, schedule in zip(cameras, schedules, strict=True):
         if camera.pose.path is None:
             continue

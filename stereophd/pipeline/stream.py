@@ -4,12 +4,11 @@ A *frame* is what one camera reports at one time, in distorted pixels, as a log 
 as estimators take it: undistorted, with its noise, on the true time. A *scan* is what `evaluate` scores once.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -48,7 +47,7 @@ class EventStream:
     counted: tuple[float, float] = (-math.inf, math.inf)
     not_invertible: int = field(default=0, init=False)
 
-    def with_cameras(self, cameras: Sequence[Camera]) -> EventStream:
+    def with_cameras(self, cameras: Sequence[Camera]) -> Self:
         """Return a stream of the same frames for cameras with other detectors."""
         return replace(self, cameras=tuple(cameras))
 
@@ -96,7 +95,6 @@ class EventStream:
         self._report(done=True)
 
     def _check_dropped(self) -> None:
-        """Refuse a log of which far more than a few rows were dropped."""
         counts = self.counts
         dropped, each = bad_rows({**counts, "unknown_camera": 0})
         if dropped > MOST_DROPPED * counts.get("rows", 0):

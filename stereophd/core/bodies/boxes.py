@@ -6,8 +6,6 @@ not where the body does, and is left out: the measurement keeps the other sides.
 in their middle, and in the logarithm of their height and width.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Bodies that hide one another in an image, and that exclude one another in space."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy.special import ndtr
 

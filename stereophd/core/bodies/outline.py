@@ -8,8 +8,6 @@ C33 u^2 - 2 C13 u + C11 = 0, whose two roots are the sides of the box; rows like
 the camera where C33 > 0 and q3 > 0.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

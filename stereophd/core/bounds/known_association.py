@@ -10,8 +10,6 @@ found by the method of Levenberg and Marquardt for all objects at once, anew aft
 parameters of the time before. The covariance is the inverse of the information there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

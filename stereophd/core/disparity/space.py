@@ -6,8 +6,6 @@ camera (horizontal rectification, ``f = fx``) or below it (vertical, ``f = fy``)
 state is ``(u, v, d, du, dv, dd)``, per second. ``d <= 0`` is at or beyond infinity.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Literal
 

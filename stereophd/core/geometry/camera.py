@@ -1,10 +1,8 @@
 """A camera: pinhole, lens, pose, detector and clock, and the maps between world and pixels."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
+from typing import Self, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -123,13 +121,13 @@ class Camera:
         if not np.isfinite([self.cx, self.cy]).all():
             raise ValueError(f"camera {self.name}: expected a finite cx, cy, found {self.cx}, {self.cy}")
 
-    def at(self, time_s: float) -> Camera:
+    def at(self, time_s: float) -> Self:
         """Return the camera with its pose at a true time, s; the camera itself if it does not move."""
         if self.pose.is_static:
             return self
         return replace(self, pose=self.pose.at(time_s))
 
-    def with_noise(self, sigma_px: Array | float) -> Camera:
+    def with_noise(self, sigma_px: Array | float) -> Self:
         """Return the camera with another noise of its detector, (2,) or one along both axes, px."""
         return replace(self, detector=replace(self.detector, sigma=np.broadcast_to(sigma_px, 2)))
 

@@ -4,8 +4,6 @@ A region is packed as (2 + 4 h,): the nearest and the farthest depth, then the o
 every half-space; positions x with n x <= o are inside. A box and a prism over a convex polygon are such half-spaces.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 
 import numpy as np

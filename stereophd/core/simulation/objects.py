@@ -1,7 +1,5 @@
 """How the objects of a scene move: by a motion model, discretised exactly, or with a body."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 

@@ -5,8 +5,6 @@ force model for pedestrian dynamics", Physical Review E 51, 1995). Where it arri
 to another place, or to another walker, beside whom it stops.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -49,7 +49,6 @@ class CartesianEstimator(GaussianEstimator):
         return pixel, matrix, event.covariances[0]
 
     def _first(self, event: Event, space: Array) -> Gaussian:
-        """Return the Gaussian in the world."""
         first, whole = first_gaussian(self.prior, space, event, self.state_size)
         local, covariance = first[:3], whole[:3, :3]
         if self.settings.rule == "extended":
@@ -67,7 +66,6 @@ class CartesianEstimator(GaussianEstimator):
         return mean, whole
 
     def _predicted(self, state: GaussianState, space: Array, time_s: float) -> Gaussian:
-        """Return the exact prediction."""
         dt = time_s - state.home_s
         if self.state_size == 3 or dt == 0.0:
             return state.mean, state.covariance

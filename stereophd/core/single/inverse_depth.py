@@ -35,7 +35,6 @@ class InverseDepthEstimator(gaussian.GaussianEstimator):
     def _observed(
         self, state: gaussian.GaussianState, predicted: gaussian.Gaussian, event: Event, space: Array
     ) -> gaussian.Observation:
-        """Observe to first order."""
         mean, back = predicted[0], gaussian.rotation(state.home).T
         # d (rho times the point in the camera's axes) / d (a, b, rho)
         in_world = np.column_stack([back[:, :2], gaussian.center(state.home) - gaussian.center(space)])
@@ -46,7 +45,6 @@ class InverseDepthEstimator(gaussian.GaussianEstimator):
         return pixel, matrix, event.covariances[0]
 
     def _predicted(self, state: gaussian.GaussianState, space: Array, time_s: float) -> gaussian.Gaussian:
-        """Return the prediction to first order."""
         dt = time_s - state.home_s
         if self.state_size == 3 or dt == 0.0:
             return state.mean, state.covariance

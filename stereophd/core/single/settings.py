@@ -1,7 +1,5 @@
 """Settings of the estimators of one object, and the section ``filter`` with ``kind: single``."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal, TypeAlias
 
 from annotated_types import Interval

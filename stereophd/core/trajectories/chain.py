@@ -279,7 +279,6 @@ class Chain:
 
     @cached_property
     def _measured(self) -> Measured:
-        """Linearised detections at all places."""
         track, run = self.trajectory, self.run
         known = self.detections != NONE
         if not len(run.points):

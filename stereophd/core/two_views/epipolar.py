@@ -9,8 +9,6 @@ is the distance from that to first order (P. D. Sampson, 1982; R. Hartley and A.
 Computer Vision", section 11.4.3), free of scale.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -6,8 +6,6 @@ state. Residuals of a filter are independent, so the information that they hold 
 Jones 1976).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import NamedTuple

@@ -4,8 +4,6 @@ A row compares track a at the time of one of its detections with track b at the 
 clock of b that is depends on both clocks; the rays of b are interpolated there, between its own detections.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property

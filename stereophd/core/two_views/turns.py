@@ -1,7 +1,5 @@
 """Likelihoods of a frame if its camera were turned: by one of a family of turns, against none."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 from typing import NamedTuple

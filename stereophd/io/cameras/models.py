@@ -1,7 +1,5 @@
 """Cameras in a configuration: intrinsics, pose, lens, detector, clock; and the file that holds nothing else."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 from itertools import pairwise
 from typing import Annotated, Any, Literal, Self
@@ -177,7 +175,7 @@ class CameraConfig(Model):
     )
 
     @model_validator(mode="after")
-    def _poses_rise(self) -> CameraConfig:
+    def _poses_rise(self) -> Self:
         times = [pose.from_s for pose in self.poses]
         if any(after <= before for before, after in pairwise(times)):
             raise ValueError(f"poses: expected rising from_s, found {', '.join(f'{time_s:g}' for time_s in times)}")

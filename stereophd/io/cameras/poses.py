@@ -1,7 +1,5 @@
 """Poses of cameras in a configuration: fixed, moving, or along the known trajectory of a body."""
 
-from __future__ import annotations
-
 from typing import Annotated, Any, Self
 
 import numpy as np
@@ -101,7 +99,7 @@ class PoseConfig(PlaceConfig):
     )
 
     @model_validator(mode="after")
-    def _one_form(self) -> PoseConfig:
+    def _one_form(self) -> Self:
         if self.unknown:
             if self.model_dump(exclude_defaults=True).keys() != {"unknown"}:
                 raise ValueError("expected nothing besides unknown, found more")
@@ -144,7 +142,7 @@ class LaterPoseConfig(PlaceConfig):
     center: Vector3 = parameter("optical centre in the world", unit="length")
 
     @model_validator(mode="after")
-    def _is_rotated(self) -> LaterPoseConfig:
+    def _is_rotated(self) -> Self:
         if self.rotation_matrix is None and self.rotation_vector_deg is None:
             raise ValueError("expected rotation_matrix or rotation_vector_deg, found neither")
         return self

@@ -14,23 +14,19 @@ Tracks: the columns of ``tracks.parquet``; the covariance as its upper triangle,
 exact; names of cameras are quoted where they need it, and one that begins like a formula gets an apostrophe before it.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from stereophd.errors import InputError
 from stereophd.io.interchange.base import EXTRA_COLUMNS, ExportOptions, ForeignRecording, Format, ImportOptions, Piece
 from stereophd.io.interchange.documents.text_tables import header_of, read_batches
 from stereophd.io.interchange.pixels import native_pixels
 from stereophd.io.interchange.truth import in_seconds, long_truth
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 #: Native column -> names by which other programs call it, in lower case; the first that is there is taken.
 USUAL_NAMES: Mapping[str, tuple[str, ...]] = {
@@ -74,8 +70,6 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 
 
 def _pieces(recording: ForeignRecording, sources: Sequence[Path], options: ImportOptions) -> Iterator[Piece]:
-    import pyarrow as pa
-
     for path in sources:
         separator, header = header_of(path)
         if not any(header):

@@ -41,8 +41,6 @@ POINTS_TRIED = 200
 
 @dataclass
 class _Sources:
-    """The files by what they are."""
-
     points: list[Path] = field(default_factory=list)
     coefficients: Array | None = None
     profile: Array | None = None

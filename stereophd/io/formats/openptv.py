@@ -164,7 +164,6 @@ def _read_control(path: Path, recording: ForeignRecording) -> _Control:
 
 
 def _words(path: Path, count: int) -> list[str]:
-    """Return the first words of a small file of parameters."""
     words = path.read_text(encoding="utf-8-sig").split()
     if len(words) < count:
         raise InputError(f"{path}: expected {count} values, found {len(words)}")

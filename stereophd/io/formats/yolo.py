@@ -48,7 +48,6 @@ def read(sources: Sequence[Path], options: ImportOptions) -> ForeignRecording:
 
 
 def _frames(folder: Path) -> dict[int, Path]:
-    """Return the files of a folder by their frames."""
     frames: dict[int, Path] = {}
     for path in sorted(folder.glob("*.txt")):
         words = re.findall(r"\d+", path.stem)

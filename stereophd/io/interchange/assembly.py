@@ -427,7 +427,6 @@ def _merged(streams: Sequence[Iterator[Array]]) -> Iterator[tuple[NDArray[np.int
 
 
 def _columns(index: NDArray[np.int64], rows: Array, names: Sequence[str], extra: Sequence[str]) -> dict[str, Any]:
-    """Return rows as the columns of a log."""
     columns: dict[str, Any] = {
         "time_s": rows[:, TIME].copy(),
         "camera": [names[k] for k in index.tolist()],

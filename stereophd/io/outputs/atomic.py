@@ -6,8 +6,6 @@ removes what a killed process left. One run at a time writes to a folder (`stere
 the user, such as a folder that holds other files or a full disk, become `InputError`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import shutil
@@ -16,6 +14,7 @@ from collections.abc import Iterable, Iterator
 from fnmatch import fnmatchcase
 from pathlib import Path
 from types import TracebackType
+from typing import Self
 
 from stereophd.errors import InputError
 from stereophd.io.outputs import disk
@@ -191,7 +190,7 @@ class OutputFolder:
         self._held = contextlib.ExitStack()
         self._staged: Path | None = None
 
-    def __enter__(self) -> OutputFolder:
+    def __enter__(self) -> Self:
         with contextlib.ExitStack() as held:
             try:
                 held.enter_context(output_lock(self.folder))

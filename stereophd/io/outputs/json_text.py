@@ -2,7 +2,7 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,26 +40,22 @@ def read_report(path: Path) -> dict[str, Any] | None:
     return document
 
 
-def plain(value: Any) -> Any:
-    """Return a value of dicts, lists, texts and numbers that JSON knows; NaN and infinity become None."""
+def finite_or_none(value: Any) -> float | None:
+    """Return a number as a float, or None for NaN and infinity."""
+    return float(value) if math.isfinite(value) else None
+
+
+def plain(value: Any, of_float: Callable[[float], Any] = finite_or_none) -> Any:
+    """Return a value of dicts, lists, texts and numbers that JSON knows; by default NaN and infinity become None."""
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): plain(item, of_float) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [plain(item, of_float) for item in value]
     if hasattr(value, "tolist"):
-        return plain(value.tolist())
-    return finite_or_none(value) if isinstance(value, float) else value
+        return plain(value.tolist(), of_float)
+    return of_float(value) if isinstance(value, float) else value
 
 
 def infinity_as_text(value: Any) -> Any:
     """Return a value with infinities as text, which JSON lacks; a configuration that is read again takes them back."""
-    if isinstance(value, Mapping):
-        return {key: infinity_as_text(one) for key, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [infinity_as_text(one) for one in value]
-    return str(value) if isinstance(value, float) and math.isinf(value) else value
-
-
-def finite_or_none(value: Any) -> float | None:
-    """Return a number as a float, or None for NaN and infinity."""
-    return float(value) if math.isfinite(value) else None
+    return plain(value, lambda number: str(number) if math.isinf(number) else number)

@@ -8,23 +8,18 @@ A frame without detections has an empty list. ``"columns"`` names further values
 ``["sigma_u_px", "sigma_v_px"]``: they follow u and v in every row. Keys that are not named here are ignored.
 """
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from time import perf_counter
-from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
+import pyarrow as pa
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.streams.documents import FURTHER, FrameDocument
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 _decode = msgspec.json.Decoder(FrameDocument).decode
 

@@ -78,16 +78,8 @@ def classes(distances: Array) -> Array:
 def unmix(kind: DistanceKind, together: Array, foreign: Sequence[Array], known: float, count: int) -> Mixture:
     """Return what the numbers of distances `together` (classes,) tell.
 
-    Parameters
-    ----------
-    kind : DistanceKind
-    together : array (classes,)
-    foreign : sequence of arrays (classes,)
-        Probabilities of distances of different objects. Any may be right, the first is that of chance.
-    known : float
-        Number of distances from which these are known.
-    count : int
-        Detections that have at most one partner each.
+    `foreign` are probabilities (classes,) of distances of different objects, `known` from so many: any of them may be
+    right, the first is that of chance. `count` is the number of detections, which have at most one partner each.
     """
     kept = max(int(np.searchsorted(np.cumsum(foreign[0]), 0.5)), 1)
     widths = 0.5 ** np.arange(BUMPS)

@@ -1,7 +1,5 @@
 """Estimate the detectors of cameras from a log (``detector: estimate``), in a few runs of the filter."""
 
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -122,8 +120,7 @@ class _Watched:
                 sums, prediction, event, info.claims, camera.at(event.time_s), space, settled, not event.own_noise
             )
             return after, replace(info, claims=None), estimates, sighting
-        # imported here: what it needs of SciPy is costly to import
-        from stereophd.core.bodies.filter import BodyFilter
+        from stereophd.core.bodies.filter import BodyFilter  # needs parts of SciPy that are costly to import
         from stereophd.pipeline.detectors.bodies import observe_bodies
 
         assert isinstance(self._estimator, BodyFilter)

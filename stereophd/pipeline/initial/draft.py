@@ -201,7 +201,6 @@ def _with_bodies(
 
 
 def _with_note(draft: Draft, cameras: Collection[str], note: str) -> Draft:
-    """Return the draft with one more comment on each of these cameras."""
     notes = {name: (*draft.camera_notes.get(name, ()), note) for name in cameras}
     return replace(draft, camera_notes=draft.camera_notes | notes)
 
@@ -382,7 +381,6 @@ def _with_damping(draft: Draft, speed_std: float, parts: list[list[Event]], name
 def _with_detectors(
     draft: Draft, loaded: LoadedConfig, priors: Mapping[str, NoisePrior], parts: Sequence[EventStream]
 ) -> Draft:
-    """Estimate the detectors that are unknown."""
     begin(3, "the detectors are estimated")
     config, path = loaded.config, loaded.path
     cameras, report = estimate_detectors(

@@ -79,8 +79,6 @@ class Run:
 
 @dataclass
 class _Found:
-    """What the folders hold."""
-
     runs: list[tuple[Path, Run]] = field(default_factory=list)
     evaluations: list[tuple[Path, Evaluation]] = field(default_factory=list)
     logs: dict[str, Path] = field(default_factory=dict)

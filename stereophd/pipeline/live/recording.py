@@ -1,19 +1,14 @@
 """Recorded frames, lines of JSON in the order of their arrival, as a detection log in the order of their times."""
 
-from __future__ import annotations
-
 import heapq
 import math
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from stereophd.config.loading import LoadedConfig
 from stereophd.io.logs.rows import OPTIONAL, LogWriter
 from stereophd.io.outputs.provenance import provenance, to_metadata
 from stereophd.io.streams.messages import Message, parse_line
-
-if TYPE_CHECKING:
-    from stereophd.config.loading import LoadedConfig
 
 
 def write_log(loaded: LoadedConfig, recording: Path, log: Path) -> None:

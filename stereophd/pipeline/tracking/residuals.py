@@ -162,7 +162,6 @@ class TrackErrors:
         return {"same_camera": self.same_camera.report(), "other_camera": self.other_camera.report()}
 
     def _compute(self, cameras: Mapping[str, Camera]) -> None:
-        """Take in the detections that wait."""
         if not self.waiting:
             return
         names, tracks, *_, covariances, _ = map(np.array, zip(*self.waiting, strict=True))

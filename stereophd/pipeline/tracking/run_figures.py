@@ -108,7 +108,6 @@ class CameraSums:
             self._compute(camera)
 
     def _compute(self, camera: Camera) -> None:
-        """Compute the residuals that wait."""
         residuals, _, expected, usable, usual = residuals_of(camera, self.waiting)
         found = residuals[usual]
         self.expected += float(expected[usual].sum())

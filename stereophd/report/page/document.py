@@ -51,8 +51,6 @@ def page(runs: Sequence[Run], title: str = "stereophd report") -> str:
 
 
 class _Shown(NamedTuple):
-    """What the page shows of a run."""
-
     data: dict[str, Any]  # For the script
     verdict: str
     details: str

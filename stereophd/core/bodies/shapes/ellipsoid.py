@@ -1,7 +1,5 @@
 """Objects that are ellipsoids of revolution about the vertical, or spheres (``object.shape: ellipsoid``)."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

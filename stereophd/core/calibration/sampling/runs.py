@@ -4,8 +4,6 @@ Random numbers of a step depend on the seed and the number of the step alone, so
 gives the same result as an uninterrupted one.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from typing import Protocol, TypeVar
 

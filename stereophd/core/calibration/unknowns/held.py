@@ -9,8 +9,6 @@ more certain than it is. A log of which all images are as makers state them has 
 any is: else they are unknown, too.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 import numpy as np

@@ -8,11 +8,10 @@ and the cameras of `values` are those of the prior mean, moved by each quantity 
 `stereophd.core.calibration.unknowns.quantities`. Samplers and optimisers see nothing but vectors of values.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -194,7 +193,7 @@ class ParameterSet:
                 counts[index[used]] += 1.0
         return np.asarray(totals / np.maximum(counts, 1.0))
 
-    def about(self, cameras: Sequence[Camera]) -> ParameterSet:
+    def about(self, cameras: Sequence[Camera]) -> Self:
         """Return the same parameters about other cameras."""
         return replace(self, cameras=tuple(cameras))
 

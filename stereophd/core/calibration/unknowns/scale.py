@@ -11,8 +11,6 @@ accelerations in absolute units every knot of every trajectory would favour a sm
 velocities in an evidence, every object would favour a large one, by s^2.)
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 

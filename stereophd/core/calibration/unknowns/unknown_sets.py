@@ -5,8 +5,6 @@ the start, an adjustment to a rough association distorts the unknowns that the a
 first stage frees what fixes the frame (poses, clocks, rates), the second focal lengths and k1, the third the rest.
 """
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass
 

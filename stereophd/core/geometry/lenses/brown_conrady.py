@@ -3,8 +3,6 @@
 Source: D. C. Brown, "Decentering distortion of lenses", 1966.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

@@ -1,7 +1,5 @@
 """Distortion model ``fisheye``: OpenCV's fisheye model (J. Kannala and S. Brandt, IEEE TPAMI 28 (8), 2006)."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal
 

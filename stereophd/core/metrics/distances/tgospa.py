@@ -84,8 +84,7 @@ def trajectory_gospa(
 
 def _solve(gain: Array, objects: Integers, tracks: Integers, half_switch: float) -> tuple[Array, Array]:
     """Return the weights (c, k) of couples and how much they change between scans (c, k - 1), of least cost."""
-    # costly to import, and few evaluations need it
-    from scipy.optimize import linprog
+    from scipy.optimize import linprog  # costly to import, and few evaluations need it
     from scipy.sparse import coo_array, csr_array, eye_array, hstack, kron, vstack
 
     count, scans = gain.shape

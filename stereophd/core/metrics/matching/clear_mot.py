@@ -17,8 +17,6 @@ K. Bernardin, R. Stiefelhagen, "Evaluating multiple object tracking performance:
 on Image and Video Processing, 2008 (section 2.1.3).
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

@@ -5,10 +5,8 @@ sets in the same turn, so that likelihoods are smooth functions of the cameras, 
 the same cameras every time.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -50,7 +48,7 @@ class BatchState:
         """Components of each hypothesis (k,)."""
         return self.ends - self.begins
 
-    def take(self, hypotheses: Integers) -> BatchState:
+    def take(self, hypotheses: Integers) -> Self:
         """Return the hypotheses with these indices (k',), which may repeat."""
         return replace(self, begins=self.begins[hypotheses], ends=self.ends[hypotheses])
 

@@ -1,7 +1,5 @@
 """Settings of the Gaussian-mixture PHD filter (``filter.kind: phd``)."""
 
-from __future__ import annotations
-
 from typing import Literal
 
 from stereophd.core.multi.filter_settings.common import MISSED, FilterSettings, Missed

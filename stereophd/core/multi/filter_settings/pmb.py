@@ -1,7 +1,5 @@
 """Settings of the Poisson multi-Bernoulli filter (``filter.kind: pmb``)."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from annotated_types import Interval

@@ -12,8 +12,6 @@ of a read-only installation are found. A new kernel is kept in the first folder 
 write to count (`trusted_folders`). Importing reads and writes nothing.
 """
 
-from __future__ import annotations
-
 import contextlib
 import logging
 import os
@@ -24,7 +22,7 @@ import time
 from collections.abc import Callable
 from functools import cache, cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, _CacheLocator
 from numba.core.runtime import rtsys
@@ -149,7 +147,7 @@ class _Locator(_CacheLocator):  # type: ignore[misc]
         return str(self._line)
 
     @classmethod
-    def from_function(cls, py_func: Callable[..., object], py_file: str) -> _Locator:
+    def from_function(cls, py_func: Callable[..., object], py_file: str) -> Self:
         return cls(py_func, py_file)
 
 

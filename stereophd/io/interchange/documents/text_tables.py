@@ -1,21 +1,20 @@
 """Tables of text, or Parquet files, in pieces, with Arrow's reader; what is wrong with them is an `InputError`."""
 
-from __future__ import annotations
-
 import contextlib
 import csv
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
+from typing import IO
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from stereophd.core.arrays import Array
 from stereophd.errors import InputError
 from stereophd.io.documents import expecting
 from stereophd.io.file_kinds import PARQUET, kind_of_file
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 NULLS = ["", "NA", "N/A", "NaN", "nan", "null", "NULL", "None"]
 _QUOTED = re.compile(r'"[^"]*"')
@@ -38,8 +37,6 @@ def first_lines(path: Path, count: int) -> list[str]:
 def header_of(path: Path) -> tuple[str, list[str]]:
     """Return what separates the columns of a table (`PARQUET` of a Parquet file), and their names in its first line."""
     if kind_of_file(path) == PARQUET:
-        import pyarrow.parquet as pq
-
         with expecting("a table", path):
             return PARQUET, list(pq.read_schema(path).names)
     line = (first_lines(path, 1) or [""])[0]
@@ -73,9 +70,7 @@ def read_batches(
     lines stand before the header (or the first row). Raises InputError, naming the file `where`, for a row with too
     many or too few columns, or a value of another type.
     """
-    import pyarrow as pa
-    import pyarrow.csv
-    import pyarrow.parquet as pq
+    import pyarrow.csv  # costly to import
 
     try:
         if separator == PARQUET:
@@ -122,8 +117,6 @@ def number_batches(
     skip: int = 0,
 ) -> Iterator[dict[str, Array]]:  # fmt: skip
     """Yield columns of numbers in pieces, NaN where they are empty; the rest as `read_batches`."""
-    import pyarrow as pa
-
     kinds = dict.fromkeys(columns, pa.float64())
     for batch in read_batches(source, separator, kinds, where, names, skip):
         yield {name: batch.column(name).to_numpy(zero_copy_only=False) for name in kinds}
@@ -131,8 +124,6 @@ def number_batches(
 
 def read_matrix(path: Path) -> Array | None:
     """Return a small table of numbers without a header, or None if the file is not one."""
-    import numpy as np
-
     try:
         lines = path.read_text(encoding="utf-8-sig").splitlines()
         rows = [

@@ -5,8 +5,6 @@ more components. Values are offsets from the camera at the prior mean. Values of
 does not depend on the order in which they are applied, and the negative values undo them.
 """
 
-from __future__ import annotations
-
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 """The calibration quantities, found by name."""
 
-from __future__ import annotations
-
 from functools import cache
 
 from stereophd.core.calibration.unknowns.quantities.base import Quantity
