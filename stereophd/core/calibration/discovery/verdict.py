@@ -17,13 +17,11 @@ Doubt = tuple[str, str]
 
 # Largest deviations of rotation and direction, rad, of a pair that others start from.
 MOST_ROTATION, MOST_DIRECTION = np.deg2rad(6.0), np.deg2rad(10.0)
-# Lead over the next optimum, at least: nats by which that of one in 200 pairs of cameras without a common object is
-# larger (it falls off by e in 2.4), and a part of the gain, since residuals of many objects are not noise alone.
+# Lead over the next optimum, at least: nats, which that of one in 200 pairs of cameras without a common object exceeds
+# (e times fewer every 2.4); and a part of the gain, since residuals are not noise alone.
 LEAST_LEAD, LEAST_PART = 10.0, 0.2
-# Share of the points in front of both cameras, at least.
-LEAST_FRONT = 0.95
-# Quadratic pieces that two cameras need in common: fewer can agree by chance.
-LEAST_PIECES = 4.0
+# Quadratic pieces that two cameras need in common: fewer can agree by chance; share of the points in front of both.
+LEAST_PIECES, LEAST_FRONT = 4.0, 0.95
 # Residuals of the best optimum over the stated noise above which a lens or clock is wrong.
 MOST_RESIDUAL = 3.0
 # Median parallax, rad, below which the cameras stand at one place; thickness over extent of a scene that is a plane.
