@@ -70,7 +70,8 @@ class FoundCameras:
         out["pairs"] = [
             {
                 "cameras": [names[number] for number in pair.cameras], "gain": pair.best.gain,
-                "gain_over_next_optimum": min(pair.gap, 1e6), "share_in_front": pair.best.front,
+                "gain_of_pose": pair.gains[0], "gain_of_next_optimum": pair.gains[1],
+                "share_in_front": pair.best.front,
                 "pieces_of_curves": pair.best.pieces, "residual_over_noise": pair.best.residual,
                 "parallax_deg": float(np.rad2deg(pair.best.parallax)),
             }

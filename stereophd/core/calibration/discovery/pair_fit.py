@@ -121,6 +121,11 @@ class PairFit:
     parallax: float  # median angle between their rays, rad
 
     @property
+    def gain_in_front(self) -> float:
+        """Gain of the points in front of both cameras: those behind one of them are outliers of this pose."""
+        return self.gain * self.front
+
+    @property
     def rotation_std(self) -> float:
         """Largest deviation of the rotation, rad."""
         return float(self.stds[:3].max())

@@ -17,7 +17,6 @@ from stereophd.core.arrays import Array
 from stereophd.core.calibration.discovery.pair_fit import PairFit, PairPrior, PairProblem, PairState
 from stereophd.core.calibration.discovery.tracks import SlopeTracks, slope_tracks
 from stereophd.core.calibration.discovery.two_cameras import (
-    LEAST_FRONT,
     OTHER_ANGLE,
     OTHER_STEPS,
     Link,
@@ -30,6 +29,7 @@ from stereophd.core.calibration.discovery.verdict import (
     Doubt,
     doubts_of_pair,
     doubts_of_tracks,
+    lead_of,
     sentences,
 )
 from stereophd.core.calibration.time_limit import ENDLESS, TIME_OVER, TimeLimit
@@ -173,11 +173,6 @@ class _Option:
     place: _Place
     step: float  # of the offsets that were searched, s
 
-    @property
-    def is_in_front(self) -> bool:
-        """Whether the points lie in front of both cameras."""
-        return self.fit.front >= LEAST_FRONT
-
     def agrees(self, other: _Option) -> bool:
         """Whether it turns the camera and its clock as another does, as far as both state it."""
         turn, later = self.place.distance(other.place)
@@ -190,7 +185,7 @@ class _Option:
         Points that lie behind a camera, where rays are nearly parallel, say nothing of turn and clock.
         """
         out = {self.cameras: self}
-        for option in sorted(options, key=lambda option: -option.fit.gain):
+        for option in sorted(options, key=lambda option: -option.fit.gain_in_front):
             if option.agrees(self):
                 out.setdefault(option.cameras, option)
         return out
@@ -215,22 +210,23 @@ def _link(
         return None
 
     def gain(group: Mapping[tuple[int, int], _Option], but: Mapping[tuple[int, int], _Option]) -> float:
-        return sum(option.fit.gain for two, option in group.items() if but.get(two) is not option)
+        return sum(option.fit.gain_in_front for two, option in group.items() if but.get(two) is not option)
 
     groups = [option.group(options) for option in options]
-    best = max(groups, key=lambda group: (next(iter(group.values())).is_in_front, gain(group, {})))
+    best = max(groups, key=lambda group: gain(group, {}))
     first = next(iter(best.values()))
-    rest = [option for option in options if option.is_in_front and option not in best.values()]
+    rest = [option for option in options if option not in best.values()]
     moved = [option for option in rest if option.agrees(first)]
     others = [option.group(moved if option in moved else options) for option in rest]
     # what two poses share says nothing of which is right
-    gaps = [gain(best, other) / max(gain(other, best), 1e-9) for other in others]
-    gap = min(gaps, default=np.inf)
-    other = others[gaps.index(gap)] if gaps else best
+    gains, other = min(
+        (((gain(best, other), gain(other, best)), other) for other in others),
+        key=lambda rival: lead_of(*rival[0]), default=((gain(best, {}), 0.0), best),
+    )  # fmt: skip
     apart = first.place.distance(next(iter(other.values())).place)
     opposed = len({option.cameras for option in options}) - len(best)
     links = [
-        (Link(option.cameras, option.fit, gap, apart, len(best), opposed), option.place) for option in best.values()
+        (Link(option.cameras, option.fit, gains, apart, len(best), opposed), option.place) for option in best.values()
     ]
     return min(
         ((doubts_of_pair(link, names), link, place) for link, place in links),
@@ -256,7 +252,7 @@ def _close_loops(
         if not guides:
             continue
         best = guides[0]
-        joined = [*links, Link(pairs[by], best, 0.0, (0.0, 0.0), 1, 0)]
+        joined = [*links, Link(pairs[by], best, (0.0, 0.0), (0.0, 0.0), 1, 0)]
         places = {**placed, new: placed[by].of_other(best, by, new == pairs[by][1])}
         centers = _centers(places, joined)
         if centers is None:

@@ -28,13 +28,11 @@ MOST_OPTIMA = 4
 LENSES, FOCAL_FACTORS, KNOWN_FOCAL = (0.0, -0.2, -0.4), (1.0, 0.7, 1.4), 0.1
 # Optima are others if their rotations or directions differ by this, rad, or their offsets by so many steps of the grid.
 OTHER_ANGLE, OTHER_STEPS = np.deg2rad(10.0), 2.0
-# Least share of the points in front of both cameras; gain over that of any optimum, with points behind them too.
-LEAST_FRONT, LEAST_SHARE = 0.95, 0.8
 
 
 @dataclass(frozen=True)
 class PairResult:
-    """Distinct optima of two cameras, the best first; those with points behind the cameras last."""
+    """Distinct optima of two cameras, the one whose points in front of both cameras gain most first."""
 
     fits: tuple[PairFit, ...]
     step: float  # of the offsets that were searched, s
@@ -42,14 +40,14 @@ class PairResult:
 
 @dataclass(frozen=True)
 class Link:
-    """Two cameras that are joined: an optimum, and how much more it gains than another pose of the camera does.
+    """Two cameras that are joined: an optimum, and what it and the nearest rival gain, another pose of the camera.
 
-    Gains are those of all pairs that agree.
+    Gains are those of the points in front of the cameras, of all pairs that agree, without what both poses share.
     """
 
     cameras: tuple[int, int]
     best: PairFit
-    gap: float  # gain over that of the other pose with the points in front of both cameras
+    gains: tuple[float, float]  # of the optimum and of the other pose
     other: tuple[float, float]  # how far that is turned, rad, and how much later its clock is, s
     agreeing: int  # how many pairs turn the camera so: several close a loop
     opposed: int  # how many pairs turn it otherwise
@@ -81,27 +79,18 @@ def find_pair(
         refined = [fit for state in states[:most] if (fit := problem.fitted(state, tolerances)) is not None]
         fits = _distinct(refined, grid.step)
         states = [fit.state for fit in fits]
-    return _ordered(problem, fits)
+    return _ordered(fits, grid.step)
 
 
 def with_start(problem: PairProblem, pair: PairResult, state: PairState) -> PairResult:
     """Return the optima of two cameras with the one that is found from a state near it, if it is another one."""
     fit = problem.fitted(state, ROUNDS[-1][1])
-    return pair if fit is None else _ordered(problem, _distinct([*pair.fits, fit], problem.step))
+    return pair if fit is None else _ordered(_distinct([*pair.fits, fit], problem.step), problem.step)
 
 
-def _ordered(problem: PairProblem, fits: Sequence[PairFit]) -> PairResult:
+def _ordered(fits: Sequence[PairFit], step: float) -> PairResult:
     """Return distinct optima, those of the greatest gains, as a result."""
-    front = [fit for fit in fits if fit.front >= LEAST_FRONT]
-    if front and front[0].gain < LEAST_SHARE * fits[0].gain:
-        front = []  # those in front agree by chance
-    # an optimum that needs a wider tolerance than the best is compared at that of the best
-    for number, fit in enumerate(front):
-        if fit.tolerance > front[0].tolerance:
-            other = problem.fitted(fit.state, (front[0].tolerance,))
-            front[number] = replace(fit, gain=0.0 if other is None else min(other.gain, fit.gain))
-    fits = sorted(front, key=lambda fit: -fit.gain) + [fit for fit in fits if fit.front < LEAST_FRONT]
-    return PairResult(tuple(fits[:MOST_OPTIMA]), problem.step)
+    return PairResult(tuple(sorted(fits, key=lambda fit: -fit.gain_in_front)[:MOST_OPTIMA]), step)
 
 
 def _distinct(fits: Sequence[PairFit], step: float) -> list[PairFit]:

@@ -1,7 +1,7 @@
 """Whether cameras that were found are believed, and what kind of motion leaves them open.
 
-A start counts by absolute deviations and by the gap to the next other optimum: a prior made from the data says nothing
-about what the data determine. The limits parted right from wrong answers on recordings with known cameras.
+A start counts by absolute deviations and by its lead over the next other optimum: a prior made from the data says
+nothing about what the data determine. The limits parted right from wrong answers on recordings with known cameras.
 """
 
 from collections.abc import Sequence
@@ -10,15 +10,18 @@ import numpy as np
 
 from stereophd.core.calibration.discovery.pair_fit import PairFit
 from stereophd.core.calibration.discovery.tracks import SlopeTracks
-from stereophd.core.calibration.discovery.two_cameras import LEAST_FRONT, Link
+from stereophd.core.calibration.discovery.two_cameras import Link
 
 # What is wrong with which cameras, and the remedy.
 Doubt = tuple[str, str]
 
-# Largest deviations of rotation and direction, rad, of a pair that others start from; gain over the next optimum's.
-MOST_ROTATION, MOST_DIRECTION, LEAST_GAP = np.deg2rad(6.0), np.deg2rad(10.0), 2.0
-# Quadratic pieces that two cameras need in common: fewer can agree by chance.
-LEAST_PIECES = 4.0
+# Largest deviations of rotation and direction, rad, of a pair that others start from.
+MOST_ROTATION, MOST_DIRECTION = np.deg2rad(6.0), np.deg2rad(10.0)
+# Lead over the next optimum, at least: nats, which that of one in 200 pairs of cameras without a common object exceeds
+# (e times fewer every 2.4); and a part of the gain, since residuals are not noise alone.
+LEAST_LEAD, LEAST_PART = 10.0, 0.2
+# Quadratic pieces that two cameras need in common: fewer can agree by chance; share of the points in front of both.
+LEAST_PIECES, LEAST_FRONT = 4.0, 0.95
 # Residuals of the best optimum over the stated noise above which a lens or clock is wrong.
 MOST_RESIDUAL = 3.0
 # Median parallax, rad, below which the cameras stand at one place; thickness over extent of a scene that is a plane.
@@ -45,6 +48,11 @@ def sentences(doubts: Sequence[Doubt]) -> tuple[str, ...]:
     for what, remedy in doubts:
         by_remedy.setdefault(remedy, {})[what] = None
     return tuple(f"{', '.join(what)}: {remedy}" for remedy, what in by_remedy.items())
+
+
+def lead_of(gain: float, other: float) -> float:
+    """Return by how much a pose gains more than another one does, over what it needs to be believed."""
+    return (gain - other) / max(LEAST_LEAD, LEAST_PART * gain)
 
 
 def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[Doubt]:
@@ -74,7 +82,7 @@ def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[Doubt]:
         stated = " or ".join(["a focal length", *["a lens"] * lens_is_stated, *["a clock"] * clock_is_stated])
         remedy = f"{stated} may be wrong; state rough poses, or record more objects"
         doubts.append((f"rays of {two} miss each other by {fit.residual:.1f} times the noise", remedy))
-    if pair.gap < LEAST_GAP:
+    if lead_of(*pair.gains) < 1.0:
         doubts.append(_second_optimum(pair, two, clock_is_stated))
     if pair.agreeing <= pair.opposed:
         doubts.append((f"the pose of {two} contradicts other pairs of cameras ({pair.opposed})", MORE_OBJECTS))
@@ -88,11 +96,11 @@ def doubts_of_pair(pair: Link, names: Sequence[str]) -> list[Doubt]:
 
 def _second_optimum(pair: Link, two: str, clock_is_stated: bool) -> Doubt:
     """Return how the second-best pose of a camera differs from the best, and the remedy."""
-    turn, later = pair.other
+    (turn, later), (gain, other) = pair.other, pair.gains
     away, remedy = f"turned by {np.rad2deg(turn):.0f} degrees", "record objects that speed up and turn"
     if not clock_is_stated:
         away, remedy = f"{away}, {later:+.2f} s away", f"{remedy}, or state the clock"
-    return f"another pose of {two} explains {100.0 / pair.gap:.0f} % as much, {away}", remedy
+    return f"another pose of {two} explains {100.0 * other / gain:.0f} % as much, {away}", remedy
 
 
 def _is_plane(fit: PairFit) -> bool:

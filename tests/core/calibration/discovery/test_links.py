@@ -39,7 +39,7 @@ def joined(results: dict[tuple[int, int], PairResult]) -> tuple:
 def test_two_optima_of_one_pair_are_doubted() -> None:
     results = {(0, 2): PairResult((optimum(0.8, 20.0, 5.0), optimum(-0.5, 15.0, 5.0)), 0.1)}
     doubts, pair, _ = joined(results)
-    assert pair.gap == pytest.approx(20.0 / 15.0)
+    assert pair.gains == pytest.approx((20.0, 15.0))
     assert "another pose of cam0 and cam2 explains 75 % as much, turned by 74 degrees" in doubts[0][0]
 
 
@@ -48,7 +48,7 @@ def test_a_remedy_is_said_once_of_all_cameras() -> None:
     doubts = [
         doubt
         for two in ((0, 1), (0, 2), (0, 1))
-        for doubt in doubts_of_pair(Link(two, replace(few, parallax=one), 9.0, (1.0, 0.0), 1, 0), NAMES)
+        for doubt in doubts_of_pair(Link(two, replace(few, parallax=one), (18.0, 2.0), (1.0, 0.0), 1, 0), NAMES)
     ]
     (said,) = sentences(doubts)
     assert said.count("record objects that turn") == 1
@@ -58,7 +58,7 @@ def test_a_remedy_is_said_once_of_all_cameras() -> None:
 def test_what_follows_from_tracks_that_agree_by_chance_is_not_said() -> None:
     """Residuals, another optimum and other pairs followed in nine clauses."""
     by_chance = replace(optimum(0.8, 20.0), front=0.6, residual=4.0)
-    ((what, remedy),) = doubts_of_pair(Link((0, 1), by_chance, 1.2, (1.0, 0.5), 1, 2), NAMES)
+    ((what, remedy),) = doubts_of_pair(Link((0, 1), by_chance, (12.0, 10.0), (1.0, 0.5), 1, 2), NAMES)
     assert what == "the tracks of cam0 and cam1 agree by chance (60 % of the points lie in front of both)"
     assert remedy.startswith("record the same moving objects with both")
 
@@ -68,7 +68,7 @@ def test_a_remedy_names_a_clock_or_a_lens_only_where_it_is_stated(is_stated: boo
     """Cameras whose clocks are known were to "state the clock"."""
     best = optimum(0.8, 20.0)
     best = replace(best, stds=best.stds * (np.arange(SIZE) < 5) if is_stated else best.stds, residual=4.0)
-    link = Link((0, 1), best, 1.2, (1.0, 0.5), 2, 0)
+    link = Link((0, 1), best, (12.0, 10.0), (1.0, 0.5), 2, 0)
     (_, unlike), (another, remedy) = doubts_of_pair(link, NAMES)
     assert ("a clock" in unlike, "a lens" in unlike) == (is_stated, is_stated)
     assert ("state the clock" in remedy, "0.50 s away" in another) == (not is_stated, not is_stated)
@@ -81,7 +81,7 @@ def test_another_pair_decides_between_two_optima() -> None:
     }
     doubts, pair, place = joined(results)
     assert not doubts
-    assert pair.gap == pytest.approx((15.0 + 19.0) / 16.0)
+    assert pair.gains == pytest.approx((15.0 + 19.0, 16.0))
     assert pair.agreeing == 2
     np.testing.assert_allclose(place.rotation, rotation_from_vector(-0.5 * Y), atol=1e-9)
     assert place.later == pytest.approx(5.0)
@@ -111,8 +111,8 @@ def test_a_clock_that_differs_is_another_pose() -> None:
 def test_optima_of_the_pairs_that_agree_move_the_camera_otherwise() -> None:
     same = PairResult((optimum(0.8, 20.0, 5.0), optimum(0.8, 12.0, 5.0)), 0.1)
     other = PairResult((optimum(0.5, 10.0, 3.0),), 0.1)
-    assert joined({(0, 2): same})[1].gap == pytest.approx(20.0 / 12.0)
-    assert joined({(0, 2): same, (1, 2): other})[1].gap == pytest.approx(30.0 / 12.0)
+    assert joined({(0, 2): same})[1].gains == pytest.approx((20.0, 12.0))
+    assert joined({(0, 2): same, (1, 2): other})[1].gains == pytest.approx((30.0, 12.0))
 
 
 def test_what_two_poses_share_counts_for_neither() -> None:
@@ -123,7 +123,7 @@ def test_what_two_poses_share_counts_for_neither() -> None:
     }
     doubts, pair, _ = joined(results)
     assert pair.agreeing == 2
-    assert pair.gap == pytest.approx(20.0 / 12.0)
+    assert pair.gains == pytest.approx((20.0, 12.0))
     assert "another pose of" in doubts[0][0]
 
 
@@ -132,7 +132,7 @@ def test_optima_that_move_the_camera_apart_are_two_poses() -> None:
         (0, 2): PairResult((optimum(0.8, 20.0, 5.0), optimum(0.66, 15.0, 5.0)), 0.1),
         (1, 2): PairResult((optimum(0.5, 20.0, 3.0), optimum(0.64, 15.0, 3.0)), 0.1),
     }
-    assert joined(results)[1].gap == pytest.approx(40.0 / 15.0)
+    assert joined(results)[1].gains == pytest.approx((40.0, 15.0))
 
 
 def test_one_open_pair_is_doubted_and_two_are_not() -> None:
@@ -142,16 +142,30 @@ def test_one_open_pair_is_doubted_and_two_are_not() -> None:
     assert not joined({(0, 2): wide, (1, 2): other})[0]
 
 
-@pytest.mark.parametrize(("gain", "front"), [(11.0, 1.0), (15.0, 0.6)])
-def test_points_behind_the_cameras_that_explain_more(
-    monkeypatch: pytest.MonkeyPatch, gain: float, front: float
-) -> None:
+@pytest.mark.parametrize(("gain", "is_believed"), [(14.0, True), (21.0, False)])
+def test_an_optimum_with_points_behind_the_cameras_shows_what_chance_gains(gain: float, is_believed: bool) -> None:
+    """Two cameras without a common object were believed: the others of their optima had points behind a camera."""
+    results = {(0, 2): PairResult((optimum(0.8, 20.0, 5.0), optimum(-0.5, gain, 5.0, front=0.6)), 0.1)}
+    doubts, pair, _ = joined(results)
+    assert pair.gains == pytest.approx((20.0, 0.6 * gain))
+    assert (not doubts) == is_believed
+
+
+@pytest.mark.parametrize(
+    ("gain", "other", "is_believed"), [(27.0, 16.0, True), (14.0, 5.0, False), (90.0, 75.0, False)]
+)
+def test_a_lead_is_one_over_chance_and_a_part_of_the_gain(gain: float, other: float, is_believed: bool) -> None:
+    results = {(0, 2): PairResult((optimum(0.8, gain, 5.0), optimum(-0.5, other, 5.0)), 0.1)}
+    assert (not joined(results)[0]) == is_believed
+
+
+def test_the_optimum_leads_whose_points_in_front_of_both_cameras_gain_most(monkeypatch: pytest.MonkeyPatch) -> None:
     true = cameras()[:2]
     found = slope_tracks(
         [view.camera for view in views_of(true)],
         tracks_of(true, [curved(np.random.default_rng(1))], np.random.default_rng(1)),
     )
-    optima = {0.0: optimum(0.0, 10.0), 5.0: optimum(0.0, gain, front=0.6)}
+    optima = {0.0: optimum(0.0, 10.0), 5.0: optimum(0.0, 15.0, front=0.6), 9.0: optimum(0.0, 20.0, front=0.6)}
     hypotheses = [Hypothesis(essential_of(np.eye(3), X), offset, 1.0) for offset in optima]
     monkeypatch.setattr(two_cameras.PairSearch, "hypotheses", lambda *_: hypotheses)
     monkeypatch.setattr(
@@ -159,7 +173,7 @@ def test_points_behind_the_cameras_that_explain_more(
     )
     prior = PairPrior(offset_is_known=False, rate_std=0.0, focal_std=(0.0, 0.0), lens_unknown=(False, False))
     result = two_cameras.find_pair(found, (0, 1), prior, 0.0, np.random.default_rng(0))
-    assert result.fits[0].front == front
+    assert [fit.gain for fit in result.fits] == [20.0, 10.0, 15.0]
 
 
 def test_two_pairs_that_agree_are_enough(monkeypatch: pytest.MonkeyPatch) -> None:
