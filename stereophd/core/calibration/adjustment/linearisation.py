@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -24,7 +25,7 @@ from stereophd.core.calibration.adjustment.trajectories import (
     slopes,
 )
 from stereophd.core.calibration.unknowns.parameters import taken
-from stereophd.core.calibration.unknowns.quantities.base import TIMES
+from stereophd.core.calibration.unknowns.quantities.base import TIMES, CameraView, Projection, Quantity
 from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import Sights
 from stereophd.core.calibration.unknowns.scale import log_scale, predicted
 
@@ -78,18 +79,25 @@ class Seen:
     """What cameras see of the points of detections."""
 
     placement: Placement
-    world: Array  # (n, 3): The points
-    points: Array  # (n, 3): In the axes of the cameras
-    velocities: Array  # (n, 3): Theirs; zeros where derivatives by values are not asked for
+    found: Projection
+    velocities: Array  # (n, 3): Those of the points; zeros where derivatives by values are not asked for
     errors: Array  # (n, 2): Residuals
-    visible: Booleans  # (n,)
-    by_point: Array  # (n, 2, 3): Derivatives of the pixels by the points
     by_value: Array  # (n, 2, q): By the unknown values of the camera; q = 0 where they are not asked for
+
+    @property
+    def visible(self) -> Booleans:
+        """Which points (n,) lie before their cameras."""
+        return self.found.ahead
+
+    @property
+    def by_point(self) -> Array:
+        """Derivatives (n, 2, 3) of the pixels by the points."""
+        return self.found.by_world
 
     @cached_property
     def bends(self) -> Array:
         """Second derivatives (n, 2, 3, 3) of the pixels by the points."""
-        return self.placement.sights.bends(self.points, self.visible)
+        return self.placement.sights.bends(self.found.points, self.visible)
 
 
 @dataclass(frozen=True)
@@ -227,28 +235,49 @@ class Linearisation:
         placement, held = placement or self.placed(values), self.problem.held
         by_values = by_values and (held is None or not held.all())
         world = positions(states, *placement.path)
-        velocities = positions(states, *placement.rates) if by_values else np.zeros_like(world)
-        return self.seen(placement, values, world, velocities, by_values)
+        velocities, found = np.zeros_like(world), placement.sights.project(world)
+        seen = Seen(
+            placement, found, velocities, self.problem.observations.points - found.pixels, np.zeros((len(world), 2, 0))
+        )
+        if not by_values:
+            return seen
+        seen = self.moving(seen, states)
+        by_value = np.zeros((len(world), 2, self.columns.shape[1]))
+        for here, view, unknown in self._views(seen, values):
+            parts = [quantity.derivative(view, own)[:, :, used] for quantity, own, used in unknown]
+            by_camera = np.concatenate(parts, axis=2)
+            by_value[here, :, : by_camera.shape[2]] = by_camera
+        return replace(seen, by_value=by_value)
 
-    def seen(
-        self, placement: Placement, values: Array, world: Array, velocities: Array, by_values: bool = True
-    ) -> Seen:
-        """What is seen of points and velocities (n, 3)."""
-        observations, parameters = self.problem.observations, self.problem.parameters
-        sights, count = placement.sights, len(observations)
-        found = sights.project(world)
-        by_value = np.zeros((count, 2, self.columns.shape[1] if by_values else 0))
-        at = placement.times, observations.log_times, observations.rows
-        for number, here in enumerate(self.members if by_values else ()):
-            if unknown := parameters.unknown(sights.cameras[number].name):
-                view = sights.view(number, here, found, velocities, *at)
-                parts = [
-                    quantity.derivative(view, taken(values, index))[:, :, index >= 0] for quantity, index in unknown
-                ]
-                by_camera = np.concatenate(parts, axis=2)
-                by_value[here, :, : by_camera.shape[2]] = by_camera
-        errors = observations.points - found.pixels
-        return Seen(placement, world, found.points, velocities, errors, found.ahead, found.by_world, by_value)
+    def moving(self, seen: Seen, states: Array) -> Seen:
+        """Return what is seen with the velocities of the points of knots (k, 2, 3)."""
+        return replace(seen, velocities=positions(states, *seen.placement.rates))
+
+    def pulled(self, seen: Seen, values: Array, pixels: Array, lines: Array) -> Array:
+        """Derivatives (n, q), by the values of the camera of each detection, of what detections pull at.
+
+        They pull at their pixels with weights (n, 2), and with weights (n, 2, 3) at the derivatives of these by the
+        points.
+        """
+        pull = seen.placement.sights.pull(seen.found, pixels, lines, seen.bends)
+        out = np.zeros((len(pixels), self.columns.shape[1]))
+        for here, view, unknown in self._views(seen, values):
+            own_pull = pull.take(here)
+            parts = [quantity.pulled(view, own_pull, own)[:, used] for quantity, own, used in unknown]
+            by_camera = np.concatenate(parts, axis=1)
+            out[here, : by_camera.shape[1]] = by_camera
+        return out
+
+    def _views(
+        self, seen: Seen, values: Array
+    ) -> Iterator[tuple[Integers, CameraView, list[tuple[Quantity, Array, Booleans]]]]:
+        """Detections of each camera that has unknown quantities, its view, and these: their values, and which count."""
+        observations, sights = self.problem.observations, seen.placement.sights
+        at = seen.placement.times, observations.log_times, observations.rows
+        for number, here in enumerate(self.members):
+            if unknown := self.problem.parameters.unknown(sights.cameras[number].name):
+                view = sights.view(number, here, seen.found, seen.velocities, *at)
+                yield here, view, [(quantity, taken(values, index), index >= 0) for quantity, index in unknown]
 
     def factor_of_knots(self, seen: Seen, bands: Array) -> Array:
         """Cholesky factor (12, size) of the second derivatives of the cost by the knots, where there is no loss.

@@ -1,10 +1,10 @@
 """How the volume of the trajectories, half of log det A, changes with values and points, detection by detection.
 
 With the covariance S of the point of a detection, of weight w, precision P and derivative J by the point, a change of
-A by any of its unknowns changes the volume by w tr(S J^T P dJ). The second derivatives of the pixel by a value that
-this needs are differences of first ones, along the two rows of K = w P J S: dJ by a value is the change by the point of
-the derivative by the value. A later time of a detection also moves the weights of its knots, from those of the position
-to those of the velocity. The covariances are those parts of the inverse of A that lie within its band (K. Takahashi,
+A by any of its unknowns changes the volume by w tr(S J^T P dJ): the detection pulls at its J with K = w P J S. As dJ by
+a value is the change by the point of the derivative by the value, that is what a quantity knows about pulls along the
+two rows of K (`quantities.base.Pull`). A later time of a detection also moves the weights of its knots, from those of
+the position to those of the velocity. The covariances are those parts of the inverse of A that lie within its band (K. Takahashi,
 J. Fagan and M.-S. Chin, "Formation of a sparse bus impedance matrix", 1973).
 """
 
@@ -17,11 +17,6 @@ import numpy as np
 from stereophd.core.arrays import Array, Integers
 from stereophd.core.calibration.adjustment.linearisation import Linearisation, Seen
 from stereophd.core.numerics.compilation.compiled import compiled
-
-# Step of the differences, in pixels: to one side, so that they are wrong by this part of the focal length.
-STEP_PX = 1e-4
-# Stands for a norm of 0, of what is not seen; its inverse squared is a number.
-LEAST_NORM = 1e-150
 
 
 @compiled
@@ -72,7 +67,7 @@ class VolumeSlopes:
         inverse_in_band(factor, inverse)
         path, rates = seen.placement.path, seen.placement.rates
         by_point = np.where(seen.visible[:, None, None], seen.by_point, 0.0)
-        spread = np.zeros((2, len(seen.world), 3, 3))
+        spread = np.zeros((2, len(by_point), 3, 3))
         for of_points, weights in zip(spread, (path.weights, rates.weights), strict=True):
             summed_covariances(inverse, path.knot, path.weights[:, :, None] * weights[:, None, :], of_points)
         weighted = linearisation.precisions @ by_point
@@ -85,20 +80,13 @@ class VolumeSlopes:
         by_noise = linearisation.noise_at(values, noise).by_unknowns(covariances)
         return VolumeSlopes(values, seen, rows, of_point, by_time, by_noise)
 
-    def by_value(self, linearisation: Linearisation, more: Array | float = 0.0, later: Array | float = 0.0) -> Array:
-        """Return derivatives (n, q) by the values of the camera of each detection.
+    def by_value(
+        self, linearisation: Linearisation, pixels: Array, more: Array | float = 0.0, later: Array | float = 0.0
+    ) -> Array:
+        """Return derivatives (n, q) by the values of the camera of each detection, and those of what adds to it.
 
-        `more` (n, 2, 3) and `later` (n,) add to those by the derivatives of the pixels and by the times.
+        That are weights `pixels` (n, 2) of the pixels, `more` (n, 2, 3) of their derivatives by the points, and `later`
+        (n,) of the times.
         """
-        before = self.seen
-        if not before.by_value.shape[2]:  # all values are held
-            return np.zeros((len(before.world), 0))
-        rows, out = self.rows + more, (self.by_time + later)[:, None] * linearisation.time_slopes
-        steps = STEP_PX / np.maximum(np.linalg.norm(before.by_point, axis=(1, 2)), LEAST_NORM)
-        for r in (0, 1):
-            size = np.linalg.norm(rows[:, r], axis=1)
-            moved = rows[:, r] * (steps / np.maximum(size, LEAST_NORM))[:, None]
-            after = linearisation.seen(before.placement, self.values, before.world + moved, before.velocities)
-            length = np.where(before.visible & after.visible, size / steps, 0.0)
-            out += length[:, None] * (after.by_value[:, r] - before.by_value[:, r])
-        return out
+        pulled = linearisation.pulled(self.seen, self.values, pixels, self.rows + more)
+        return pulled + (self.by_time + later)[:, None] * linearisation.time_slopes

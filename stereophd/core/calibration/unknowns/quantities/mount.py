@@ -5,8 +5,15 @@ from dataclasses import replace
 import numpy as np
 
 from stereophd.core.arrays import Array
-from stereophd.core.calibration.unknowns.quantities.base import LENGTH, MOVES, RADIANS, CameraView, Entry, Quantity
-from stereophd.core.calibration.unknowns.quantities.pixel_derivatives import turned
+from stereophd.core.calibration.unknowns.quantities.base import (
+    LENGTH,
+    MOVES,
+    RADIANS,
+    CameraView,
+    Entry,
+    Pull,
+    Quantity,
+)
 from stereophd.core.geometry.camera import Camera
 from stereophd.core.geometry.pose import Pose, rotation_from_vector, rotation_to_vector
 from stereophd.core.geometry.rotations import left_jacobians
@@ -42,9 +49,9 @@ class MountCenter(Quantity):
     def _difference(self, camera: Camera, other: Camera) -> Array:
         return np.asarray(_path(other).center - _path(camera).center)
 
-    def derivative(self, view: CameraView, values: Array) -> Array:
+    def pulled(self, view: CameraView, pull: Pull, values: Array) -> Array:
         """Moving the camera on the body moves the point the other way, turned from the body's axes to the camera's."""
-        return -view.by_point @ _path(view.camera).rotation
+        return -pull.turned_force @ _path(view.camera).rotation
 
     def _entry(self, camera: Camera) -> Entry:
         return {"pose": {"mount": {"center": _path(camera).center.tolist()}}}
@@ -72,9 +79,9 @@ class MountRotation(Quantity):
     def _difference(self, camera: Camera, other: Camera) -> Array:
         return rotation_to_vector(_path(other).rotation @ _path(camera).rotation.T)
 
-    def derivative(self, view: CameraView, values: Array) -> Array:
+    def pulled(self, view: CameraView, pull: Pull, values: Array) -> Array:
         """d (point in the camera) / d v = -[point]_x J_left(v)."""
-        return turned(view, left_jacobians(values[None])[0])
+        return np.asarray(pull.torque @ left_jacobians(values[None])[0])
 
     def _entry(self, camera: Camera) -> Entry:
         return {"pose": {"mount": {"rotation_matrix": _path(camera).rotation.tolist(), "rotation_vector_deg": None}}}
