@@ -200,15 +200,18 @@ class Linearisation:
 
     def of_knots(
         self, values: Array, states: Array, noise: Array = STATED, placement: Placement | None = None
-    ) -> tuple[float, Array, Array]:
+    ) -> tuple[float, Array, Array, Seen]:
         """Cost of detections and motion, matrix (12, size) and vector (size,) of the knots, as `at` has them, sooner.
+
+        And what is seen, without derivatives by values.
 
         A placement of the values without velocities (`placed`) saves what several knots at the same values share.
         """
         placement = placement or self.placed(values, by_values=False)
-        sums = self.summed(self.residuals(values, states, placement, by_values=False))
+        seen = self.residuals(values, states, placement, by_values=False)
+        sums = self.summed(seen)
         energy, _, _ = self._add_motion(sums, states, self.noise_at(values, noise))
-        return sums.cost + energy, sums.bands, sums.state_vector
+        return sums.cost + energy, sums.bands, sums.state_vector, seen
 
     def placed(self, values: Array, by_values: bool = True) -> Placement:
         """Return what the values determine; without `by_values` the velocities are those of the prior mean.
@@ -232,26 +235,24 @@ class Linearisation:
         self, values: Array, states: Array, placement: Placement | None = None, by_values: bool = True
     ) -> Seen:
         """What is seen of the points at the times of the values."""
-        placement, held = placement or self.placed(values), self.problem.held
-        by_values = by_values and (held is None or not held.all())
+        placement = placement or self.placed(values)
         world = positions(states, *placement.path)
-        velocities, found = np.zeros_like(world), placement.sights.project(world)
-        seen = Seen(
-            placement, found, velocities, self.problem.observations.points - found.pixels, np.zeros((len(world), 2, 0))
-        )
-        if not by_values:
+        found = placement.sights.project(world)
+        errors, by_value = self.problem.observations.points - found.pixels, np.zeros((len(world), 2, 0))
+        seen = Seen(placement, found, np.zeros_like(world), errors, by_value)
+        return self.with_values(seen, values, states) if by_values else seen
+
+    def with_values(self, seen: Seen, values: Array, states: Array) -> Seen:
+        """Return what is seen with its derivatives by the values, where some are not held."""
+        if self.problem.held is not None and self.problem.held.all():
             return seen
-        seen = self.moving(seen, states)
-        by_value = np.zeros((len(world), 2, self.columns.shape[1]))
+        seen = replace(seen, velocities=positions(states, *seen.placement.rates))
+        by_value = np.zeros((len(seen.errors), 2, self.columns.shape[1]))
         for here, view, unknown in self._views(seen, values):
             parts = [quantity.derivative(view, own)[:, :, used] for quantity, own, used in unknown]
             by_camera = np.concatenate(parts, axis=2)
             by_value[here, :, : by_camera.shape[2]] = by_camera
         return replace(seen, by_value=by_value)
-
-    def moving(self, seen: Seen, states: Array) -> Seen:
-        """Return what is seen with the velocities of the points of knots (k, 2, 3)."""
-        return replace(seen, velocities=positions(states, *seen.placement.rates))
 
     def pulled(self, seen: Seen, values: Array, pixels: Array, lines: Array) -> Array:
         """Derivatives (n, q), by the values of the camera of each detection, of what detections pull at.
@@ -291,7 +292,7 @@ class Linearisation:
             return factor_knots(curved)
         return factor_knots(bands)
 
-    @property
+    @cached_property
     def precisions(self) -> Array:
         """Precisions (n, 2, 2) of the detections, times what each counts."""
         precisions, weights = self.problem.observations.precisions, self.problem.observations.weights
@@ -300,7 +301,7 @@ class Linearisation:
     def pulls(self, seen: Seen, errors: Array | None = None) -> Array:
         """Return how errors (n, 2), those of detections by default, pull at pixels by the weights of the detections."""
         errors = seen.errors if errors is None else errors
-        return np.where(seen.visible[:, None], (self.precisions @ errors[:, :, None])[:, :, 0], 0.0)
+        return np.where(seen.visible[:, None], np.einsum("nij,nj->ni", self.precisions, errors), 0.0)
 
     def of_values(self, by_value: Array) -> Array:
         """Sums (m,) over detections of their contributions (n, q) to the values of their cameras; q may be 0."""

@@ -269,8 +269,8 @@ class MarginalPosterior:
         """
         values, noise = self.parted(unknowns)
         placement = self.linearisation.placed(values)
-        states, _ = settled_knots(self.linearisation, values, states, noise, KNOT_STEPS, settled, placement)
-        seen = self.linearisation.residuals(values, states, placement)
+        states, _, seen = settled_knots(self.linearisation, values, states, noise, KNOT_STEPS, settled, placement)
+        seen = self.linearisation.with_values(seen, values, states)
         equations = self.equations(unknowns, states, seen)
         factor = factor_knots(equations.bands)
         volume = self._volume(unknowns, factor) + self._first_states(states)[0]
@@ -285,9 +285,10 @@ class MarginalPosterior:
         unknowns, states = at.unknowns + step, at.states + at.eliminated.followed(step).reshape(at.states.shape)
         (values, noise), linearisation = self.parted(unknowns), self.linearisation
         placement = linearisation.placed(values)
-        _, _, vector = linearisation.of_knots(values, states, noise, placement)
+        _, _, vector, _ = linearisation.of_knots(values, states, noise, placement)
         states += cho_solve_banded((curved, True), vector, check_finite=False).reshape(states.shape)
-        seen = linearisation.moving(linearisation.residuals(values, states, placement, by_values=False), states)
+        seen = linearisation.residuals(values, states, placement, by_values=False)
+        seen = replace(seen, velocities=positions(states, *placement.rates))
         found = self.equations(unknowns, states, seen)
         return Point(unknowns, states, found, factor_knots(found.bands), np.nan, seen)
 
@@ -314,8 +315,8 @@ class MarginalPosterior:
         # knots that follow move points and velocities, and with them what the errors pull at the values with
         moved, faster = (positions(across, i.knot, i.weights, np.zeros_like(at.seen.velocities)) for i in (path, rates))
         pulls = linearisation.pulls(at.seen)
-        following = linearisation.pulls(at.seen, (at.seen.by_point @ moved[:, :, None])[:, :, 0])
-        later = (pulls * (at.seen.by_point @ faster[:, :, None])[:, :, 0]).sum(axis=1)
+        following = linearisation.pulls(at.seen, np.einsum("nra,na->nr", at.seen.by_point, moved))
+        later = np.einsum("nr,nra,na->n", pulls, at.seen.by_point, faster)
         at_pixels = -following if at.seen.by_value.shape[2] else -following - pulls  # of points `beside` another
         by_value = slopes.by_value(linearisation, at_pixels, pulls[:, :, None] * moved[:, None, :], later)
         products = linearisation.motion.pulls(at.states)[0].T @ across.reshape(-1, 3)

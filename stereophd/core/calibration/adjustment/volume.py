@@ -49,6 +49,48 @@ def summed_covariances(inverse: Array, knots: Integers, weights: Array, out: Arr
                         out[n, i, j] += weight * inverse[abs(row - column), min(row, column)]
 
 
+@compiled
+def _slopes(
+    inverse: Array, knots: Integers, weights: Array, rates: Array, by_point: Array, precisions: Array, bends: Array
+) -> tuple[Array, Array, Array]:
+    """Return `rows`, `by_point` and `by_time` of `VolumeSlopes` from the inverse of A within its band.
+
+    `weights` and `rates` (n, 4) are those of positions and velocities, `precisions` (n, 2, 2) those of what is seen.
+    """
+    count = len(knots)
+    rows, of_point, by_time = np.zeros((count, 2, 3)), np.zeros((count, 3)), np.zeros(count)
+    here, moving, pull = np.empty((3, 3)), np.empty((3, 3)), np.empty(3)
+    for n in range(count):
+        here[:], moving[:], start = 0.0, 0.0, 6 * knots[n]
+        for b in range(4 if start + 6 < inverse.shape[1] else 2):
+            for c in range(b + 1):
+                both, first, second = (
+                    weights[n, b] * weights[n, c],
+                    weights[n, b] * rates[n, c],
+                    rates[n, b] * weights[n, c],
+                )
+                for i in range(3):
+                    for j in range(3):
+                        row, column = start + 3 * b + i, start + 3 * c + j
+                        covariance = inverse[abs(row - column), min(row, column)]
+                        here[i, j] += both * covariance
+                        moving[i, j] += first * covariance
+                        if c < b:
+                            here[j, i] += both * covariance
+                            moving[j, i] += second * covariance
+        for r in range(2):
+            for a in range(3):
+                pull[a] = precisions[n, r, 0] * by_point[n, 0, a] + precisions[n, r, 1] * by_point[n, 1, a]
+            for a in range(3):
+                for b in range(3):
+                    rows[n, r, a] += here[a, b] * pull[b]
+                    by_time[n] += by_point[n, r, a] * moving[a, b] * pull[b]
+            for a in range(3):
+                for b in range(3):
+                    of_point[n, a] += bends[n, r, a, b] * rows[n, r, b]
+    return rows, of_point, by_time
+
+
 @dataclass(frozen=True)
 class VolumeSlopes:
     """Derivatives of half of log det A at some values, its parts summing up to the whole."""
@@ -66,14 +108,10 @@ class VolumeSlopes:
         inverse = np.zeros_like(factor)
         inverse_in_band(factor, inverse)
         path, rates = seen.placement.path, seen.placement.rates
-        by_point = np.where(seen.visible[:, None, None], seen.by_point, 0.0)
-        spread = np.zeros((2, len(by_point), 3, 3))
-        for of_points, weights in zip(spread, (path.weights, rates.weights), strict=True):
-            summed_covariances(inverse, path.knot, path.weights[:, :, None] * weights[:, None, :], of_points)
-        weighted = linearisation.precisions @ by_point
-        rows = weighted @ spread[0]
-        by_time = (by_point * (weighted @ spread[1].swapaxes(1, 2))).sum(axis=(1, 2))
-        of_point = np.einsum("nrab,nrb->na", seen.bends, rows)
+        precisions = np.where(seen.visible[:, None, None], linearisation.precisions, 0.0)
+        rows, of_point, by_time = _slopes(
+            inverse, path.knot, path.weights, rates.weights, seen.by_point, precisions, seen.bends
+        )
         links = linearisation.motion.links
         covariances = np.zeros((len(links.knot), 3, 3))
         summed_covariances(inverse, links.knot, links.precisions, covariances)

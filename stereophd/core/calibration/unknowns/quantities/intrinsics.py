@@ -13,6 +13,8 @@ from stereophd.core.settings import LARGEST_PX
 # Step of differences of the derivatives by coefficients, in normalised coordinates: to one side, so that they are wrong
 # by this part.
 STEP = 1e-7
+# In place of a length of 0.
+LEAST = 1e-150
 DISTORTION = ("k1", "k2", "p1", "p2", "k3", "k4", "k5", "k6")
 
 
@@ -121,9 +123,11 @@ class Distortion(Quantity):
     def pulled(self, view: CameraView, pull: Pull, values: Array) -> Array:
         """The pixel moves by its derivative, which changes along the line of each coordinate."""
         before, there = self.derivative(view, values), view.undistorted[:, None]
-        steps = STEP / np.maximum(np.linalg.norm(pull.undistorted, axis=2, keepdims=True), np.finfo(np.float64).tiny)
-        after = self._slopes(view.camera, there + steps * pull.undistorted)
-        return np.asarray(np.einsum("nr,nrk->nk", pull.pixels, before) + ((after - before) / steps).sum(axis=1))
+        lengths = np.hypot(pull.undistorted[:, :, 0], pull.undistorted[:, :, 1]) / STEP
+        after = self._slopes(view.camera, there + pull.undistorted / np.maximum(lengths, LEAST)[:, :, None])
+        return np.asarray(
+            np.einsum("nr,nrk->nk", pull.pixels, before) + np.einsum("nr,nrk->nk", lengths, after - before)
+        )
 
     def _slopes(self, camera: Camera, undistorted: Array) -> Array:
         """Return `derivative` (n, 2, k) with either row at its own point; points (n, 2, 2), or (n, 1, 2) for both."""

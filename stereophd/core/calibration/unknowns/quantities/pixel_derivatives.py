@@ -16,8 +16,9 @@ from stereophd.core.geometry.layout import LENS_NONE
 from stereophd.core.geometry.trajectory import Motions
 from stereophd.core.numerics.compilation.compiled import compiled
 
-# Step of differences of a lens's derivatives, in normalised coordinates.
-LENS_STEP = 1e-4
+# Step of differences of a lens's derivatives, in normalised coordinates: to one side, so that they are wrong by this
+# part.
+LENS_STEP = 1e-7
 
 
 class Places(NamedTuple):
@@ -159,7 +160,6 @@ def _bends(points: Array, ahead: Booleans, places: Places) -> Array:
     """`Sights.bends` of points (n, 3) in the camera's axes; second derivatives of lenses are differences."""
     out, by_point = np.zeros((len(points), 2, 3, 3)), np.empty((3, 3))
     slope, second = np.empty((2, 2)), np.empty((2, 3))
-    half = 0.5 / LENS_STEP
     for n in np.flatnonzero(ahead):
         number, turn = places.of_row[n], places.motions.rotations[places.poses[n]]
         camera, lens = places.intrinsics[number], places.lenses[number]
@@ -172,11 +172,10 @@ def _bends(points: Array, ahead: Booleans, places: Places) -> Array:
         else:
             _, _, _, slope[0, 0], slope[0, 1], slope[1, 0], slope[1, 1] = _imaged(code, lens, max_radius, x, y)
             _, _, _, r00, r01, r10, r11 = _imaged(code, lens, max_radius, x + LENS_STEP, y)
-            _, _, _, l00, l01, l10, l11 = _imaged(code, lens, max_radius, x - LENS_STEP, y)
             _, _, _, _, d01, _, d11 = _imaged(code, lens, max_radius, x, y + LENS_STEP)
-            _, _, _, _, u01, _, u11 = _imaged(code, lens, max_radius, x, y - LENS_STEP)
-            second[0, 0], second[0, 1], second[0, 2] = half * (r00 - l00), half * (r01 - l01), half * (d01 - u01)
-            second[1, 0], second[1, 1], second[1, 2] = half * (r10 - l10), half * (r11 - l11), half * (d11 - u11)
+            second[0, 0], second[0, 1], second[0, 2] = r00 - slope[0, 0], r01 - slope[0, 1], d01 - slope[0, 1]
+            second[1, 0], second[1, 1], second[1, 2] = r10 - slope[1, 0], r11 - slope[1, 1], d11 - slope[1, 1]
+            second /= LENS_STEP
         for r in range(2):
             a, b, xx, xy, yy = slope[r, 0], slope[r, 1], second[r, 0], second[r, 1], second[r, 2]
             s = i * i * camera[r]
