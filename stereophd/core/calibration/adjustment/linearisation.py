@@ -189,7 +189,7 @@ class Linearisation:
     def _add_motion(self, sums: NormalEquations, states: Array, noise: MotionNoise) -> tuple[float, Array, Array]:
         """Add the motion model to the sums of the knots; return its part of the cost, and `MotionPrior.pulls`."""
         precision, (pulls, products) = noise.precision, self.motion.pulls(states)
-        sums.bands[:] += self.motion.with_axes(precision)
+        self.motion.with_axes(precision, sums.bands)
         sums.state_vector[:] -= (pulls @ precision).ravel()
         return float((precision * products).sum()), pulls, products
 

@@ -4,8 +4,8 @@ With the covariance S of the point of a detection, of weight w, precision P and 
 A by any of its unknowns changes the volume by w tr(S J^T P dJ): the detection pulls at its J with K = w P J S. As dJ by
 a value is the change by the point of the derivative by the value, that is what a quantity knows about pulls along the
 two rows of K (`quantities.base.Pull`). A later time of a detection also moves the weights of its knots, from those of
-the position to those of the velocity. The covariances are those parts of the inverse of A that lie within its band (K. Takahashi,
-J. Fagan and M.-S. Chin, "Formation of a sparse bus impedance matrix", 1973).
+the position to those of the velocity. The covariances are those parts of the inverse of A that lie within its band
+(K. Takahashi, J. Fagan and M.-S. Chin, "Formation of a sparse bus impedance matrix", 1973).
 """
 
 from __future__ import annotations

@@ -1,7 +1,5 @@
 """Clock and readout of a camera."""
 
-import numpy as np
-
 from stereophd.core.arrays import Array
 from stereophd.core.calibration.unknowns.quantities.base import RATIO, SECONDS, TIMES, CameraView, Offset, Pull
 from stereophd.core.settings import LARGEST_TIME_S
