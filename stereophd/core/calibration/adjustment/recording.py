@@ -198,15 +198,17 @@ class Scans:
     def events(self) -> tuple[Event, ...]:
         """The events, as `stereophd.core.disparity.events.make_event` makes them one by one."""
         ends, out = self.first.tolist(), []
-        is_late, travels = ~np.isnan(self.delays), ~np.isnan(self.travels[:, 0])
+        late, moving = (
+            set(self.cameras[self.event_of[~np.isnan(each)]].tolist()) for each in (self.delays, self.travels[:, 0])
+        )
         for number, (time_s, camera) in enumerate(zip(self.times.tolist(), self.cameras.tolist(), strict=True)):
             own = slice(ends[number], ends[number + 1])
             out.append(
                 Event(
                     time_s, camera, self.points[own], self.covariances[own], self.areas[own],
-                    self.delays[own] if is_late[own].any() else None,
+                    self.delays[own] if camera in late else None,
                     not_invertible=int(self.not_invertible[number]),
-                    travels=self.travels[own] if travels[own].any() else None,
+                    travels=self.travels[own] if camera in moving else None,
                 )
             )  # fmt: skip
         return tuple(out)

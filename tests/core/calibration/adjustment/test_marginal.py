@@ -7,8 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from stereophd.core.arrays import Array
 from stereophd.core.calibration.adjustment import marginal
-from stereophd.core.calibration.adjustment.linearisation import Linearisation
+from stereophd.core.calibration.adjustment.linearisation import Linearisation, Seen
 from stereophd.core.calibration.adjustment.marginal import (
     MarginalPosterior,
     Point,
@@ -144,7 +145,6 @@ def test_the_gradient_knows_how_the_knots_settle(monkeypatch: pytest.MonkeyPatch
     at = posterior.at(np.append(drawn, NOISE), states)
     settled, root, missed = posterior.gradient(at), posterior.root(at), []
     away = np.random.default_rng(4).standard_normal(states.shape)
-
 
     def as_they_are(linearisation: Linearisation, values: Array, knots: Array, *_: object) -> tuple[Array, float, Seen]:
         seen = linearisation.residuals(values, knots, linearisation.placed(values), by_values=False)
