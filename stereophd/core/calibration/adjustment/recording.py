@@ -179,9 +179,10 @@ class Scans:
         order = np.lexsort((points[:, 1], points[:, 0], frame))
         order = order[np.isfinite(points[order]).all(axis=1) & (areas[order] > 0.0)]
         first = np.searchsorted(frame[order], np.arange(len(frames) + 1))
+        points, covariances, areas, delays, travels = (value[order] for value in values)
         return Scans(
-            true[frames], of_frame, first, counts - np.diff(first), *(value[order] for value in values), rows[order],
-            recording
+            true[frames], of_frame, first, counts - np.diff(first), points, covariances, areas, delays, travels,
+            rows[order], recording,
         )  # fmt: skip
 
     @cached_property
