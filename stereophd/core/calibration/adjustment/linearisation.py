@@ -79,7 +79,7 @@ class Seen:
     """What cameras see of the points of detections."""
 
     placement: Placement
-    found: Projection
+    projection: Projection
     velocities: Array  # (n, 3): Those of the points; zeros where derivatives by values are not asked for
     errors: Array  # (n, 2): Residuals
     by_value: Array  # (n, 2, q): By the unknown values of the camera; q = 0 where they are not asked for
@@ -87,17 +87,17 @@ class Seen:
     @property
     def visible(self) -> Booleans:
         """Which points (n,) lie before their cameras."""
-        return self.found.ahead
+        return self.projection.ahead
 
     @property
     def by_point(self) -> Array:
         """Derivatives (n, 2, 3) of the pixels by the points."""
-        return self.found.by_world
+        return self.projection.by_world
 
     @cached_property
     def bends(self) -> Array:
         """Second derivatives (n, 2, 3, 3) of the pixels by the points."""
-        return self.placement.sights.bends(self.found.points, self.visible)
+        return self.placement.sights.bends(self.projection.points, self.visible)
 
 
 @dataclass(frozen=True)
@@ -203,9 +203,8 @@ class Linearisation:
     ) -> tuple[float, Array, Array, Seen]:
         """Cost of detections and motion, matrix (12, size) and vector (size,) of the knots, as `at` has them, sooner.
 
-        And what is seen, without derivatives by values.
-
-        A placement of the values without velocities (`placed`) saves what several knots at the same values share.
+        What is seen, without derivatives by values, is returned as well. A placement of the values without velocities
+        (`placed`) saves what several knots at the same values share.
         """
         placement = placement or self.placed(values, by_values=False)
         seen = self.residuals(values, states, placement, by_values=False)
@@ -237,9 +236,9 @@ class Linearisation:
         """What is seen of the points at the times of the values."""
         placement = placement or self.placed(values)
         world = positions(states, *placement.path)
-        found = placement.sights.project(world)
-        errors, by_value = self.problem.observations.points - found.pixels, np.zeros((len(world), 2, 0))
-        seen = Seen(placement, found, np.zeros_like(world), errors, by_value)
+        projection = placement.sights.project(world)
+        errors, by_value = self.problem.observations.points - projection.pixels, np.zeros((len(world), 2, 0))
+        seen = Seen(placement, projection, np.zeros_like(world), errors, by_value)
         return self.with_values(seen, values, states) if by_values else seen
 
     def with_values(self, seen: Seen, values: Array, states: Array) -> Seen:
@@ -250,8 +249,7 @@ class Linearisation:
         by_value = np.zeros((len(seen.errors), 2, self.columns.shape[1]))
         for here, view, unknown in self._views(seen, values):
             parts = [quantity.derivative(view, own)[:, :, used] for quantity, own, used in unknown]
-            by_camera = np.concatenate(parts, axis=2)
-            by_value[here, :, : by_camera.shape[2]] = by_camera
+            by_value[here, :, : sum(part.shape[2] for part in parts)] = np.concatenate(parts, axis=2)
         return replace(seen, by_value=by_value)
 
     def pulled(self, seen: Seen, values: Array, pixels: Array, lines: Array) -> Array:
@@ -260,13 +258,12 @@ class Linearisation:
         They pull at their pixels with weights (n, 2), and with weights (n, 2, 3) at the derivatives of these by the
         points.
         """
-        pull = seen.placement.sights.pull(seen.found, pixels, lines, seen.bends)
+        pull = seen.placement.sights.pull(seen.projection, pixels, lines, seen.bends)
         out = np.zeros((len(pixels), self.columns.shape[1]))
         for here, view, unknown in self._views(seen, values):
-            own_pull = pull.take(here)
-            parts = [quantity.pulled(view, own_pull, own)[:, used] for quantity, own, used in unknown]
-            by_camera = np.concatenate(parts, axis=1)
-            out[here, : by_camera.shape[1]] = by_camera
+            of_camera = pull.take(here)
+            parts = [quantity.pulled(view, of_camera, own)[:, used] for quantity, own, used in unknown]
+            out[here, : sum(part.shape[1] for part in parts)] = np.concatenate(parts, axis=1)
         return out
 
     def _views(
@@ -277,7 +274,7 @@ class Linearisation:
         at = seen.placement.times, observations.log_times, observations.rows
         for number, here in enumerate(self.members):
             if unknown := self.problem.parameters.unknown(sights.cameras[number].name):
-                view = sights.view(number, here, seen.found, seen.velocities, *at)
+                view = sights.view(number, here, seen.projection, seen.velocities, *at)
                 yield here, view, [(quantity, taken(values, index), index >= 0) for quantity, index in unknown]
 
     def factor_of_knots(self, seen: Seen, bands: Array) -> Array:

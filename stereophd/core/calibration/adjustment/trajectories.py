@@ -255,7 +255,7 @@ class MotionPrior:
         return MotionPrior(bands, pull, links.energy.sum(axis=0), knots.motion.moves, links)
 
     def with_axes(self, precision: Array, out: Array | None = None) -> Array:
-        """Matrix of all unknowns, lower banded (12, 6 k), at a precision (3, 3) of the noise, added to `out` if given."""
+        """Return or add to `out` the matrix (12, 6 k) of all unknowns at a precision (3, 3) of the noise."""
         out = np.zeros((12, 3 * self.bands.shape[1])) if out is None else out
         for (below, unit), i, j in product(enumerate(self.bands), range(3), range(3)):
             if 3 * below + i >= j and precision[i, j] != 0.0:  # axes that are independent have no products

@@ -64,11 +64,8 @@ def _slopes(
         here[:], moving[:], start = 0.0, 0.0, 6 * knots[n]
         for b in range(4 if start + 6 < inverse.shape[1] else 2):
             for c in range(b + 1):
-                both, first, second = (
-                    weights[n, b] * weights[n, c],
-                    weights[n, b] * rates[n, c],
-                    rates[n, b] * weights[n, c],
-                )
+                both = weights[n, b] * weights[n, c]
+                first, second = weights[n, b] * rates[n, c], rates[n, b] * weights[n, c]
                 for i in range(3):
                     for j in range(3):
                         row, column = start + 3 * b + i, start + 3 * c + j
@@ -121,10 +118,10 @@ class VolumeSlopes:
     def by_value(
         self, linearisation: Linearisation, pixels: Array, more: Array | float = 0.0, later: Array | float = 0.0
     ) -> Array:
-        """Return derivatives (n, q) by the values of the camera of each detection, and those of what adds to it.
+        """Return derivatives (n, q) by the values of the camera of each detection, of the volume and what adds to it.
 
-        That are weights `pixels` (n, 2) of the pixels, `more` (n, 2, 3) of their derivatives by the points, and `later`
-        (n,) of the times.
+        This is given by weights `pixels` (n, 2) of the pixels, `more` (n, 2, 3) of their derivatives by the points, and
+        `later` (n,) of the times.
         """
         pulled = linearisation.pulled(self.seen, self.values, pixels, self.rows + more)
         return pulled + (self.by_time + later)[:, None] * linearisation.time_slopes
