@@ -252,13 +252,13 @@ class Linearisation:
             by_value[here, :, : sum(part.shape[2] for part in parts)] = np.concatenate(parts, axis=2)
         return replace(seen, by_value=by_value)
 
-    def pulled(self, seen: Seen, values: Array, pixels: Array, lines: Array) -> Array:
+    def pulled(self, seen: Seen, values: Array, pixels: Array, lines: Array, later: Array) -> Array:
         """Derivatives (n, q), by the values of the camera of each detection, of what detections pull at.
 
-        They pull at their pixels with weights (n, 2), and with weights (n, 2, 3) at the derivatives of these by the
-        points.
+        They pull at their pixels with weights (n, 2), with weights (n, 2, 3) at the derivatives of these by the points,
+        and with weights (n,) at the times.
         """
-        pull = seen.placement.sights.pull(seen.projection, pixels, lines, seen.bends)
+        pull = seen.placement.sights.pull(seen.projection, pixels, lines, later, seen.bends)
         out = np.zeros((len(pixels), self.columns.shape[1]))
         for here, view, unknown in self._views(seen, values):
             of_camera = pull.take(here)
@@ -316,19 +316,3 @@ class Linearisation:
             for axis in range(3):
                 np.add.at(out, 6 * path.knot + 3 * b + axis, path.weights[:, b] * by_point[:, axis])
         return out[:size]
-
-    @cached_property
-    def time_slopes(self) -> Array:
-        """Derivatives (n, q) of the times of the detections by the values of their cameras: these are linear."""
-        parameters, observations = self.problem.parameters, self.problem.observations
-        out = np.zeros((len(observations), self.columns.shape[1]))
-        now = true_times(parameters.build(parameters.prior_mean), observations)
-        for columns, here in zip(self.columns, self.members, strict=True):
-            for column, place in enumerate(columns[columns >= 0]):
-                if parameters.parameters[place].quantity.affects != TIMES:
-                    continue
-                later = parameters.prior_mean.copy()
-                later[place] += parameters.prior_std[place]
-                moved = true_times(parameters.build(later), observations)[here] - now[here]
-                out[here, column] = moved / parameters.prior_std[place]
-        return out

@@ -123,5 +123,4 @@ class VolumeSlopes:
         This is given by weights `pixels` (n, 2) of the pixels, `more` (n, 2, 3) of their derivatives by the points, and
         `later` (n,) of the times.
         """
-        pulled = linearisation.pulled(self.seen, self.values, pixels, self.rows + more)
-        return pulled + (self.by_time + later)[:, None] * linearisation.time_slopes
+        return linearisation.pulled(self.seen, self.values, pixels, self.rows + more, self.by_time + later)

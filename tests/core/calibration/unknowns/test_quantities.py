@@ -217,7 +217,8 @@ def test_pulls_follow_values_as_pixels_and_their_derivatives_do(lens: str, pose:
     velocities, pixels, lines = rng.normal(0.0, 0.3, (count, 3)), *rng.normal(0.0, 1.0, (2, count, 2, 3))
     sights = Sights.of((camera,), np.zeros(count, dtype=np.int64), times)
     seen = sights.project(world)
-    pull = sights.pull(seen, pixels[:, :, 0], lines, sights.bends(seen.points, seen.ahead))
+    later = rng.standard_normal(count)
+    pull = sights.pull(seen, pixels[:, :, 0], lines, later, sights.bends(seen.points, seen.ahead))
     view = sights.view(0, slice(None), seen, velocities, times, times, rows)
     for quantity in quantities():
         if not quantity.available(camera):
@@ -231,6 +232,8 @@ def test_pulls_follow_values_as_pixels_and_their_derivatives_do(lens: str, pose:
         for r in (0, 1):
             ahead_of, behind = (derivative(world + sign * step * lines[:, r])[:, r] for sign in (1.0, -1.0))
             expected += (ahead_of - behind) / (2.0 * step)
+        if quantity.affects == TIMES:
+            expected += (later * {"clock_rate": times, "readout": rows}.get(quantity.name, 1.0))[:, None]
         scale = np.abs(expected).max()
         np.testing.assert_allclose(
             quantity.pulled(view, pull, values), expected, atol=1e-6 * scale, err_msg=quantity.name

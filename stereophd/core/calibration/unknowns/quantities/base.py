@@ -65,6 +65,7 @@ class Pull(ArrayRows):
     """
 
     pixels: Array  # (n, 2): Weights of the raw pixels
+    later: Array  # (n,): Weights of the true times, beside what moves the pixels
     stretches: Array  # (n, 2): Changes of the pixels along the lines
     force: Array  # (n, 3): At the point, in the world's axes
     turned_force: Array  # (n, 3): The same in the camera's axes
@@ -91,7 +92,7 @@ class CameraView(Projection):
         none = np.zeros((len(self.points), 2))
         first, second = (
             Pull(
-                np.broadcast_to(np.eye(2)[r], none.shape), none, self.by_world[:, r], self.by_point[:, r],
+                np.broadcast_to(np.eye(2)[r], none.shape), none[:, 0], none, self.by_world[:, r], self.by_point[:, r],
                 np.cross(self.points, self.by_point[:, r]), np.broadcast_to(0.0, (*none.shape, 2)),
             )
             for r in (0, 1)
@@ -100,7 +101,7 @@ class CameraView(Projection):
 
     def by_time(self, pull: Pull) -> Array:
         """Derivatives (n, 1) of a pull with respect to the true times of the detections, per second."""
-        out = np.einsum("na,na->n", pull.force, self.drift)
+        out = pull.later + np.einsum("na,na->n", pull.force, self.drift)
         if self.rates is not None:
             out -= np.einsum("na,na->n", pull.torque, self.rates)
         return np.asarray(out[:, None])

@@ -62,12 +62,12 @@ class Sights:
         """Second derivatives (n, 2, 3, 3) of the raw pixels by the point in the world, from `Projection`."""
         return np.asarray(_bends(points, ahead, self.places))
 
-    def pull(self, seen: Projection, pixels: Array, lines: Array, bends: Array) -> Pull:
-        """Return the pull of weights (n, 2) of the pixels, and (n, 2, 3) of their derivatives by points in the world.
+    def pull(self, seen: Projection, pixels: Array, lines: Array, later: Array, bends: Array) -> Pull:
+        """Return the pull of weights (n, 2) of pixels, (n, 2, 3) of their derivatives by points, and (n,) of times.
 
-        `bends` are the second derivatives, of points that are seen.
+        The points are in the world; `bends` are the second derivatives, of those that are seen.
         """
-        return Pull(pixels, *_pull(seen.points, seen.by_world, pixels, lines, bends, self.places))
+        return Pull(pixels, later, *_pull(seen.points, seen.by_world, pixels, lines, bends, self.places))
 
     def view(self, number: int, here: Integers | slice, seen: Projection, velocities: Array, *at: Array) -> CameraView:
         """View of a camera on its rows `here`, with all that derivatives by its values need.
@@ -196,7 +196,7 @@ def _bends(points: Array, ahead: Booleans, places: Places) -> Array:
 def _pull(
     points: Array, by_world: Array, pixels: Array, lines: Array, bends: Array, places: Places
 ) -> tuple[Array, Array, Array, Array, Array]:
-    """Return the fields of `Pull` after the first, of points (n, 3) in the camera's axes."""
+    """Return the fields of `Pull` after the first two, of points (n, 3) in the camera's axes."""
     count = len(points)
     stretches, force, undistorted = np.zeros((count, 2)), np.zeros((count, 3)), np.empty((count, 2, 2))
     turned, torque, moment, line = np.empty((count, 3)), np.empty((count, 3)), np.empty(3), np.empty(3)
